@@ -1,0 +1,51 @@
+# make run    set up, then gate the shipped policy on the hurdles suite: the main job
+# make test   set up, then every check and every test
+# make check  formatting, lint, types and the arrows between rooms
+# make bench  the benchmark tables (minutes; on an idle machine)
+# make build  wheel and source archive, and a smoke run of the wheel on its own
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export OMP_NUM_THREADS := 1
+
+.PHONY: run test check bench build
+.DEFAULT_GOAL := run
+
+run: $(VENV)/.installed
+	$(BIN)/nw-eval warmup
+	$(BIN)/nw-eval run suites/hurdles.yaml
+
+test: check
+	$(BIN)/nw-eval warmup
+	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/nw-eval warmup
+	$(BIN)/python -m pytest tests/bench -s -q -p no:xdist -o python_files='bench_*.py' -o timeout=1800
+
+build: $(VENV)/.installed-dev
+	rm -rf dist
+	$(BIN)/pip install -q build
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python tests/smoke_wheel.py dist
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "nw-eval needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; run make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+
+# torch first and alone: the pinned CPU build satisfies every later requirement.
+$(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
+	$(BIN)/pip install -q --disable-pip-version-check torch==$(shell sed -n 's/^torch==//p' constraints.txt)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@

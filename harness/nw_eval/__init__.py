@@ -1,0 +1,7 @@
+"""nw-eval: may this policy checkpoint ship?"""
+
+from __future__ import annotations
+
+__version__ = "0.1.0"
+
+__all__ = ["__version__"]

@@ -1,0 +1,106 @@
+"""The exceptions of nw-eval: one class for each decision that a caller makes.
+
+    NwEvalError
+    ├─ UsageError          exit 2   an option or argument that cannot be used
+    ├─ SuiteError          exit 2   problems in a suite file, all of them, each with its place
+    ├─ SceneError          exit 2   a place that cannot be loaded or built
+    ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
+    ├─ PrerequisiteError   exit 2   an extra, a driver or a backend that is not installed
+    ├─ TrialError          exit 4   a trial that could not be run to a result
+    ├─ StoreError          exit 4   results that cannot be written, or that are damaged
+    └─ IncomparableError   exit 5   runs that do not pair
+
+A message says what happened, the value, the place and the fix, in that order, on one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+
+class NwEvalError(Exception):
+    """Root of every error that nw-eval raises on purpose."""
+
+    exit_code = 4
+
+    def __init__(self, message: str, *, fix: str | None = None) -> None:
+        super().__init__(message if fix is None else f"{message}; {fix}")
+        self.fix = fix
+
+
+class UsageError(NwEvalError):
+    """An option or argument cannot be used as given."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One fault of one file: where it is, what it is, and how to mend it."""
+
+    file: str
+    line: int
+    column: int
+    message: str
+    fix: str | None = None
+
+    def __str__(self) -> str:
+        text = f"{self.file}:{self.line}:{self.column}: {self.message}"
+        return text if self.fix is None else f"{text}; {self.fix}"
+
+
+class SuiteError(NwEvalError):
+    """A suite file has problems. `problems` holds all of them, in file order."""
+
+    exit_code = 2
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__("\n".join(str(problem) for problem in problems))
+        self.problems = tuple(problems)
+
+
+class SceneError(NwEvalError):
+    """A scene cannot be loaded or built."""
+
+    exit_code = 2
+
+
+class PolicyError(NwEvalError):
+    """A policy card or checkpoint cannot be used."""
+
+    exit_code = 2
+
+
+class PrerequisiteError(NwEvalError):
+    """Something that the chosen options need is not installed."""
+
+    exit_code = 2
+
+
+class TrialError(NwEvalError):
+    """A trial could not be run to a result; the policy is not to blame for a score of 0."""
+
+    exit_code = 4
+
+
+class StoreError(NwEvalError):
+    """Results cannot be written or are damaged."""
+
+    exit_code = 4
+
+
+class IncomparableError(NwEvalError):
+    """Two runs do not pair: different trials, versions or scenes."""
+
+    exit_code = 5
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint for a misspelt name: `did you mean 'x'?`, or the list of known names."""
+    names = sorted(known)
+    close = get_close_matches(name, names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return "known: " + ", ".join(names) if names else "none are known"
