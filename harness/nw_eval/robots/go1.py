@@ -1,0 +1,199 @@
+"""The Unitree Go1 as the published Neverwhere evaluation simulates it.
+
+Figures: the robot files of ziyc/neverwhere (commit 5774a18), read as data. Two things in them are
+easily missed and kept, because they change what a policy meets: a 1 kg cube for a head, and a
+trunk box that is shorter than the trunk one sees. The hips collide with nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from nw_eval.robots.figures import Attachment, Figures, FollowingCamera, Inertial, Leg, Link
+from nw_eval.robots.go1_visuals import go1_visuals
+from nw_eval.robots.mjcf import body_names, write_mjcf
+from nw_eval.robots.spec import JOINT_KINDS, LEGS, CameraMount, Quaternion, RobotSpec, Shape
+
+_HEAD = (0.27, 0.0, 0.015)  # in the trunk; the camera looks out of its middle
+_HIP = (0.1881, 0.04675, 0.0)
+_THIGH_OFFSET = 0.08  # of the thigh joint from the hip joint, outwards
+_SEGMENT = 0.213  # length of thigh and calf
+_FOOT_RADIUS = 0.02
+
+_HIP_RANGE = (-0.802851, 0.802851)
+_THIGH_RANGE = (-1.0472, 4.18879)
+_CALF_RANGE = (-2.69653, -0.916298)
+
+_TRUNK = Inertial(
+    mass=4.801,
+    com=(0.0116053, 0.00442221, 0.000106692),
+    principal=(0.0447997, 0.0366257, 0.0162187),
+    quat=(0.0111438, 0.707126, -0.00935374, 0.706938),
+)
+_HIP_QUATS: dict[str, Quaternion] = {
+    "FR": (0.467526, 0.531662, -0.466259, 0.530431),
+    "FL": (0.531662, 0.467526, -0.530431, 0.466259),
+    "RR": (0.530431, 0.466259, -0.531662, 0.467526),
+    "RL": (0.466259, 0.530431, -0.467526, 0.531662),
+}
+
+# A quarter turn about y lays the long x axis of the link boxes along z.
+_QUARTER_TURN_Y: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+
+
+def _leg(name: str) -> Leg:
+    front = 1.0 if name[0] == "F" else -1.0
+    left = 1.0 if name[1] == "L" else -1.0
+    hip = Inertial(
+        mass=0.679292,
+        com=(-0.00406411 * front, 0.0193463 * left, 4.50733e-06),
+        principal=(0.00131334, 0.00122648, 0.000728484),
+        quat=_HIP_QUATS[name],
+    )
+    thigh = Inertial(
+        mass=0.898919,
+        com=(-0.003468, -0.018947 * left, -0.032736),
+        principal=(0.00542178, 0.00514246, 0.000998869),
+        quat=(0.999266, -0.00067676 * left, -0.0382978, -0.000639813 * left),
+    )
+    calf = Inertial(
+        mass=0.218015,
+        com=(0.00455603, 0.0009473, -0.147239),
+        principal=(0.00399678, 0.00398122, 3.99428e-05),
+        quat=(0.762045, 0.00970173, 0.0180098, 0.647201),
+    )
+    return Leg(
+        name=name,
+        hip=Link(
+            position=(_HIP[0] * front, _HIP[1] * left, _HIP[2]),
+            axis=(1, 0, 0),
+            range=_HIP_RANGE,
+            inertial=hip,
+        ),
+        thigh=Link(
+            position=(0.0, _THIGH_OFFSET * left, 0.0),
+            axis=(0, 1, 0),
+            range=_THIGH_RANGE,
+            inertial=thigh,
+        ),
+        calf=Link(position=(0.0, 0.0, -_SEGMENT), axis=(0, 1, 0), range=_CALF_RANGE, inertial=calf),
+    )
+
+
+def _collisions() -> tuple[Shape, ...]:
+    shapes = [
+        Shape(body="trunk", kind="box", name="trunk", size=(0.13, 0.04675, 0.057)),
+        Shape(body="face", kind="box", name="face", size=(0.05, 0.05, 0.05)),
+    ]
+    middle = (0.0, 0.0, -_SEGMENT / 2)
+    for leg in LEGS:
+        shapes += [
+            Shape(
+                body=f"{leg}_{kind}",
+                kind="box",
+                name=f"{leg}_{kind}",
+                size=(_SEGMENT / 2, *cross_section),
+                position=middle,
+                quat=_QUARTER_TURN_Y,
+            )
+            for kind, cross_section in (("thigh", (0.01225, 0.017)), ("calf", (0.008, 0.008)))
+        ]
+        shapes.append(
+            Shape(
+                body=f"{leg}_calf",
+                kind="sphere",
+                name=leg,
+                size=(_FOOT_RADIUS,),
+                position=(0.0, 0.0, -_SEGMENT),
+            )
+        )
+    return tuple(shapes)
+
+
+def _ahead(fovy_degrees: float) -> CameraMount:
+    """Return a camera in the head that looks along x, its image upright."""
+    return CameraMount(
+        position=_HEAD,
+        R_trunk_camera=((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+        fovy=math.radians(fovy_degrees),
+    )
+
+
+# Published names: ego-rgb, ego-rgb-render, realsense, realsense-rgb, realsense-rgb-render.
+_CAMERAS = {
+    "ego": _ahead(90.0),
+    "ego-render": _ahead(92.69673787219053),
+    "realsense": _ahead(56.18593669466556),
+    "realsense-rgb": _ahead(42.61),
+    "realsense-rgb-render": _ahead(45.1729792),
+}
+
+_FOLLOWERS = (
+    FollowingCamera(
+        name="heightmap",
+        position=(0.0, 0.0, 25.0),
+        x_axis=(0.0, -1.0, 0.0),
+        y_axis=(1.0, 0.0, 0.0),
+        fovy=math.radians(6.0),
+    ),
+    FollowingCamera(
+        name="tracking",
+        position=(0.0, -1.0, 1.0),
+        x_axis=(1.0, 0.0, 0.0),
+        y_axis=(0.0, 1.0, 1.0),
+        fovy=math.radians(60.0),
+    ),
+    FollowingCamera(
+        name="tracking-2",
+        position=(0.0, -1.0, 0.0),
+        x_axis=(1.0, 0.0, 0.0),
+        y_axis=(0.0, 0.0, 1.0),
+        fovy=math.radians(60.0),
+    ),
+)
+
+FIGURES = Figures(
+    name="go1",
+    trunk=_TRUNK,
+    attachments=(Attachment(name="face", position=_HEAD),),
+    legs=tuple(_leg(name) for name in LEGS),
+    collisions=_collisions(),
+    visuals=go1_visuals(),
+    cameras=_CAMERAS,
+    followers=_FOLLOWERS,
+    spawn_height=0.4,
+    kp=20.0,
+    joint_damping=0.5,
+    armature=0.01,
+    friction_loss=0.2,
+    torque_limit=23.7,
+    geom_friction=(1.0, 0.3, 0.3),
+    contact_margin=0.001,
+)
+
+
+def go1() -> RobotSpec:
+    """Return the Go1: 12.986 kg, 12 position servos with kp 20 and limits of 23.7 N m."""
+    figures = FIGURES
+    return RobotSpec(
+        name=figures.name,
+        joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
+        default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+        joint_ranges=tuple(
+            link.range for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)
+        ),
+        kp=figures.kp,
+        joint_damping=figures.joint_damping,
+        torque_limits=(figures.torque_limit,) * 12,
+        armature=figures.armature,
+        friction_loss=figures.friction_loss,
+        feet=LEGS,
+        monitored_geoms=("face", "trunk"),
+        published_monitored_geoms=("face",),
+        cameras=figures.cameras,
+        height_camera_offset=(-0.02443, -0.00170, 25.03206),
+        bodies=body_names(figures),
+        visuals=figures.visuals,
+        spawn_height=figures.spawn_height,
+        mjcf=write_mjcf(figures),
+    )

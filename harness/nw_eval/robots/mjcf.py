@@ -1,0 +1,176 @@
+"""Writes a robot's MJCF from its figures.
+
+The text holds the robot alone: bodies, joints, servos and cameras. Ground, obstacles, solver
+options and what a protocol changes are added when a world is compiled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from nw_eval.robots.spec import COLLISION_GROUP, JOINT_KINDS, VISUAL_GROUP, Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from nw_eval.robots.figures import Figures, Inertial, Leg
+
+# What is seen collides with nothing, since nothing has this bit in its conaffinity. It is not 0
+# because `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those
+# of its geoms that have any collision bit, and with it over visual geoms that stick out.
+_VISUAL_CONTYPE = 2
+
+# Density of a welded body without figures of its own, kg / m^3 (MuJoCo's default, as published).
+_DENSITY = 1000.0
+
+
+def write_mjcf(figures: Figures) -> str:
+    """Return the robot of those figures as MJCF text.
+
+    The root joint is a free joint named `root` that takes none of the joint defaults; see
+    `sim.model` for the protocol under which it does.
+    """
+    root = Element("mujoco", model=figures.name)
+    SubElement(root, "compiler", angle="radian", autolimits="true")
+    _defaults(root, figures)
+    world = SubElement(root, "worldbody")
+    shapes = _by_body((*figures.collisions, *figures.visuals))
+    trunk = SubElement(world, "body", name="trunk", pos=_text((0, 0, figures.spawn_height)))
+    SubElement(trunk, "freejoint", name="root")
+    _inertial(trunk, figures.trunk)
+    _geoms(trunk, shapes["trunk"])
+    _cameras(trunk, figures)
+    for attachment in figures.attachments:
+        body = SubElement(trunk, "body", name=attachment.name, pos=_text(attachment.position))
+        _geoms(body, shapes[attachment.name])
+    for leg in figures.legs:
+        _leg(trunk, leg, shapes)
+    _actuators(root, figures)
+    indent(root)
+    return tostring(root, encoding="unicode")
+
+
+def body_names(figures: Figures) -> tuple[str, ...]:
+    """Return every body of the robot, parents before children, in the order of the MJCF."""
+    links = [f"{leg.name}_{kind}" for leg in figures.legs for kind in JOINT_KINDS]
+    return ("trunk", *(attachment.name for attachment in figures.attachments), *links)
+
+
+def _defaults(root: Element, figures: Figures) -> None:
+    defaults = SubElement(root, "default")
+    # Scene geometry gets the same half margin, so that every pair has the figure. The published
+    # evaluation ran on MuJoCo 3.1.6, which took the larger of both margins; since 3.5 they add up.
+    SubElement(
+        defaults,
+        "geom",
+        friction=_text(figures.geom_friction),
+        margin=_text((figures.contact_margin / 2,)),
+    )
+    SubElement(
+        defaults,
+        "joint",
+        damping=_text((figures.joint_damping,)),
+        armature=_text((figures.armature,)),
+        frictionloss=_text((figures.friction_loss,)),
+    )
+
+
+def _leg(trunk: Element, leg: Leg, shapes: dict[str, list[Shape]]) -> None:
+    parent = trunk
+    for kind, link in zip(JOINT_KINDS, (leg.hip, leg.thigh, leg.calf), strict=True):
+        name = f"{leg.name}_{kind}"
+        parent = SubElement(parent, "body", name=name, pos=_text(link.position))
+        _inertial(parent, link.inertial)
+        SubElement(
+            parent, "joint", name=f"{name}_joint", axis=_text(link.axis), range=_text(link.range)
+        )
+        _geoms(parent, shapes[name])
+
+
+def _inertial(body: Element, inertial: Inertial) -> None:
+    SubElement(
+        body,
+        "inertial",
+        pos=_text(inertial.com),
+        quat=_text(inertial.quat),
+        mass=_text((inertial.mass,)),
+        diaginertia=_text(inertial.principal),
+    )
+
+
+def _geoms(body: Element, shapes: Iterable[Shape]) -> None:
+    for shape in shapes:
+        attributes = {
+            "type": shape.kind,
+            "size": _text(shape.size),
+            "pos": _text(shape.position),
+            "quat": _text(shape.quat),
+        }
+        if shape.name:
+            attributes["name"] = shape.name
+        if shape.rgba is None:
+            attributes |= {"group": str(COLLISION_GROUP), "density": _text((_DENSITY,))}
+        else:
+            attributes |= {
+                "group": str(VISUAL_GROUP),
+                "contype": str(_VISUAL_CONTYPE),
+                "conaffinity": "0",
+                "mass": "0",
+                "rgba": _text(shape.rgba),
+            }
+        SubElement(body, "geom", attributes)
+
+
+def _cameras(trunk: Element, figures: Figures) -> None:
+    for name, mount in figures.cameras.items():
+        right, down, _forward = zip(*mount.R_trunk_camera, strict=True)
+        axes = (*right, *(-value for value in down))
+        SubElement(
+            trunk,
+            "camera",
+            name=name,
+            pos=_text(mount.position),
+            xyaxes=_text(axes),
+            fovy=_text((math.degrees(mount.fovy),)),
+        )
+    for camera in figures.followers:
+        SubElement(
+            trunk,
+            "camera",
+            name=camera.name,
+            mode="trackcom",
+            pos=_text(camera.position),
+            xyaxes=_text((*camera.x_axis, *camera.y_axis)),
+            fovy=_text((math.degrees(camera.fovy),)),
+        )
+
+
+def _actuators(root: Element, figures: Figures) -> None:
+    actuators = SubElement(root, "actuator")
+    limit = (-figures.torque_limit, figures.torque_limit)
+    for leg in figures.legs:
+        for kind in JOINT_KINDS:
+            joint = f"{leg.name}_{kind}_joint"
+            SubElement(
+                actuators,
+                "position",
+                name=joint,
+                joint=joint,
+                kp=_text((figures.kp,)),
+                forcerange=_text(limit),
+            )
+
+
+def _by_body(shapes: Iterable[Shape]) -> dict[str, list[Shape]]:
+    by_body: dict[str, list[Shape]] = defaultdict(list)
+    for shape in shapes:
+        by_body[shape.body].append(shape)
+    return by_body
+
+
+def _text(values: Iterable[float]) -> str:
+    # `+ 0.0` turns -0.0 into 0.0, so that mirrored figures write the same text.
+    return " ".join(repr(float(value) + 0.0) for value in values)

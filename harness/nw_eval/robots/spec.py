@@ -1,0 +1,86 @@
+"""What the rest of the house knows about a robot.
+
+Frames: the trunk frame has x forward, y left, z up. Camera frames follow OpenCV: x right, y down,
+z forward. Quaternions are w x y z. Joints, actuators and actions share one order, the order of
+`RobotSpec.joints`: FR, FL, RR, RL, and in each leg hip, thigh, calf.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+LEGS = ("FR", "FL", "RR", "RL")
+JOINT_KINDS = ("hip", "thigh", "calf")
+
+# Geom groups of MuJoCo. Static geometry keeps group 0; rays for overlays see VISUAL_GROUP only.
+VISUAL_GROUP = 2
+COLLISION_GROUP = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """One primitive fixed to a body of the robot.
+
+    `size` is, by kind: box half sizes (3); cylinder radius and half length, axis z (2); ellipsoid
+    radii (3); sphere radius (1). All in metres.
+    """
+
+    body: str
+    kind: Literal["box", "cylinder", "ellipsoid", "sphere"]
+    size: tuple[float, ...]
+    position: Vector3 = (0.0, 0.0, 0.0)
+    quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    name: str = ""
+    rgba: tuple[float, float, float, float] | None = None  # None: collision only, never seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraMount:
+    """Where a camera sits on the trunk.
+
+    `R_trunk_camera` (3 x 3, row by row) maps OpenCV camera axes to the trunk's. `fovy` is the
+    vertical field of view in radians.
+    """
+
+    position: Vector3
+    R_trunk_camera: tuple[Vector3, Vector3, Vector3]
+    fovy: float
+
+    @property
+    def T_trunk_camera(self) -> npt.NDArray[np.float64]:  # noqa: N802  # The field's name.
+        """The (4, 4) transform that maps camera points to the trunk frame."""
+        transform = np.eye(4)
+        transform[:3, :3] = self.R_trunk_camera
+        transform[:3, 3] = self.position
+        return transform
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSpec:
+    """A robot as policies, sensors and the simulation see it. SI units, radians."""
+
+    name: str
+    joints: tuple[str, ...]  # 12 names
+    default_pose: tuple[float, ...]  # (12,) rad; what action 0 means
+    joint_ranges: tuple[tuple[float, float], ...]  # (12, 2) rad
+    kp: float  # N m / rad
+    joint_damping: float  # N m s / rad; the kd of the servo
+    torque_limits: tuple[float, ...]  # (12,) N m, symmetric
+    armature: float  # kg m^2
+    friction_loss: float  # N m
+    feet: tuple[str, ...]  # geom names, in leg order
+    monitored_geoms: tuple[str, ...]  # whose contact ends an episode under `strict`
+    published_monitored_geoms: tuple[str, ...]  # the same under `neverwhere-2026`
+    cameras: dict[str, CameraMount]
+    height_camera_offset: Vector3  # published scandots camera minus the centre of mass, m
+    bodies: tuple[str, ...]  # every body, trunk first, parents before children
+    visuals: tuple[Shape, ...]  # what a viewer draws, in body frames
+    spawn_height: float  # m, trunk origin above the ground at the start
+    mjcf: str  # the model as MJCF text, without ground or options of the scene

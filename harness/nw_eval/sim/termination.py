@@ -1,0 +1,142 @@
+"""When a trial ends, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.sim.protocol import Protocol
+    from nw_eval.sim.trail import TrailProgress
+    from nw_eval.sim.world import World
+
+Outcome = Literal["completed", "fell", "collided", "stuck", "off_course", "timeout"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a trial may not exceed."""
+
+    tilt: float = 1.2  # rad of roll or pitch; beyond it the robot fell
+    monitored_force: float = 10.0  # N on a monitored geom; beyond it the robot collided
+    stuck_after: float = 4.0  # s without getting `stuck_distance` closer to the trail's end
+    stuck_distance: float = 0.15  # m
+    off_course_distance: float = 2.0  # m from the trail, in the ground plane
+    below_ground: float = 1.0  # m under the ground: fell through or off the scene
+
+
+class TerminationSnapshot(NamedTuple):
+    """The state of a `Termination`."""
+
+    best_remaining: float  # m, the shortest way to the last waypoint so far
+    best_step: int  # when that was
+
+
+class Termination:
+    """Decides after each control step whether the trial is over.
+
+    Published outcomes, in this order: `completed` (all waypoints), `fell`, `collided`, `timeout`.
+    `strict` adds two that the published evaluation lets run to the timeout: `stuck`, when for 4 s
+    the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when the
+    robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
+    waypoint away; they only end a trial that has stopped going anywhere.
+
+    `collided` means more than 10 N on one monitored geom at the end of a control step. Which geoms
+    those are is the robot's to say: the published evaluation watches the Go1's head, and its trunk
+    only in name, since the geom it names cannot touch anything; `strict` watches both. A belly that
+    hits an obstacle carries hundreds of newtons (the robot weighs 127 N), so the published limit
+    serves for the trunk as well.
+
+    Args:
+        waypoints: (K, 3) world, m, as the trial has them.
+        start: (2,) or (3,) where the trail begins, world, m: the spawn.
+        protocol: see above.
+        duration: of the trial, s.
+        control_period: seconds of one control step.
+        limits: thresholds.
+    """
+
+    def __init__(
+        self,
+        waypoints: npt.NDArray[np.float64],
+        start: npt.NDArray[np.float64] | Sequence[float],
+        *,
+        protocol: Protocol = "strict",
+        duration: float = 12.0,
+        control_period: float = 0.02,
+        limits: Limits | None = None,
+    ) -> None:
+        points = np.asarray(waypoints, dtype=np.float64).reshape(-1, 3)[:, :2]
+        self._corners = np.vstack([np.asarray(start, dtype=np.float64)[:2], points])
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        # Way from each waypoint to the last one.
+        self._onward = np.concatenate([np.cumsum(lengths[::-1])[::-1], [0.0]])
+        self._strict = protocol == "strict"
+        self._last_step = round(duration / control_period)
+        self._control_period = control_period
+        self._limits = Limits() if limits is None else limits
+        to_first = float(np.linalg.norm(points[0] - self._corners[0]))
+        whole = to_first + float(self._onward[0])
+        self._state = TerminationSnapshot(best_remaining=whole, best_step=0)
+
+    def check(self, world: World, progress: TrailProgress, step: int) -> Outcome | None:
+        """Return how the trial ends now, or None if it goes on.
+
+        Args:
+            world: after its control step.
+            progress: after its update for that step.
+            step: control steps done, 1 after the first.
+        """
+        limits = self._limits
+        if progress.reached == progress.total:
+            return "completed"
+        roll, pitch, _ = world.roll_pitch_yaw
+        if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
+            return "fell"
+        if world.monitored_force() > limits.monitored_force:
+            return "collided"
+        if self._strict:
+            position = world.trunk_position
+            if self._is_off_course(position, world.scene.ground.z):
+                return "off_course"
+            if self._is_stuck(position[:2], progress, step):
+                return "stuck"
+        return "timeout" if step >= self._last_step else None
+
+    def snapshot(self) -> TerminationSnapshot:
+        """Return the state, for `restore`."""
+        return self._state
+
+    def restore(self, snapshot: TerminationSnapshot) -> None:
+        """Go back to a state of this trial."""
+        self._state = snapshot
+
+    def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
+        if position[2] < ground - self._limits.below_ground:
+            return True
+        distance = distance_to_polyline(position[:2], self._corners)
+        return distance > self._limits.off_course_distance
+
+    def _is_stuck(
+        self, position: npt.NDArray[np.float64], progress: TrailProgress, step: int
+    ) -> bool:
+        to_target = float(np.linalg.norm(progress.target[:2] - position))
+        remaining = to_target + float(self._onward[progress.index])
+        if remaining < self._state.best_remaining - self._limits.stuck_distance:
+            self._state = TerminationSnapshot(remaining, step)
+        waited = (step - self._state.best_step) * self._control_period
+        return waited >= self._limits.stuck_after
+
+
+def distance_to_polyline(point: npt.NDArray[np.float64], corners: npt.NDArray[np.float64]) -> float:
+    """Return the distance of a point (2,) from the polyline through corners (C, 2), C >= 2."""
+    starts, spans = corners[:-1], np.diff(corners, axis=0)
+    squared = np.einsum("ij,ij->i", spans, spans)
+    along = np.einsum("ij,ij->i", point - starts, spans) / np.where(squared > 0.0, squared, 1.0)
+    nearest = starts + np.clip(along, 0.0, 1.0)[:, None] * spans
+    return float(np.linalg.norm(point - nearest, axis=1).min())
