@@ -23,6 +23,16 @@ def cache_dir(*parts: str) -> Path:
     return folder
 
 
+def _umask() -> int:
+    """Return the process's umask, which can be read only by setting it."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+_UMASK = _umask()  # Once, while the process has one thread.
+
+
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it into place on success, remove it on failure.
@@ -35,6 +45,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     ) as handle:
         temporary = Path(handle.name)
     try:
+        # Temporary files are private; results are as readable as whatever else the user writes.
+        temporary.chmod(0o666 & ~_UMASK)
         yield temporary
         with temporary.open("rb") as written:
             os.fsync(written.fileno())

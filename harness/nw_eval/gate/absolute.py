@@ -1,0 +1,178 @@
+"""The absolute bar: whether mean success, beyond doubt, reaches what the suite asks for.
+
+1.  Complete? Errors left, trials missing or a critical scene without results: INFRASTRUCTURE. No
+    trials at all can never pass.
+2.  No bar: PASS, which then says only that every trial ran, and the reasons say so.
+3.  Lower bound of mean success at or above the bar: PASS. Upper bound below it: REGRESSED.
+4.  Otherwise INCONCLUSIVE, with about how many more trials would decide.
+
+Scenes weigh equally; `informational` ones do not count. Each bound errs with probability at most
+1 - confidence, for any distribution of success (`stats.betting`), however often one adds whole
+rounds of trials and looks again. A `critical` scene is also judged alone, and can only convict: its
+upper bound, at a confidence that is shared among all critical scenes, must not be below the bar.
+All this speaks of the suite's scenes and its panel of seeds, not of places that it does not have.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from math import ceil, inf
+
+import numpy as np
+
+from nw_eval.gate.scores import by_scene, fractions, score
+from nw_eval.gate.verdict import SceneScore, Verdict, Word
+from nw_eval.results.row import Row
+from nw_eval.stats import (
+    Groups,
+    Interval,
+    lower_bound,
+    repeats_to_decide,
+    trials_to_certify,
+    upper_bound,
+)
+from nw_eval.suite.model import Gate
+
+_NAMED = 3  # Scenes or trials that a reason names before it says "and more".
+_TOO_MANY = 100.0  # Times the present trials: more is no plan.
+
+
+def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdict:
+    """Judge one run against its suite's absolute bar.
+
+    Args:
+        rows: one for each trial that ended, with a result or an error.
+        gate: the suite's gate settings.
+        planned: number of trials that were to be run, by scene.
+
+    Raises:
+        StoreError: a trial appears twice.
+    """
+    groups = by_scene(rows, planned)
+    scores = tuple(score(scene, groups[scene], planned.get(scene, 0), gate) for scene in groups)
+    counted = [
+        values
+        for item in scores
+        if item.tier != "informational" and (values := fractions(groups[item.scene])).size
+    ]
+    bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
+    effect = float(np.mean([values.mean() for values in counted])) if counted else None
+    word, reasons = _compare(bounds, scores, gate)
+    if holes := _holes(rows, scores, gate):
+        word, reasons = "INFRASTRUCTURE", holes
+    elif condemned := _condemned(groups, scores, gate):
+        # The suite's mean speaks first only if it convicts too.
+        word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
+    elif word == "INCONCLUSIVE" and gate.success_rate is not None:
+        reasons.append(_advice(counted, gate.success_rate, gate.confidence))
+    return Verdict(
+        verdict=word,
+        effect=effect,
+        interval=bounds,
+        confidence=gate.confidence,
+        bar=gate.success_rate,
+        n=sum(len(values) for values in counted),
+        planned=sum(planned.values()),
+        errors=sum(item.errors for item in scores),
+        mde=1.0 if effect is None else max(effect - bounds.low, bounds.high - effect),
+        reasons=tuple(reasons),
+        per_scene=scores,
+    )
+
+
+def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> list[str]:
+    """Return why the run is not complete, in words; nothing if it is."""
+    reasons: list[str] = []
+    if not any(item.planned for item in scores):
+        reasons.append("no trials were planned, and nothing can pass without trials")
+    if failed := [row for row in rows if row.status == "error"]:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in _counted(failed))
+        first = failed[0]
+        reasons.append(
+            f"{_plural(len(failed), 'trial')} ended in errors ({kinds}), first {first.trial_id}: "
+            f"{first.error_text or first.error_type}; --resume tries them again"
+        )
+    if missing := [item for item in scores if item.missing]:
+        places = _listed([f"{item.scene} {item.missing}" for item in missing])
+        total = sum(item.missing for item in missing)
+        reasons.append(f"{_plural(total, 'trial')} missing ({places}); --resume runs them")
+    required = [pattern for pattern, tier in gate.tiers.items() if tier == "critical"]
+    having = [item.scene for item in scores if item.n]
+    reasons += [
+        f"critical scene {pattern} has no result, and the suite cannot pass without it"
+        for pattern in required
+        if not any(fnmatchcase(scene, pattern) for scene in having)
+    ]
+    if not reasons and not any(item.n for item in scores if item.tier != "informational"):
+        reasons.append("no scene counts: all are informational; make one supporting or critical")
+    return reasons
+
+
+def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tuple[Word, list[str]]:
+    """Return what the bounds of mean success say, and one reason."""
+    confidence = f"{100 * gate.confidence:.4g} % confidence"
+    bar = gate.success_rate
+    if bar is None:
+        total = sum(item.n for item in scores)
+        reason = f"all {total} trials ran; the suite sets no bar (gate.success_rate), "
+        return "PASS", [reason + "so this says nothing about how well"]
+    if bounds.low >= bar:
+        return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
+    if bounds.high < bar:
+        return "REGRESSED", [
+            f"success is at most {bounds.high:.3f} ({confidence}), the bar is {bar:g}"
+        ]
+    reason = f"the bar {bar:g} lies between what is certain ({bounds.low:.3f}) "
+    return "INCONCLUSIVE", [reason + f"and what is possible ({bounds.high:.3f}; {confidence})"]
+
+
+def _condemned(
+    groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore], gate: Gate
+) -> list[str]:
+    """Return a reason for each critical scene that is certainly below the bar by itself."""
+    critical = [item.scene for item in scores if item.tier == "critical"]
+    if gate.success_rate is None or not critical:
+        return []
+    confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
+    reasons: list[str] = []
+    for scene in critical:
+        most = upper_bound([fractions(groups[scene])], confidence)
+        if most < gate.success_rate:
+            reasons.append(
+                f"critical scene {scene} alone: success is at most {most:.3f}, "
+                f"the bar is {gate.success_rate:g}"
+            )
+    return reasons
+
+
+def _advice(groups: Groups, bar: float, confidence: float) -> str:
+    """Return about how many trials would decide."""
+    n = sum(len(values) for values in groups)
+    enough = trials_to_certify(bar, confidence)
+    if n < enough:
+        return f"{n} trials cannot reach this bar even if all are perfect: run at least {enough}"
+    times = repeats_to_decide(groups, bar, confidence)
+    if times == inf or times > _TOO_MANY:
+        return "success is too near the bar: more trials would hardly decide"
+    longest = max(len(values) for values in groups)
+    each = max(longest + 1, ceil(times * longest))
+    more = sum(each - len(values) for values in groups)
+    return (
+        f"about {more} more trials that go like these would decide: "
+        f"{each} in each scene where now there are {longest}"
+    )
+
+
+def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
+    return Counter(row.outcome for row in rows).most_common()
+
+
+def _listed(words: Sequence[str]) -> str:
+    more = len(words) - _NAMED
+    return ", ".join(words[:_NAMED]) + (f", and {more} more" if more > 0 else "")
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"

@@ -1,0 +1,61 @@
+"""Rows to scores, scene by scene."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import StoreError
+from nw_eval.gate.verdict import SceneScore
+from nw_eval.results.row import Row
+from nw_eval.stats import Interval, mean_of_scenes, wilson
+from nw_eval.suite.model import Gate
+
+
+def fractions(rows: Sequence[Row]) -> NDArray[np.float64]:
+    """Return the success rates of the trials that have a result, shape (n,)."""
+    return np.array([row.fraction for row in rows if row.fraction is not None], dtype=np.float64)
+
+
+def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[Row]]:
+    """Return the rows of every scene that was planned or met, scenes in alphabetical order.
+
+    Raises:
+        StoreError: a trial appears twice, which would count it twice.
+    """
+    groups: dict[str, list[Row]] = {scene: [] for scene in sorted({*planned, *_scenes(rows)})}
+    seen: set[str] = set()
+    for row in rows:
+        if row.trial_id in seen:
+            raise StoreError(
+                f"trial {row.trial_id} appears twice among the rows", fix="keep one row of a trial"
+            )
+        seen.add(row.trial_id)
+        groups[row.scene].append(row)
+    return groups
+
+
+def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneScore:
+    """Return the score of one scene from its rows."""
+    values = fractions(rows)
+    completed = sum(row.completed for row in rows)
+    estimate = mean_of_scenes([values], gate.confidence) if values.size else None
+    return SceneScore(
+        scene=scene,
+        tier=gate.tier(scene),
+        planned=planned,
+        n=values.size,
+        errors=sum(row.status == "error" for row in rows),
+        completed=completed,
+        completion=wilson(completed, values.size, gate.confidence),
+        mean=estimate.mean if estimate else None,
+        interval=estimate.interval if estimate else Interval(0.0, 1.0),
+        outcomes=dict(Counter(row.outcome for row in rows)),
+    )
+
+
+def _scenes(rows: Sequence[Row]) -> set[str]:
+    return {row.scene for row in rows}

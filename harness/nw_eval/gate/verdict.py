@@ -1,0 +1,67 @@
+"""What the gate says: one frozen object that every report renders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from nw_eval.stats import Interval
+from nw_eval.suite.model import Tier
+
+Word = Literal["PASS", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "INVALID"]
+
+EXIT_CODES: Mapping[Word, int] = {
+    "PASS": 0,
+    "REGRESSED": 1,
+    "INCONCLUSIVE": 3,  # 2 is usage, as everywhere.
+    "INFRASTRUCTURE": 4,
+    "INVALID": 5,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneScore:
+    """How a policy did in one scene."""
+
+    scene: str
+    tier: Tier
+    planned: int
+    n: int  # Trials with a result.
+    errors: int
+    completed: int
+    completion: Interval  # Of the share that completed: Wilson.
+    mean: float | None  # Mean success; None without results.
+    interval: Interval  # Of mean success: stratified bootstrap.
+    outcomes: Mapping[str, int]
+
+    @property
+    def missing(self) -> int:
+        """Trials that were planned and have no row."""
+        return max(0, self.planned - self.n - self.errors)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The verdict on one run.
+
+    `interval` holds two one-sided bounds, each of `confidence`: the lower one passes a run, the
+    upper one fails it, so each kind of wrong decision has at most probability 1 - confidence.
+    """
+
+    verdict: Word
+    effect: float | None  # Mean success, scenes weighted equally; None without results.
+    interval: Interval
+    confidence: float
+    bar: float | None
+    n: int
+    planned: int
+    errors: int
+    mde: float  # A true rate up to this far from `effect` would have looked the same.
+    reasons: tuple[str, ...]
+    per_scene: tuple[SceneScore, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """What the process should exit with."""
+        return EXIT_CODES[self.verdict]

@@ -1,0 +1,89 @@
+"""The end of a run in the terminal: the report's first tables, drawn by rich."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.report.headline import blind_spot, headline
+from nw_eval.report.tables import (
+    Table,
+    coverage_table,
+    errors_table,
+    outcomes_table,
+    scenes_table,
+    throughput_table,
+    worst_table,
+)
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_COLOURS: dict[Word, str] = {
+    "PASS": "bold green",
+    "REGRESSED": "bold red",
+    "INCONCLUSIVE": "bold yellow",
+    "INFRASTRUCTURE": "bold magenta",
+    "INVALID": "bold magenta",
+}
+
+
+def print_summary(
+    console: Console, run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path
+) -> None:
+    """Print verdict, scenes, outcomes, worst trials and times; the verdict last, where eyes are.
+
+    Args:
+        console: where to; its width is respected, and colours if it has any.
+        run: the run's provenance.
+        rows: one for each trial, in any order.
+        verdict: what the gate says of them.
+        folder: the run's folder as a reader would type it.
+    """
+    ordered = sorted(rows, key=lambda row: row.trial_id)
+    tables = (
+        scenes_table(verdict),
+        outcomes_table(ordered),
+        errors_table(ordered),
+        worst_table(ordered, folder, most=3),
+        throughput_table(ordered, run),
+        coverage_table(ordered),
+    )
+    for table in tables:
+        if table.rows:
+            _draw(console, table)
+    console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
+    console.print(blind_spot(verdict), markup=False, highlight=False)
+    for reason in verdict.reasons:
+        console.print(f"* {reason}", markup=False, highlight=False)
+
+
+def _draw(console: Console, table: Table) -> None:
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    shown = [name for name in table.columns if name not in table.code]
+    for name in shown:
+        drawn.add_column(
+            name,
+            justify="right" if name in table.numbers else "left",
+            overflow="fold",  # A name that is cut short names nothing.
+            no_wrap=name == table.columns[0],
+        )
+    for row in table.rows:
+        cells = dict(zip(table.columns, row, strict=True))
+        drawn.add_row(*(Text(cells[name]) for name in shown))
+    console.print(drawn)
+    # Something to type must stay on one line, uncut: beneath the table, not in a column.
+    for name in table.columns:
+        if name in table.code:
+            for row in table.rows:
+                if command := dict(zip(table.columns, row, strict=True))[name]:
+                    console.print(command, markup=False, highlight=False, soft_wrap=True)
+            console.print()

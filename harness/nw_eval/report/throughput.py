@@ -1,0 +1,56 @@
+"""Where a run's time went, from the wall times in its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nw_eval.results.row import Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """Time of one stage over all trials."""
+
+    name: str
+    seconds: float
+    ms_per_step: float  # Per control step.
+    share: float  # Of all trials' wall time.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throughput:
+    """Stages in the order of a control step, and the simulated time they made."""
+
+    stages: tuple[Stage, ...]
+    sim_s: float
+    real_time_factor: float  # Simulated over wall time, of one worker.
+
+
+def throughput(rows: Sequence[Row]) -> Throughput:
+    """Return the time of each stage. Rows from the cache took none and are left out."""
+    run = [row for row in rows if not row.cached]
+    steps = sum(row.steps for row in run)
+    wall = sum(row.wall_s for row in run)
+    sim = sum(row.sim_s for row in run)
+    named = {
+        "physics": sum(row.physics_s for row in run),
+        "render": sum(row.render_s for row in run),
+        "policy": sum(row.policy_s for row in run),
+        "log": sum(row.log_s for row in run),
+    }
+    # Clocks that overlap by a rounding must not make a negative stage.
+    named["other"] = max(0.0, wall - sum(named.values()))
+    return Throughput(
+        stages=tuple(
+            Stage(
+                name=name,
+                seconds=seconds,
+                ms_per_step=1000.0 * seconds / steps if steps else 0.0,
+                share=seconds / wall if wall else 0.0,
+            )
+            for name, seconds in named.items()
+        ),
+        sim_s=sim,
+        real_time_factor=sim / wall if wall else 0.0,
+    )

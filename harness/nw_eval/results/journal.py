@@ -1,0 +1,272 @@
+"""The journal of a run: one JSON line per finished trial, on disk before the next one starts.
+
+    {"journal": 1, "suite_digest": ..., "policy_digest": ..., "scene_digests": {...}, ...}
+    {"row": {...}}
+    {"row": {...}}
+
+A run that is killed at any moment loses the trials in flight and nothing else. A line that was torn
+by the kill is dropped when the journal is read, and cut off before the next line is written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import IO, Any, Self
+
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.results.row import Row, from_dict, to_dict
+
+_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalHeader:
+    """What the trials of one journal have in common: a run may be resumed under the same only.
+
+    `engine` names whatever else makes bits differ, such as `mujoco: 4.0.0` and `renderer: cpu`.
+    """
+
+    suite_digest: str
+    policy_digest: str
+    scene_digests: Mapping[str, str]
+    engine: Mapping[str, str] = field(default_factory=dict)
+
+    def differences(self, other: JournalHeader) -> list[str]:
+        """Return what differs, in words; scenes that only one of the two has do not count."""
+        found: list[str] = []
+        for name in ("suite_digest", "policy_digest"):
+            old, new = getattr(self, name), getattr(other, name)
+            if old != new:
+                found.append(f"{name.removesuffix('_digest')} ({old[:8]}, now {new[:8]})")
+        for scene in sorted(set(self.scene_digests) & set(other.scene_digests)):
+            old, new = self.scene_digests[scene], other.scene_digests[scene]
+            if old != new:
+                found.append(f"scene {scene} ({old[:8]}, now {new[:8]})")
+        for key in sorted(set(self.engine) | set(other.engine)):
+            old, new = self.engine.get(key, "none"), other.engine.get(key, "none")
+            if old != new:
+                found.append(f"{key} ({old}, now {new})")
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalContents:
+    """What a journal holds: one row per trial, the latest, and what had to be left out."""
+
+    header: JournalHeader
+    rows: tuple[Row, ...]
+    dropped: str | None = None  # A sentence about a torn last line.
+    good_bytes: int = 0  # Length of the file up to the last whole line.
+
+
+class Journal:
+    """The journal of a run that is going on. A context manager; one process may hold it."""
+
+    def __init__(self, path: Path, handle: IO[bytes], rows: Mapping[str, Row]) -> None:
+        self.path = path
+        self.dropped: str | None = None
+        self._handle = handle
+        self._rows = dict(rows)
+
+    @classmethod
+    def create(cls, path: Path, header: JournalHeader) -> Self:
+        """Start a journal.
+
+        Raises:
+            StoreError: there is one already, or the folder cannot be written.
+        """
+        if path.exists():
+            raise StoreError(f"{path} exists already", fix="go on with --resume")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = path.open("xb", buffering=0)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        journal = cls(path, handle, {})
+        journal._lock()
+        journal._write({"journal": _VERSION, **asdict(header)})
+        return journal
+
+    @classmethod
+    def resume(cls, path: Path, header: JournalHeader) -> Self:
+        """Go on with a journal. `rows` are those it has; `dropped` tells of a torn line.
+
+        Raises:
+            IncomparableError: suite, policy, a scene or the engine is not what it was.
+            StoreError: the journal is damaged, missing, or held by another process.
+        """
+        try:
+            handle = path.open("r+b", buffering=0)
+        except FileNotFoundError:
+            raise StoreError(
+                f"no journal at {path}", fix="start the run without --resume"
+            ) from None
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        try:
+            journal = cls(path, handle, {})
+            journal._lock()
+            contents = read_journal(path)
+            journal._take_up(contents, header)
+        except BaseException:
+            handle.close()
+            raise
+        return journal
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The latest row of every finished trial, in the order of their first finish."""
+        return tuple(self._rows.values())
+
+    def append(self, row: Row) -> None:
+        """Write one finished trial and wait until it is on disk.
+
+        A row of a trial that ended in an error is superseded by a later one; a result never is.
+
+        Raises:
+            StoreError: the disk is full or fails, or the trial has another result already.
+        """
+        kept = _later(self._rows.get(row.trial_id), row, self.path)
+        self._write({"row": to_dict(row)})
+        self._rows[row.trial_id] = kept
+
+    def close(self) -> None:
+        """Release the file. Closing twice does no harm."""
+        self._handle.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        if self._handle.closed:
+            raise StoreError(f"journal {self.path} is closed", fix="append within its `with` block")
+        line = json.dumps(record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        before = self._handle.tell()
+        try:
+            written = 0
+            while written < len(line):
+                written += self._handle.write(line[written:])
+            os.fsync(self._handle.fileno())
+        except OSError as error:
+            # Half a line helps nobody; take it back so that what is there stays whole.
+            try:
+                self._handle.truncate(before)
+                self._handle.seek(before)
+            except OSError:
+                pass
+            raise _unwritable(self.path, error) from error
+
+    def _take_up(self, contents: JournalContents, header: JournalHeader) -> None:
+        """Stand at the end of what is whole, with its rows, if it is of the same run."""
+        if differences := contents.header.differences(header):
+            raise IncomparableError(
+                f"cannot resume {self.path.parent}: {', '.join(differences)} changed",
+                fix="start a new run without --resume",
+            )
+        self._rows = {row.trial_id: row for row in contents.rows}
+        self.dropped = contents.dropped
+        self._handle.truncate(contents.good_bytes)
+        self._handle.seek(0, os.SEEK_END)
+        known = contents.header.scene_digests
+        if set(header.scene_digests) - set(known):
+            self._write({"journal": _VERSION, **asdict(_widened(header, known))})
+
+    def _lock(self) -> None:
+        import fcntl  # Not on Windows, where the judgement wing still runs.
+
+        try:
+            fcntl.flock(self._handle.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._handle.close()
+            raise StoreError(
+                f"{self.path} is held by another nw-eval process", fix="wait for it or stop it"
+            ) from None
+
+
+def read_journal(path: Path) -> JournalContents:
+    """Read a journal, whether its run has ended or not.
+
+    Raises:
+        StoreError: it is missing, or damaged before its last line.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise StoreError(f"no journal at {path}", fix="name the folder of a run") from None
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+    header: JournalHeader | None = None
+    rows: dict[str, Row] = {}
+    dropped: str | None = None
+    good = 0
+    lines = data.splitlines(keepends=True)
+    for number, line in enumerate(lines, start=1):
+        try:
+            record = _record(line)
+        except (ValueError, TypeError, KeyError) as error:
+            if number < len(lines) or header is None:
+                raise StoreError(
+                    f"{path}:{number}: damaged ({error})", fix="delete the run folder and run again"
+                ) from None
+            dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
+            break
+        if isinstance(record, Row):
+            rows[record.trial_id] = _later(rows.get(record.trial_id), record, path)
+        else:
+            header = record
+        good += len(line)
+    if header is None:
+        raise StoreError(f"{path} is empty", fix="delete the run folder and run again")
+    return JournalContents(
+        header=header, rows=tuple(rows.values()), dropped=dropped, good_bytes=good
+    )
+
+
+def _record(line: bytes) -> Row | JournalHeader:
+    if not line.endswith(b"\n"):
+        raise ValueError("the line has no end")
+    record = json.loads(line)
+    return from_dict(record["row"]) if "row" in record else _header(record)
+
+
+def _header(record: dict[str, Any]) -> JournalHeader:
+    version = record.pop("journal")
+    if version != _VERSION:
+        raise ValueError(f"journal version {version}, this nw-eval reads {_VERSION}")
+    return JournalHeader(**record)
+
+
+def _widened(header: JournalHeader, known: Mapping[str, str]) -> JournalHeader:
+    return JournalHeader(
+        suite_digest=header.suite_digest,
+        policy_digest=header.policy_digest,
+        scene_digests={**known, **header.scene_digests},
+        engine=header.engine,
+    )
+
+
+def _later(earlier: Row | None, row: Row, path: Path) -> Row:
+    """Return which of two rows of one trial stands: a result stands, an error gives way."""
+    if earlier is None or earlier.status == "error":
+        return row
+    if row.status == "ok" and earlier.digest != row.digest:
+        raise StoreError(
+            f"{path}: trial {row.trial_id} has two different results "
+            f"({earlier.digest[:8]} and {row.digest[:8]})",
+            fix="the simulation is not deterministic here; compare their logs",
+        )
+    return earlier
+
+
+def _unwritable(path: Path, error: OSError) -> StoreError:
+    return StoreError(
+        f"cannot write {path}: {error.strerror or error}",
+        fix="free disk space or choose another folder with --out; finished trials are kept",
+    )

@@ -1,0 +1,117 @@
+"""Where results come from: run.json, written when a run starts and again when it ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from nw_eval.cache import atomic_path
+from nw_eval.errors import StoreError
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class SceneInfo(_Model):
+    """One scene of a run."""
+
+    digest: str
+    task: str
+    trials: int  # Planned.
+
+
+class PolicyInfo(_Model):
+    """The policy of a run."""
+
+    name: str
+    adapter: str = ""
+    card_digest: str = ""
+    checkpoint_digest: str
+    card: str = ""  # Path of the card, for --resume.
+    checkpoint: str = ""  # Weights that were given in place of the card's, for --resume.
+
+
+class CodeInfo(_Model):
+    """The code that ran."""
+
+    version: str
+    digest: str  # Hex sha256 of the package's Python files.
+    commit: str = ""  # Empty outside a Git checkout.
+    dirty: bool = False
+
+
+class MachineInfo(_Model):
+    """The machine that it ran on."""
+
+    host: str
+    cpu: str
+    cores: int
+    system: str
+    python: str
+
+
+class RunInfo(_Model):
+    """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
+
+    run: int = Field(1, description="Version of this file.")
+    id: str
+    started: str
+    finished: str | None = None
+    wall_s: float = 0.0
+    interrupted: bool = False
+    suite_file: str
+    suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
+    suite_digest: str
+    policy: PolicyInfo
+    scenes: dict[str, SceneInfo]
+    workers: int = 1
+    renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
+    command: tuple[str, ...] = ()
+    code: CodeInfo
+    machine: MachineInfo
+    versions: dict[str, str] = {}
+    rows_digest: str = ""
+
+    @property
+    def planned(self) -> dict[str, int]:
+        """Planned trials by scene."""
+        return {name: scene.trials for name, scene in self.scenes.items()}
+
+
+def write_run_info(path: Path, info: RunInfo) -> None:
+    """Write run.json, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    try:
+        with atomic_path(path) as temporary:
+            temporary.write_text(info.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {path}: {error.strerror or error}",
+            fix="free disk space or choose another folder with --out",
+        ) from error
+
+
+def read_run_info(path: Path) -> RunInfo:
+    """Read run.json.
+
+    Raises:
+        StoreError: it is missing or damaged.
+    """
+    try:
+        return RunInfo.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise StoreError(f"no run at {path.parent}", fix="name a folder with a run.json") from None
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise StoreError(
+            f"{path} is damaged: {place}: {first['msg'].lower()}", fix="run again or restore it"
+        ) from None

@@ -1,0 +1,103 @@
+"""The folder of one run: which file is what."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+
+from nw_eval.errors import StoreError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFolder:
+    """Paths within `reports/<suite>-<policy>-<utc time>-<digest8>/`."""
+
+    path: Path
+
+    @property
+    def id(self) -> str:
+        """The run's name."""
+        return self.path.name
+
+    @property
+    def run_json(self) -> Path:
+        """Provenance of the run; see `provenance.RunInfo`."""
+        return self.path / "run.json"
+
+    @property
+    def journal(self) -> Path:
+        """One line per finished trial; see `journal`."""
+        return self.path / "journal.jsonl"
+
+    @property
+    def trials(self) -> Path:
+        """All rows, written at the end; see `parquet`."""
+        return self.path / "trials.parquet"
+
+    @property
+    def report_md(self) -> Path:
+        """The report for people."""
+        return self.path / "report.md"
+
+    def mcap(self, scene: str, trial_id: str) -> Path:
+        """Path of a trial's log; `relative` gives what its row says."""
+        return self.path / "mcap" / PurePosixPath(scene) / f"{trial_id}.mcap"
+
+    def relative(self, path: Path) -> str:
+        """Return a path of this folder as rows hold it: relative, with slashes."""
+        return path.relative_to(self.path).as_posix()
+
+
+def create_run_folder(
+    root: Path, *, suite: str, policy: str, digest: str, now: datetime | None = None
+) -> RunFolder:
+    """Make the folder of a new run.
+
+    Args:
+        root: usually `reports/`; made if it is missing.
+        suite: the suite's name.
+        policy: the policy's name; what a file name cannot hold is replaced.
+        digest: hex; its first eight digits end the name.
+        now: an aware time, by default the present.
+
+    Raises:
+        StoreError: the folder cannot be made.
+    """
+    time = (now or datetime.now(tz=UTC)).astimezone(UTC)
+    name = f"{_slug(suite)}-{_slug(policy)}-{time:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+    for attempt in range(1, 100):
+        path = root / (name if attempt == 1 else f"{name}-{attempt}")
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            path.mkdir()
+        except FileExistsError:
+            if not root.is_dir():
+                raise StoreError(f"{root} is a file", fix="choose a folder with --out") from None
+            continue
+        except OSError as error:
+            raise StoreError(
+                f"cannot make {path}: {error.strerror}", fix="choose another folder with --out"
+            ) from error
+        return RunFolder(path=path)
+    raise StoreError(f"a hundred runs named {name} exist", fix="choose another folder with --out")
+
+
+def open_run_folder(path: Path) -> RunFolder:
+    """Return the folder of an existing run; any file directly in it will do for its name.
+
+    Raises:
+        StoreError: it is no run folder.
+    """
+    folder = RunFolder(path=path.parent if path.is_file() else path)
+    if not folder.run_json.is_file() and not folder.journal.is_file():
+        raise StoreError(
+            f"{path} is not the folder of a run (no run.json in it)",
+            fix="name one of the folders in reports/",
+        )
+    return folder
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-.") or "unnamed"

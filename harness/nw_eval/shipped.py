@@ -1,0 +1,41 @@
+"""Where the suites and policies that come with nw-eval lie: in the wheel, or in the checkout."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal
+
+Kind = Literal["suites", "policies"]
+
+
+def shipped(kind: Kind) -> Path:
+    """Return the folder of the shipped suites or policies.
+
+    An installed wheel carries them as `nw_eval/data/<kind>`. An editable install has no such
+    folder: there they are `<kind>/` at the root of the checkout. The folder may be missing where
+    neither was packed; callers then find nothing in it.
+    """
+    packed = Path(str(files("nw_eval"))) / "data" / kind
+    if packed.is_dir():
+        return packed
+    return Path(__file__).resolve().parents[2] / kind
+
+
+def available(kind: Kind, search: Path | None = None) -> dict[str, Path]:
+    """Return every suite (its file) or policy (its folder) that can be asked for by name.
+
+    Args:
+        kind: `suites` are `<name>.yaml`, `policies` are folders with a `policy.yaml`.
+        search: a project folder whose own `<kind>/` comes first, by default the working directory.
+
+    Returns:
+        Names in alphabetical order with their paths. A project's own entry hides a shipped one.
+    """
+    found: dict[str, Path] = {}
+    for folder in (shipped(kind), (search or Path.cwd()) / kind):
+        if kind == "suites":
+            found |= {path.stem: path for path in folder.glob("*.yaml")}
+        else:
+            found |= {path.parent.name: path.parent for path in folder.glob("*/policy.yaml")}
+    return dict(sorted(found.items()))

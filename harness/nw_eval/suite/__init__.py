@@ -1,0 +1,30 @@
+"""Suites: what to run and what it must show.
+
+A suite file becomes a frozen `Suite`; a suite and its scenes become `Trial`s, each with an identity
+and a seed of its own that nothing else can move.
+"""
+
+from __future__ import annotations
+
+from nw_eval.suite.check import check_scenes, check_tiers
+from nw_eval.suite.dump import suite_yaml
+from nw_eval.suite.load import find_suite, load_suite
+from nw_eval.suite.model import Gate, Suite, new_suite
+from nw_eval.suite.override import override
+from nw_eval.suite.schema import json_schema
+from nw_eval.suite.trials import Trial, expand
+
+__all__ = [
+    "Gate",
+    "Suite",
+    "Trial",
+    "check_scenes",
+    "check_tiers",
+    "expand",
+    "find_suite",
+    "json_schema",
+    "load_suite",
+    "new_suite",
+    "override",
+    "suite_yaml",
+]

@@ -1,0 +1,206 @@
+"""What a suite file says, as frozen pydantic models. `load.py` reads them from YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+
+from nw_eval.errors import Problem
+from nw_eval.suite.digest import digest_of
+
+Robot = Literal["go1"]
+"""As `robots.robot_names()`, which a test compares: the gate reads suites, but may know no robots.
+"""
+
+Protocol = Literal["strict", "neverwhere-2026"]
+Record = Literal["all", "failures", "none"]
+Tier = Literal["critical", "supporting", "informational"]
+
+MAX_CELLS = 10_000
+"""Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """The file that a suite was read from, and where its settings stand: `(line, column)`.
+
+    Two suites that say the same are equal wherever they were written, so no field is compared.
+    """
+
+    file: str = field(default="<suite>", compare=False)
+    places: Mapping[tuple[str | int, ...], tuple[int, int]] = field(
+        default_factory=dict, compare=False
+    )
+
+    def problem(self, location: tuple[str | int, ...], message: str, fix: str) -> Problem:
+        """Return a problem at a setting, or at the nearest one around it that the file has."""
+        while location and location not in self.places:
+            location = location[:-1]
+        line, column = self.places.get(location, (1, 1))
+        return Problem(file=self.file, line=line, column=column, message=message, fix=fix)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _each_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    for index, value in enumerate(values):
+        if value in values[:index]:
+            raise ValueError(f"{value!r} is given twice; remove one")
+    return values
+
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Pattern = Annotated[str, Field(min_length=1, max_length=1024)]
+Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(_each_once)]
+Friction = Annotated[float, Field(gt=0.0, le=5.0)]
+
+
+class Episode(_Strict):
+    """How long one trial lasts."""
+
+    duration: float = Field(
+        12.0, gt=0.0, le=600.0, description="Longest simulated time of a trial, s."
+    )
+
+
+class Perturb(_Strict):
+    """Axes of the perturbation grid. An axis that is left out is not touched.
+
+    A trial runs once in every cell of the grid, and the cell is part of the trial's identity.
+    """
+
+    friction: Annotated[tuple[Friction, ...], AfterValidator(_each_once)] = Field(
+        (), description="Sliding friction of ground and obstacles (1.25 as built)."
+    )
+
+    @property
+    def cells(self) -> tuple[tuple[tuple[str, float], ...], ...]:
+        """The cells of the grid, axes in alphabetical order; one empty cell without axes."""
+        cells: list[tuple[tuple[str, float], ...]] = [()]
+        for axis in sorted(type(self).model_fields):
+            values: tuple[float, ...] = getattr(self, axis)
+            if values:
+                cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
+        return tuple(cells)
+
+
+class Gate(_Strict):
+    """What a run must show to pass."""
+
+    success_rate: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="Absolute bar: the lower confidence bound of mean success must reach it. "
+        "Without one, PASS says only that every trial ran.",
+    )
+    max_drop: float = Field(
+        0.10, gt=0.0, lt=1.0, description="Largest drop against a baseline that may pass."
+    )
+    confidence: float = Field(
+        0.95, ge=0.5, le=0.9999, description="Confidence of each one-sided bound."
+    )
+    tiers: dict[Pattern, Tier] = Field(
+        {},
+        description="Scene names or globs. critical: must have results, and is judged alone too. "
+        "supporting (the default): counts in the mean. informational: is only reported.",
+    )
+
+    def tier(self, scene: str) -> Tier:
+        """Return the tier of a scene; its exact name wins over globs, then the first glob."""
+        if scene in self.tiers:
+            return self.tiers[scene]
+        for pattern, tier in self.tiers.items():
+            if fnmatchcase(scene, pattern):
+                return tier
+        return "supporting"
+
+
+class Suite(_Strict):
+    """A suite: which robot meets which scenes, how often, and what it must show."""
+
+    version: Literal[1] = Field(alias="nw-eval", description="Version of this format.")
+    name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
+    robot: Robot = Field(description="The robot.")
+    policy: Annotated[str, Field(min_length=1)] = Field(
+        description="Default policy: a bundle's name, its folder, or its card. --policy overrides."
+    )
+    protocol: Protocol = Field(
+        "strict", description="neverwhere-2026 is the published evaluation, bug for bug."
+    )
+    trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
+    seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
+    episode: Episode = Episode()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
+    scenes: Patterns = Field(
+        description="Names, globs, paths of scene folders, neverwhere:<path> for a published one."
+    )
+    perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
+    record: Record = Field("failures", description="Trials whose images are kept in the logs.")
+    gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
+
+    _source: Source = PrivateAttr(default_factory=Source)
+
+    @model_validator(mode="after")
+    def _bounded_grid(self) -> Self:
+        cells = 1
+        for axis in type(self.perturb).model_fields:
+            cells *= max(1, len(getattr(self.perturb, axis)))
+        if cells > MAX_CELLS:
+            raise ValueError(f"perturb has {cells} cells, over {MAX_CELLS}; name fewer values")
+        return self
+
+    @property
+    def source(self) -> Source:
+        """The file that the suite was read from, with the places of its settings."""
+        return self._source
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative scene and policy paths of the file start from."""
+        return Path(self._source.file).parent
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 of what decides the course of a trial.
+
+        That is robot, protocol, seed, episode and perturbations. It names trials, so it must not
+        change with policy, gate, record, name, scenes or the number of trials: raising `trials`
+        keeps the earlier ones, and two policies meet the same ones.
+        """
+        said = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
+        # An axis that is not used is left out, so that new axes keep old digests.
+        said["perturb"] = {axis: values for axis, values in said["perturb"].items() if values}
+        return digest_of(said)
+
+    @property
+    def content_digest(self) -> str:
+        """Hex sha256 of everything that the suite says, gate and all."""
+        return digest_of(self.model_dump(by_alias=True))
+
+
+def new_suite(settings: Mapping[str, Any], source: Source | None = None) -> Suite:
+    """Make a suite from the settings of a file; lists become tuples.
+
+    Raises:
+        pydantic.ValidationError: settings cannot be used.
+    """
+    suite = Suite.model_validate(_frozen(settings))
+    if source is not None:
+        # Only its maker knows where it was written; it is no setting.
+        suite._source = source  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
+    return suite
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _frozen(item) for key, item in cast("Mapping[Any, Any]", value).items()}
+    if isinstance(value, list):
+        return tuple(_frozen(item) for item in cast("list[Any]", value))
+    return value

@@ -1,0 +1,119 @@
+"""Trials: their identity, their seeds, and a suite's expansion into all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from nw_eval.errors import UsageError
+from nw_eval.suite.digest import digest_of
+
+if TYPE_CHECKING:
+    from nw_eval.suite.model import Suite
+
+
+class SceneLike(Protocol):
+    """What a scene must tell to be part of a trial's identity."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def task(self) -> str: ...  # noqa: D102
+    @property
+    def digest(self) -> str: ...  # noqa: D102
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One seeded rollout, before it is run.
+
+    The identity is (suite digest, scene digest, task, index, perturbation). Names are labels for
+    people. The policy is no part of it: two policies meet the same trials.
+    """
+
+    suite: str
+    suite_digest: str
+    suite_seed: int
+    scene: str
+    scene_digest: str
+    task: str
+    index: int
+    perturbation: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def id(self) -> str:
+        """A name that is unique within a run, fit for a file: `hurdles-one_low_carpet-003`."""
+        cell = "".join(f"-{axis}_{value!r}" for axis, value in self.perturbation)
+        return f"{self.scene.replace('/', '-')}-{self.index:03d}{cell}"
+
+    @cached_property
+    def identity(self) -> str:
+        """Hex sha256 of the identity."""
+        return digest_of(
+            [self.suite_digest, self.scene_digest, self.task, self.index, self.perturbation]
+        )
+
+    def seed_sequence(self, stream: str = "") -> np.random.SeedSequence:
+        """Return the seed sequence of a named random stream of this trial.
+
+        Streams of different names are independent, and asking for one does not move another:
+        results do not depend on who asks first.
+
+        Args:
+            stream: for example `spawn`, `waypoints`, `policy`, or a sensor's name.
+        """
+        key = bytes.fromhex(self.identity) + sha256(stream.encode()).digest()
+        words = np.frombuffer(key, dtype="<u4")
+        return np.random.SeedSequence(
+            entropy=self.suite_seed, spawn_key=tuple(int(word) for word in words)
+        )
+
+    def generator(self, stream: str) -> np.random.Generator:
+        """Return a fresh generator at the start of a named stream."""
+        return np.random.Generator(np.random.PCG64(self.seed_sequence(stream)))
+
+    @property
+    def seed(self) -> int:
+        """The trial's seed as one unsigned 64-bit number, for rows and for policies."""
+        return int(self.seed_sequence().generate_state(1, np.uint64)[0])
+
+
+def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
+    """Return every trial of a suite, interleaved: all scenes' first trials, then the second ones.
+
+    A run that is cut short has so met every scene about equally often.
+
+    Raises:
+        UsageError: two scenes would give trials of one name.
+    """
+    digest = suite.digest
+    trials = tuple(
+        Trial(
+            suite=suite.name,
+            suite_digest=digest,
+            suite_seed=suite.seed,
+            scene=scene.name,
+            scene_digest=scene.digest,
+            task=scene.task,
+            index=index,
+            perturbation=cell,
+        )
+        for index in range(suite.trials)
+        for cell in suite.perturb.cells
+        for scene in scenes
+    )
+    owners: dict[str, str] = {}
+    for scene in scenes:
+        slug = scene.name.replace("/", "-")
+        if slug in owners:
+            raise UsageError(
+                f"scenes {owners[slug]!r} and {scene.name!r} would both name a trial {slug}-000",
+                fix="rename one of them",
+            )
+        owners[slug] = scene.name
+    return trials

@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from nw_eval.errors import StoreError
+from nw_eval.gate import judge
+from nw_eval.stats import lower_bound, upper_bound
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+BAR = Gate(success_rate=0.75)
+
+
+def gate(**settings: Any) -> Gate:
+    return Gate(success_rate=0.75, **settings)
+
+
+def test_a_run_whose_lower_bound_reaches_the_bar_passes(run_scene: Callable[..., Any]) -> None:
+    rows = run_scene("a", [4] * 20) + run_scene("b", [4] * 20)
+    verdict = judge(rows, BAR, {"a": 20, "b": 20})
+    assert (verdict.verdict, verdict.exit_code) == ("PASS", 0)
+    assert verdict.effect == 1.0
+    assert verdict.interval.low == lower_bound([np.ones(20), np.ones(20)])
+    assert verdict.interval.high == 1.0
+    assert verdict.n == verdict.planned == 40
+    assert "bar is 0.75" in verdict.reasons[0]
+
+
+def test_a_run_whose_upper_bound_misses_the_bar_is_regressed(
+    run_scene: Callable[..., Any],
+) -> None:
+    verdict = judge(run_scene("a", [1] * 20 + [2] * 20), BAR, {"a": 40})
+    assert (verdict.verdict, verdict.exit_code) == ("REGRESSED", 1)
+    assert verdict.interval.high == upper_bound([np.r_[[0.25] * 20, [0.5] * 20]]) < 0.75
+
+
+def test_anything_between_is_inconclusive_and_says_how_many_more_would_decide(
+    run_scene: Callable[..., Any],
+) -> None:
+    poor, good = [4] * 8 + [1] * 2, [4] * 9 + [2]
+    rows = run_scene("a", poor) + run_scene("b", good)
+    verdict = judge(rows, BAR, {"a": 10, "b": 10})
+    assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
+    told = verdict.reasons[1]
+    more, each = int(told.split()[1]), int(told.split(": ")[1].split()[0])
+    assert more == 2 * (each - 10)
+    # Met again that often, the same shares of outcomes do decide.
+    times = each // 10 + 1
+    again = run_scene("a", poor * times) + run_scene("b", good * times)
+    assert judge(again, BAR, {"a": 10 * times, "b": 10 * times}).verdict == "PASS"
+
+
+def test_too_few_trials_for_the_bar_are_told_even_if_perfect(
+    run_scene: Callable[..., Any],
+) -> None:
+    verdict = judge(run_scene("a", [4] * 4), BAR, {"a": 4})
+    assert verdict.verdict == "INCONCLUSIVE"
+    assert (
+        "4 trials cannot reach this bar even if all are perfect: run at least 15"
+        in (verdict.reasons[1])
+    )
+
+
+def test_success_at_the_bar_is_told_as_hopeless_to_decide(run_scene: Callable[..., Any]) -> None:
+    verdict = judge(run_scene("a", [3] * 20 + [4] * 10 + [2] * 10), BAR, {"a": 40})
+    assert verdict.verdict == "INCONCLUSIVE"
+    assert "too near the bar" in verdict.reasons[1]
+
+
+def test_scenes_weigh_equally(run_scene: Callable[..., Any]) -> None:
+    rows = run_scene("a", [4] * 90) + run_scene("b", [0] * 10)
+    assert judge(rows, BAR, {"a": 90, "b": 10}).effect == 0.5
+
+
+def test_an_error_that_is_left_blocks_whatever_the_score(run_scene: Callable[..., Any]) -> None:
+    verdict = judge(run_scene("a", [4] * 60 + [None]), BAR, {"a": 61})
+    assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
+    assert verdict.effect == 1.0  # The error does not count as a failure.
+    assert verdict.errors == 1
+    (reason,) = verdict.reasons
+    assert reason.startswith("1 trial ended in errors (1 crashed), first a-060: signal 11")
+    assert "--resume" in reason
+
+
+def test_missing_trials_block_and_are_counted_by_scene(run_scene: Callable[..., Any]) -> None:
+    verdict = judge(run_scene("a", [4] * 60), BAR, {"a": 62, "b": 3})
+    assert verdict.exit_code == 4
+    assert verdict.reasons == ("5 trials missing (a 2, b 3); --resume runs them",)
+
+
+@pytest.mark.parametrize("planned", [{}, {"a": 0}])
+def test_no_trials_can_never_pass(planned: dict[str, int]) -> None:
+    for settings in (BAR, Gate()):
+        verdict = judge([], settings, planned)
+        assert verdict.exit_code == 4
+        assert verdict.effect is None
+        assert "nothing can pass without trials" in verdict.reasons[0]
+
+
+def test_a_critical_scene_without_a_result_blocks(run_scene: Callable[..., Any]) -> None:
+    critical = gate(tiers={"b": "critical"})
+    absent = judge(run_scene("a", [4] * 60), critical, {"a": 60})
+    assert absent.exit_code == 4
+    assert "critical scene b has no result" in absent.reasons[0]
+    crashed = judge(run_scene("a", [4] * 60) + run_scene("b", [None]), critical, {"a": 60, "b": 1})
+    assert crashed.exit_code == 4
+    assert any("critical scene b has no result" in reason for reason in crashed.reasons)
+
+
+def test_a_critical_scene_far_below_the_bar_convicts_though_the_mean_passes(
+    run_scene: Callable[..., Any],
+) -> None:
+    rows = [row for k in range(9) for row in run_scene(f"s{k}", [4] * 20)]
+    rows += run_scene("weak", [1] * 20)
+    planned = {row.scene: 20 for row in rows}
+    assert judge(rows, BAR, planned).verdict == "PASS"
+    verdict = judge(rows, gate(tiers={"weak": "critical"}), planned)
+    assert verdict.exit_code == 1
+    assert verdict.reasons[0].startswith("critical scene weak alone: success is at most 0.")
+    # Two poor trials prove nothing.
+    few = [row for row in rows if row.scene != "weak"] + run_scene("weak", [1] * 2)
+    planned["weak"] = 2
+    assert judge(few, gate(tiers={"weak": "critical"}), planned).verdict != "REGRESSED"
+
+
+def test_informational_scenes_are_reported_and_do_not_count(
+    run_scene: Callable[..., Any],
+) -> None:
+    rows = run_scene("a", [4] * 40) + run_scene("toy", [0] * 40)
+    verdict = judge(rows, gate(tiers={"toy": "informational"}), {"a": 40, "toy": 40})
+    assert verdict.verdict == "PASS"
+    assert verdict.effect == 1.0
+    assert verdict.n == 40
+    assert [(item.scene, item.mean) for item in verdict.per_scene] == [("a", 1.0), ("toy", 0.0)]
+    alone = judge(run_scene("toy", [4] * 40), gate(tiers={"*": "informational"}), {"toy": 40})
+    assert alone.exit_code == 4
+
+
+def test_without_a_bar_pass_says_that_it_only_means_that_all_ran(
+    run_scene: Callable[..., Any],
+) -> None:
+    verdict = judge(run_scene("a", [0] * 4), Gate(), {"a": 4})
+    assert (verdict.verdict, verdict.bar) == ("PASS", None)
+    assert "sets no bar" in verdict.reasons[0]
+    assert judge(run_scene("a", [0] * 4), Gate(), {"a": 5}).exit_code == 4
+
+
+def test_a_trial_that_appears_twice_is_refused(run_scene: Callable[..., Any]) -> None:
+    rows = run_scene("a", [4] * 3)
+    with pytest.raises(StoreError, match="trial a-001 appears twice"):
+        judge([*rows, rows[1]], BAR, {"a": 4})
+
+
+def test_a_scene_score_counts_everything_once(run_scene: Callable[..., Any]) -> None:
+    (item,) = judge(run_scene("a", [4, 4, 2, None]), BAR, {"a": 6}).per_scene
+    assert (item.planned, item.n, item.errors, item.missing, item.completed) == (6, 3, 1, 2, 2)
+    assert item.mean == pytest.approx(2.5 / 3)
+    assert item.outcomes == {"completed": 2, "fell": 1, "crashed": 1}
+
+
+def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> None:
+    rng = np.random.default_rng(5)
+    passed = 0
+    for _ in range(200):
+        # True success is exactly 0.75 on average: scenes of 0.9 and 0.6, all or nothing.
+        rows = [
+            row
+            for scene, share in (("a", 0.9), ("b", 0.6))
+            for row in run_scene(scene, [4 * int(hit) for hit in rng.random(30) < share])
+        ]
+        passed += judge(rows, BAR, {"a": 30, "b": 30}).verdict == "PASS"
+    # At most 5 % by proof; standard error 1.5 %.
+    assert passed / 200 <= 0.09

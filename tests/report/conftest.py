@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.row import Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@pytest.fixture
+def make_row() -> Callable[..., Row]:
+    """A row of trial `index` in a scene, which reached some of four waypoints; None is a crash."""
+
+    def make(scene: str, index: int, reached: int | None, **changes: Any) -> Row:
+        trial = f"{scene.replace('/', '-')}-{index:03d}"
+        columns: dict[str, Any] = {
+            "trial_id": trial,
+            "suite": "hurdles",
+            "scene": scene,
+            "task": "hurdles",
+            "seed_index": index,
+            "seed": index,
+            "policy": "go1-parkour",
+            "status": "error" if reached is None else "ok",
+            "outcome": "crashed" if reached is None else "completed" if reached == 4 else "fell",
+            "end_reason": "" if reached is None else "waypoints" if reached == 4 else "roll",
+            "completed": reached == 4,
+            "fraction": None if reached is None else reached / 4,
+            "waypoints_reached": reached or 0,
+            "waypoints_total": 4,
+            "steps": 200,
+            "sim_s": 4.0,
+            "physics_s": 0.5,
+            "render_s": 1.0,
+            "policy_s": 0.1,
+            "log_s": 0.2,
+            "wall_s": 2.0,
+            "coverage_min": 0.98,
+            "coverage_mean": 0.99,
+            "checkpoint_digest": "cc" * 32,
+            "scene_digest": "dd" * 32,
+            "mcap_path": f"mcap/{scene}/{trial}.mcap",
+            "error_text": "" if reached is not None else "signal 11",
+        }
+        return Row(**{**columns, **changes})
+
+    return make
+
+
+@pytest.fixture
+def make_run() -> Callable[..., RunInfo]:
+    """Provenance of a run of two workers that took a minute."""
+
+    def make(planned: dict[str, int], **changes: Any) -> RunInfo:
+        facts: dict[str, Any] = {
+            "id": "hurdles-go1-parkour-20261121T110005Z-01234567",
+            "started": "2026-11-21T11:00:05Z",
+            "finished": "2026-11-21T11:01:05Z",
+            "wall_s": 60.0,
+            "suite_file": "suites/hurdles.yaml",
+            "suite": {"name": "hurdles"},
+            "suite_digest": "aa" * 32,
+            "policy": PolicyInfo(name="go1-parkour", checkpoint_digest="cc" * 32),
+            "scenes": {
+                name: SceneInfo(digest="dd" * 32, task="hurdles", trials=count)
+                for name, count in planned.items()
+            },
+            "workers": 2,
+            "renderer": "cpu gsplat-1.5",
+            "code": CodeInfo(version="0.1.0", digest="ee" * 32, commit="f" * 40, dirty=True),
+            "machine": MachineInfo(
+                host="ci", cpu="Some CPU", cores=2, system="Linux x86_64", python="3.11.7"
+            ),
+            "versions": {"mujoco": "4.0.0"},
+        }
+        return RunInfo(**{**facts, **changes})
+
+    return make

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from nw_eval.gate import judge
+from nw_eval.report import headline, print_summary
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+
+def summary(rows: list[Row], run: RunInfo, width: int = 100) -> list[str]:
+    console = Console(file=StringIO(), width=width)
+    verdict = judge(rows, Gate(success_rate=0.75), run.planned)
+    print_summary(console, run, rows, verdict, Path("reports/r"))
+    return console.file.getvalue().splitlines()
+
+
+def test_the_summary_ends_with_the_reports_first_lines(
+    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
+) -> None:
+    rows = [make_row("a", k, 4) for k in range(20)]
+    run = make_run({"a": 20})
+    lines = summary(rows, run, width=200)
+    verdict = judge(rows, Gate(success_rate=0.75), run.planned)
+    assert lines[-3] == headline(verdict, run)
+    assert lines[-2].startswith("This run could not see")
+    assert lines[-1].startswith("* success is at least")
+
+
+def test_a_replay_command_is_one_whole_line_however_narrow_the_terminal(
+    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
+) -> None:
+    lines = summary([make_row("hurdles/one", 0, 1)], make_run({"hurdles/one": 1}), width=40)
+    assert "nw-eval replay reports/r/mcap/hurdles/one/hurdles-one-000.mcap" in lines
+
+
+def test_brackets_in_an_error_are_text_not_markup(
+    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
+) -> None:
+    rows = [make_row("a", 0, None, error_text="bad key [bold]x[/nothing]")]
+    assert any("[bold]x[/nothing]" in line for line in summary(rows, make_run({"a": 1}), 200))

@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from nw_eval.errors import StoreError
+from nw_eval.gate import judge
+from nw_eval.report import render_markdown, write_report
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+FOLDER = Path("reports/run one")
+BAR = Gate(success_rate=0.75)
+
+
+@pytest.fixture
+def render(make_run: Callable[..., RunInfo]) -> Callable[..., str]:
+    def make(rows: list[Row], planned: dict[str, int], gate: Gate = BAR, **run: object) -> str:
+        info = make_run(planned, **run)
+        return render_markdown(info, rows, judge(rows, gate, planned), FOLDER)
+
+    return make
+
+
+def section(text: str, title: str) -> list[list[str]]:
+    """Cells of the table under a title, header first."""
+    body = text.split(f"## {title}\n", 1)[1].split("\n## ", 1)[0]
+    lines = [line for line in body.splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+    return [cells[0], *cells[2:]]
+
+
+def test_the_first_line_is_the_verdict_and_the_second_what_could_not_be_seen(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row(scene, k, 4) for scene in ("a", "b") for k in range(20)]
+    first, _, second = render(rows, {"a": 20, "b": 20}).splitlines()[:3]
+    assert first.startswith("# PASS · success 1.000 (95 % bounds 0.9")
+    assert first.endswith("bar 0.75) · 40 trials in 2 scenes · 60 s on 2 workers")
+    assert second.startswith("This run could not see drops smaller than 0.")
+
+
+def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:
+    first, _, second = render([], {"a": 3}).splitlines()[:3]
+    assert first == "# INFRASTRUCTURE · 0 of 3 trials in 0 scenes · 60 s on 2 workers"
+    assert "no trial has a result" in second
+
+
+def test_scenes_are_listed_worst_first_with_intervals_around_their_means(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
+    header, bad, good = section(render(rows, {"good": 4, "bad": 4}), "Success by scene")
+    assert header[:3] == ["scene", "trials", "success"]
+    assert bad[:3] == ["bad", "4", "0.375"]
+    assert good[:3] == ["good", "4", "1.000"]
+    low, high = (float(end) for end in bad[3].split(" to "))
+    assert low < 0.375 < high
+    # Wilson's lower end for n of n successes is n / (n + z^2) = 4 / (4 + 3.8415) = 0.510.
+    assert good[4:] == ["4 of 4", "0.51 to 1.00"]
+
+
+def test_a_scene_that_lacks_trials_says_so(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    text = render([make_row("a", 0, 4), make_row("a", 1, None)], {"a": 4, "b": 2})
+    _, empty, partial = section(text, "Success by scene")
+    assert empty[:3] == ["b", "0 of 2", "none"]
+    assert partial[:2] == ["a", "1 of 4"]
+    assert section(text, "Errors")[1] == ["a-001", "crashed", "1", "signal 11"]
+    assert "* 4 trials missing (a 2, b 2); --resume runs them" in text
+
+
+def test_the_worst_trials_come_with_a_command_that_a_shell_understands(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("hurdles/one", k, reached) for k, reached in enumerate((4, 2, 0, 3))]
+    header, *worst = section(render(rows, {"hurdles/one": 4}), "Worst trials")
+    assert header[-1] == "replay"
+    assert [line[1] for line in worst] == ["0/4", "2/4", "3/4"]
+    command = shlex.split(worst[0][-1].strip("`"))
+    assert command == [
+        "nw-eval",
+        "replay",
+        "reports/run one/mcap/hurdles/one/hurdles-one-002.mcap",
+    ]
+
+
+def test_a_long_list_is_cut_and_says_how_many_more_there_are(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    text = render([make_row("a", k, 1) for k in range(11)], {"a": 11})
+    assert len(section(text, "Worst trials")) == 1 + 8
+    assert "3 more are in trials.parquet." in text
+
+
+def test_stages_add_up_to_the_trials_wall_time(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", k, 4) for k in range(10)]
+    rows.append(make_row("a", 10, 4, cached=True, wall_s=99.0))
+    text = render(rows, {"a": 11})
+    _, *stages = section(text, "Where the time went")
+    # Ten trials of 2 s and 200 steps each; 0.5 + 1.0 + 0.1 + 0.2 s named, 0.2 s left.
+    assert stages == [
+        ["physics", "5.0", "2.50", "25 %"],
+        ["render", "10.0", "5.00", "50 %"],
+        ["policy", "1.0", "0.50", "5 %"],
+        ["log", "2.0", "1.00", "10 %"],
+        ["other", "2.0", "1.00", "10 %"],
+    ]
+    assert "11.0 trials per minute on 2 workers; 40 s simulated, 2.0 times real time" in text
+
+
+def test_a_camera_out_of_the_captured_volume_is_flagged(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", 0, 4), make_row("a", 1, 4, coverage_min=0.2, coverage_mean=0.7)]
+    assert section(render(rows, {"a": 2}), "Out of the captured volume")[1:] == [
+        ["a-001", "0.20", "0.70", "completed"]
+    ]
+    assert "captured volume" not in render(rows[:1], {"a": 1})
+
+
+def test_perturbations_get_a_table_of_their_own(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [
+        make_row(
+            "a", k, 4 if mu > 0.7 else 2, perturbation=(("friction", mu),), trial_id=f"{k}{mu}"
+        )
+        for k in range(3)
+        for mu, reached in ((0.6, 2), (1.0, 4))
+    ]
+    _, slippery, rough = section(render(rows, {"a": 6}), "Success by perturbation")
+    assert slippery[:3] == ["friction 0.6", "3", "0.500"]
+    assert rough[:3] == ["friction 1", "3", "1.000"]
+
+
+def test_words_from_outside_cannot_break_the_report(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    evil = "x | y\n## Fake title\n<script>alert(1)</script> `code` [a](http://b)"
+    text = render([make_row("a", 0, None, error_text=evil), make_row("a", 1, 4)], {"a": 2})
+    assert "\n## Fake title" not in text
+    assert "<script>" not in text.replace("\\<", "")
+    (row,) = section(text, "Errors")[1:]
+    assert len(row) == 4
+
+
+def test_provenance_names_what_ran(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    facts = dict(section(render([make_row("a", 0, 4)], {"a": 1}), "Provenance")[1:])
+    assert facts["suite"] == "suites/hurdles.yaml aaaaaaaaaaaa"
+    assert facts["policy"] == "go1-parkour, checkpoint cccccccccccc"
+    assert facts["nw-eval"] == "0.1.0, commit ffffffffffff with changes"
+    assert facts["versions"] == "mujoco 4.0.0"
+
+
+def test_an_interrupted_run_says_so(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    text = render([make_row("a", 0, 4)], {"a": 2}, interrupted=True)
+    assert "* the run was interrupted before its end" in text
+
+
+def test_a_run_that_was_killed_does_not_pretend_to_a_cost(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    text = render([make_row("a", k, 4) for k in range(3)], {"a": 9}, finished=None, wall_s=0.0)
+    assert text.splitlines()[0].endswith("3 of 9 trials in 1 scene · not finished on 2 workers")
+    # Three trials of 2 s on two workers take 3 s at least.
+    assert "60.0 trials per minute" in text
+
+
+def test_a_report_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_report(tmp_path / "report.md", "# x\n")
+    assert (tmp_path / "report.md").read_text() == "# x\n"
+    (tmp_path / "file").touch()
+    with pytest.raises(StoreError, match="cannot write"):
+        write_report(tmp_path / "file" / "report.md", "# x\n")

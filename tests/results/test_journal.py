@@ -1,0 +1,251 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.results.journal import Journal, JournalHeader, read_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from nw_eval.results.row import Row
+
+HEADER = JournalHeader(
+    suite_digest="aa" * 32,
+    policy_digest="bb" * 32,
+    scene_digests={"hurdles/one": "cc" * 32},
+    engine={"mujoco": "4.0.0"},
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run" / "journal.jsonl"
+
+
+def test_rows_are_on_disk_one_line_each_as_soon_as_they_are_appended(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        for index in range(3):
+            journal.append(make_row(trial_id=f"t{index}"))
+            contents = read_journal(path)
+            assert [row.trial_id for row in contents.rows] == [f"t{k}" for k in range(index + 1)]
+    assert contents.header == HEADER
+    assert contents.dropped is None
+    assert len(path.read_bytes().splitlines()) == 4
+
+
+def test_a_torn_last_line_is_dropped_told_and_cut_off_before_the_next(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        journal.append(make_row(trial_id="t0"))
+        journal.append(make_row(trial_id="t1"))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-30])
+    contents = read_journal(path)
+    assert [row.trial_id for row in contents.rows] == ["t0"]
+    assert contents.dropped is not None
+    assert ":3: dropped a line" in contents.dropped
+    with Journal.resume(path, HEADER) as journal:
+        assert journal.dropped == contents.dropped
+        assert [row.trial_id for row in journal.rows] == ["t0"]
+        journal.append(make_row(trial_id="t1"))
+    assert path.read_bytes() == whole
+
+
+def test_every_possible_tear_of_the_last_line_is_survived(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        journal.append(make_row(trial_id="t0"))
+        before = path.stat().st_size
+        journal.append(make_row(trial_id="t1"))
+    whole = path.read_bytes()
+    for cut in range(before, len(whole), 7):
+        path.write_bytes(whole[:cut])
+        contents = read_journal(path)
+        assert [row.trial_id for row in contents.rows] == ["t0"]
+        assert contents.good_bytes == before
+
+
+def test_damage_before_the_last_line_is_an_error_with_its_line(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        for index in range(3):
+            journal.append(make_row(trial_id=f"t{index}"))
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[1] = b"{nonsense}\n"
+    path.write_bytes(b"".join(lines))
+    with pytest.raises(StoreError, match=r"journal\.jsonl:2: damaged"):
+        read_journal(path)
+
+
+def test_an_empty_or_missing_journal_says_so(path: Path) -> None:
+    with pytest.raises(StoreError, match="no journal at"):
+        read_journal(path)
+    path.parent.mkdir()
+    path.touch()
+    with pytest.raises(StoreError, match="is empty"):
+        read_journal(path)
+    with pytest.raises(StoreError, match="start the run without --resume"):
+        Journal.resume(path.with_name("other.jsonl"), HEADER)
+
+
+def test_a_run_is_not_started_over_another(path: Path) -> None:
+    Journal.create(path, HEADER).close()
+    with pytest.raises(StoreError, match="exists already; go on with --resume"):
+        Journal.create(path, HEADER)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"suite_digest": "ab" * 32}, r"suite \(aaaaaaaa, now abababab\) changed"),
+        ({"policy_digest": "ab" * 32}, r"policy \(bbbbbbbb, now abababab\)"),
+        (
+            {"scene_digests": {"hurdles/one": "ab" * 32}},
+            r"scene hurdles/one \(cccccccc, now abababab\)",
+        ),
+        ({"engine": {"mujoco": "4.1.0"}}, r"mujoco \(4\.0\.0, now 4\.1\.0\)"),
+    ],
+)
+def test_resuming_under_other_digests_is_refused_by_name(
+    path: Path, change: dict[str, object], words: str
+) -> None:
+    Journal.create(path, HEADER).close()
+    before = path.read_bytes()
+    with pytest.raises(IncomparableError, match=words) as caught:
+        Journal.resume(path, replace(HEADER, **change))
+    assert caught.value.exit_code == 5
+    assert path.read_bytes() == before
+
+
+def test_resuming_with_one_more_scene_is_fine_and_is_written_down(path: Path) -> None:
+    Journal.create(path, HEADER).close()
+    wider = replace(HEADER, scene_digests={"hurdles/two": "dd" * 32})
+    Journal.resume(path, wider).close()
+    assert read_journal(path).header.scene_digests == {
+        "hurdles/one": "cc" * 32,
+        "hurdles/two": "dd" * 32,
+    }
+
+
+def test_a_retry_supersedes_an_error_but_never_a_result(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    error = make_row(status="error", outcome="crashed", fraction=None)
+    with Journal.create(path, HEADER) as journal:
+        journal.append(error)
+        journal.append(make_row(attempt=2))
+        journal.append(replace(error, attempt=3))
+        journal.append(make_row(attempt=4, wall_s=9.0))  # The same result, measured again.
+        with pytest.raises(StoreError, match="has two different results"):
+            journal.append(make_row(attempt=5, outcome="timeout"))
+        assert [row.attempt for row in journal.rows] == [2]
+    assert [row.attempt for row in read_journal(path).rows] == [2]
+
+
+class FullDisk:
+    """A file whose disk has room for some bytes more."""
+
+    def __init__(self, handle: object, room: int) -> None:
+        self.handle, self.room = handle, room
+
+    def write(self, data: bytes) -> int:
+        part = data[: self.room]
+        self.room -= len(part)
+        if not part:
+            raise OSError(28, "No space left on device")
+        return self.handle.write(part)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.handle, name)
+
+
+def test_a_full_disk_is_told_and_leaves_the_finished_trials_whole(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        journal.append(make_row(trial_id="t0"))
+        before = path.read_bytes()
+        disk = journal._handle
+        journal._handle = FullDisk(disk, room=100)
+        with pytest.raises(StoreError, match=r"cannot write .*: No space left.*--out") as caught:
+            journal.append(make_row(trial_id="t1"))
+        assert caught.value.exit_code == 4
+        assert path.read_bytes() == before
+        assert [row.trial_id for row in journal.rows] == ["t0"]
+        journal._handle = disk  # Somebody made room.
+        journal.append(make_row(trial_id="t1"))
+    assert [row.trial_id for row in read_journal(path).rows] == ["t0", "t1"]
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StoreError, match=r"cannot write .*journal\.jsonl.*--out"):
+        Journal.create(tmp_path / "file" / "journal.jsonl", HEADER)
+
+
+def test_appending_after_the_end_is_refused(path: Path, make_row: Callable[..., Row]) -> None:
+    journal = Journal.create(path, HEADER)
+    journal.close()
+    journal.close()
+    with pytest.raises(StoreError, match="is closed"):
+        journal.append(make_row())
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from nw_eval.results.journal import Journal, JournalHeader, read_journal
+path = Path(sys.argv[1])
+header = JournalHeader(suite_digest="aa", policy_digest="bb", scene_digests={})
+row = read_journal(path).rows[0]
+import dataclasses
+with Journal.resume(path, header) as journal:
+    for index in range(1, 1_000_000):
+        journal.append(dataclasses.replace(row, trial_id=f"t{index}"))
+        print(index, flush=True)
+"""
+
+
+def test_a_killed_process_loses_nothing_that_it_had_appended(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    header = JournalHeader(suite_digest="aa", policy_digest="bb", scene_digests={})
+    with Journal.create(path, header) as journal:
+        journal.append(make_row(trial_id="t0"))
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
+    ) as writer:
+        assert writer.stdout is not None
+        told = [writer.stdout.readline() for _ in range(20)]
+        with pytest.raises(StoreError, match="held by another nw-eval process"):
+            Journal.resume(path, header)
+        os.kill(writer.pid, signal.SIGKILL)
+        told += writer.stdout.readlines()
+    last = int(told[-1])
+    deadline = time.monotonic() + 10.0
+    while True:
+        try:
+            journal = Journal.resume(path, header)
+            break
+        except StoreError:  # The kernel may take a moment to release the lock.
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    with journal:
+        ids = [row.trial_id for row in journal.rows]
+    assert ids[: last + 1] == [f"t{k}" for k in range(last + 1)]
+    assert len(ids) <= last + 2

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nw_eval.errors import StoreError
+from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, write_rows
+from nw_eval.results.row import FAULTS, OUTCOMES, Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+GOLDEN = Path(__file__).with_name("row_schema.jsonl")
+
+
+def test_the_schema_is_the_one_that_readers_elsewhere_rely_on() -> None:
+    """Columns may be added at the end of the golden file; none may change or go."""
+    assert schema_text() == GOLDEN.read_text(encoding="utf-8")
+
+
+def test_the_schema_and_the_row_have_the_same_columns() -> None:
+    assert SCHEMA.names == list(Row.__dataclass_fields__)
+
+
+def test_rows_come_back_equal_sorted_and_with_their_metadata(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    error = make_row(
+        trial_id="c", status="error", outcome="crashed", fraction=None, error_text="signal 11"
+    )
+    rows = [
+        make_row(trial_id="b", perturbation=(("friction", 0.6),), coverage_min=0.25),
+        error,
+        make_row(trial_id="a", waypoint_times=()),
+    ]
+    path = tmp_path / "trials.parquet"
+    write_rows(path, rows, {"suite_digest": "ab", "engine": "mujoco 4.0.0"})
+    back, metadata = read_rows(path)
+    assert back == sorted(rows, key=lambda row: row.trial_id)
+    assert metadata == {"schema_version": "1", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
+
+
+def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+    rows = [make_row(trial_id=f"t{k}") for k in range(5)]
+    write_rows(tmp_path / "one.parquet", rows, {"b": "2", "a": "1"})
+    write_rows(tmp_path / "two.parquet", rows[::-1], {"a": "1", "b": "2"})
+    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
+
+
+def test_metadata_that_readers_look_for_carry_the_prefix(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    write_rows(tmp_path / "t.parquet", [make_row()], {"run_id": "r1"})
+    raw = pq.read_schema(tmp_path / "t.parquet").metadata
+    assert raw[b"nw.run_id"] == b"r1"
+    assert raw[b"nw.schema_version"] == b"1"
+
+
+def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:
+    write_rows(tmp_path / "t.parquet", [], {})
+    assert read_rows(tmp_path / "t.parquet")[0] == []
+
+
+def test_columns_of_later_versions_do_not_disturb(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row()], {})
+    table = pq.read_table(path)
+    pq.write_table(table.append_column("mood", pa.array(["calm"])), path)
+    assert read_rows(path)[0] == [make_row()]
+
+
+def test_a_missing_damaged_or_foreign_file_is_told_apart(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    with pytest.raises(StoreError, match="no rows at"):
+        read_rows(tmp_path / "none.parquet")
+    good = tmp_path / "good.parquet"
+    write_rows(good, [make_row()], {})
+    torn = tmp_path / "torn.parquet"
+    torn.write_bytes(good.read_bytes()[:-20])
+    with pytest.raises(StoreError, match="is damaged"):
+        read_rows(torn)
+    foreign = tmp_path / "foreign.parquet"
+    pq.write_table(pa.table({"x": [1]}), foreign)
+    with pytest.raises(StoreError, match="row schema None, this nw-eval reads 1"):
+        read_rows(foreign)
+    pq.write_table(pq.read_table(good).drop_columns(["outcome"]), foreign)
+    with pytest.raises(StoreError, match="lacks the columns outcome"):
+        read_rows(foreign)
+
+
+def test_a_failed_write_leaves_the_older_file_whole(
+    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row()], {})
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(StoreError, match=r"cannot write .*t\.parquet: No space left.*--out"):
+        write_rows(path, [make_row(trial_id="other")], {})
+    assert read_rows(path)[0] == [make_row()]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@st.composite
+def outcomes(draw: st.DrawFn) -> dict[str, object]:
+    total = draw(st.integers(0, 9))
+    reached = draw(st.integers(0, total))
+    if draw(st.booleans()):
+        fraction = draw(st.floats(0.0, 1.0))
+        return {
+            "status": "ok",
+            "outcome": draw(st.sampled_from(OUTCOMES)),
+            "fraction": fraction,
+            "completed": fraction == 1.0,
+            "waypoints_reached": reached,
+            "waypoints_total": total,
+        }
+    return {
+        "status": "error",
+        "outcome": draw(st.sampled_from(FAULTS)),
+        "fraction": None,
+        "waypoints_reached": reached,
+        "waypoints_total": total,
+    }
+
+
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    outcomes(),
+    st.integers(0, 2**64 - 1),
+    st.lists(st.floats(0.0, 1e4), max_size=6),
+    st.text(st.characters(exclude_categories=("Cs",)), max_size=40),
+    st.lists(st.tuples(st.sampled_from(["friction", "payload"]), st.floats(0, 9)), max_size=2),
+)
+def test_any_row_comes_back_equal(
+    tmp_path: Path,
+    make_row: Callable[..., Row],
+    outcome: dict[str, object],
+    seed: int,
+    times: list[float],
+    text: str,
+    cell: list[tuple[str, float]],
+) -> None:
+    row = make_row(
+        **outcome,
+        seed=seed,
+        waypoint_times=tuple(times),
+        error_text=text,
+        end_reason=text,
+        perturbation=tuple(cell),
+    )
+    write_rows(tmp_path / "t.parquet", [row], {})
+    (back,) = read_rows(tmp_path / "t.parquet")[0]
+    assert back == row
+    assert back.digest == row.digest

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval.results.row import MEASURED, Row, from_dict, rows_digest, to_dict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fraction": 1.5}, "not between 0 and 1"),
+        ({"fraction": float("nan")}, "not between 0 and 1"),
+        ({"fraction": None}, "not between 0 and 1"),
+        ({"waypoints_reached": 5}, "5 of 4 waypoints"),
+        ({"completed": True}, "completed is True at fraction 0.75"),
+        ({"outcome": "crashed"}, "does not go with status 'ok'"),
+        ({"status": "fine"}, "neither ok nor error"),
+        ({"status": "error", "outcome": "crashed"}, "an error has a fraction"),
+        ({"seed": 2**64}, "does not fit 64 bits"),
+        ({"seed": -1}, "does not fit 64 bits"),
+        ({"wall_s": float("inf")}, "not finite"),
+    ],
+)
+def test_a_row_that_contradicts_itself_is_refused(
+    make_row: Callable[..., Row], changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        make_row(**changes)
+
+
+def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
+    row = make_row(status="error", outcome="hung", fraction=None, error_text="no step for 60 s")
+    assert row.fraction is None
+
+
+def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
+    row = make_row(perturbation=(("friction", 0.6),), fraction=1 / 3, coverage_min=0.1)
+    again = from_dict(json.loads(json.dumps(to_dict(row))))
+    assert again == row
+    assert again.digest == row.digest
+
+
+@pytest.mark.parametrize("column", sorted(MEASURED))
+def test_the_digest_ignores_what_differs_between_runs(
+    make_row: Callable[..., Row], column: str
+) -> None:
+    changed: dict[str, Any] = {"cached": True, "host": "other", "mcap_path": "mcap/x.mcap"}
+    assert make_row(**{column: changed.get(column, 7)}).digest == make_row().digest
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": 1},
+        {"fraction": 0.5},
+        {"waypoint_times": (1.1, 2.2, 3.4)},
+        {"state_digest": "ee"},
+        {"action_digest": "ee"},
+        {"sim_s": 4.02},
+        {"checkpoint_digest": "ee" * 32},
+        {"outcome": "timeout"},
+    ],
+)
+def test_the_digest_sees_every_part_of_the_result(
+    make_row: Callable[..., Row], change: dict[str, Any]
+) -> None:
+    assert make_row(**change).digest != make_row().digest
+
+
+def test_the_digest_of_rows_ignores_their_order(make_row: Callable[..., Row]) -> None:
+    rows = [make_row(trial_id=f"t-{k}") for k in range(3)]
+    assert rows_digest(rows) == rows_digest(rows[::-1])
+    assert rows_digest(rows) != rows_digest(rows[:2])
+
+
+def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> None:
+    values = to_dict(make_row())
+    with pytest.raises(ValueError, match="unknown columns colour"):
+        from_dict({**values, "colour": 1})
+    del values["outcome"]
+    with pytest.raises(ValueError, match="outcome"):
+        from_dict(values)
