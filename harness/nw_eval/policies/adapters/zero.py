@@ -1,0 +1,24 @@
+"""The policy that does nothing: what a score of 0 looks like."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nw_eval.policies.adapters.stateless import Stateless
+from nw_eval.policies.policy import Action, InputSpec, Observation
+
+
+class ZeroPolicy(Stateless):
+    """Answers every observation with zeros: the robot holds its default pose."""
+
+    inputs: tuple[InputSpec, ...] = ()
+
+    def __init__(self, *, joints: int) -> None:
+        self._joints = joints
+
+    def act(self, observation: Observation) -> Action:  # noqa: ARG002 - that is the point.
+        """Return zeros."""
+        return np.zeros(self._joints)
+
+    def close(self) -> None:
+        """Do nothing, as always."""

@@ -1,0 +1,161 @@
+"""Bundles: a card together with the file of weights that it describes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from nw_eval.errors import PolicyError, nearest
+from nw_eval.policies.card import CARD_FILE, Card, load_card
+from nw_eval.shipped import available, shipped
+
+SIZE_LIMIT = 2**30
+"""Bytes. The largest policy of this field is some 100 MB."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bundle:
+    """A valid card and a checkpoint whose digest has been verified."""
+
+    card: Card
+    card_path: Path
+    checkpoint: Path | None
+    """The weights; None for a policy without any."""
+    checkpoint_sha256: str
+    """Hex digest of the weights; of nothing where there are none."""
+
+    @property
+    def name(self) -> str:
+        """The policy's name."""
+        return self.card.name
+
+    @property
+    def folder(self) -> Path:
+        """Where the card lies."""
+        return self.card_path.parent
+
+    @property
+    def digest(self) -> str:
+        """Hex SHA-256 of everything that can change an action: the card and the weights."""
+        fields = self.card.model_dump(
+            mode="json", by_alias=True, exclude={"title", "licence", "checkpoint"}
+        )
+        text = json.dumps([fields, self.checkpoint_sha256], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def read_checkpoint(self) -> bytes:
+        """Return the bytes of the weights, verified again: what is loaded is what was checked.
+
+        Raises:
+            PolicyError: the file is gone, or has changed since the bundle was loaded.
+        """
+        if self.checkpoint is None:
+            return b""
+        data = _read(self.checkpoint, self.card_path)
+        if hashlib.sha256(data).hexdigest() != self.checkpoint_sha256:
+            raise PolicyError(
+                f"{self.checkpoint}: the checkpoint changed while it was in use",
+                fix="start again once it is no longer written to",
+            )
+        return data
+
+
+def load_bundle(
+    name_or_path: str | Path, *, search: Path | None = None, checkpoint: Path | None = None
+) -> Bundle:
+    """Find a bundle, read its card and verify its checkpoint.
+
+    Args:
+        name_or_path: name of a shipped bundle or of one in the project's `policies/`, a folder
+            with a `policy.yaml` (also relative to the shipped policies), or a card.
+        search: the project folder, by default the working directory.
+        checkpoint: weights to use in place of those that the card names. They are the caller's
+            choice: their digest is computed and recorded, not compared with the card's.
+
+    Raises:
+        PolicyError: there is no such bundle; the card has problems; the checkpoint is missing,
+            too large, outside the card's folder, or has another digest than the card says.
+    """
+    card_path = _find_card(name_or_path, search)
+    card = load_card(card_path)
+    if card.checkpoint is None:
+        if checkpoint is not None:
+            raise PolicyError(
+                f"{card_path}: policy {card.name!r} has no weights, but --checkpoint gives some",
+                fix="drop --checkpoint",
+            )
+        empty = hashlib.sha256(b"").hexdigest()
+        return Bundle(card=card, card_path=card_path, checkpoint=None, checkpoint_sha256=empty)
+    path = checkpoint if checkpoint is not None else _inside(card_path, card.checkpoint.file)
+    actual = hashlib.sha256(_read(path, card_path, card.checkpoint.source)).hexdigest()
+    wanted = card.checkpoint.sha256
+    if checkpoint is None and actual != wanted:
+        if wanted is None:
+            raise PolicyError(
+                f"{card_path}: `checkpoint` has no sha256",
+                fix=f"if {path.name} is the file you mean, add `sha256: {actual}`",
+            )
+        raise PolicyError(
+            f"{path}: the checkpoint's SHA-256 is {actual}, the card says {wanted}",
+            fix="get the right file, or correct `checkpoint.sha256` if this one is meant",
+        )
+    return Bundle(card=card, card_path=card_path, checkpoint=path, checkpoint_sha256=actual)
+
+
+def _find_card(name_or_path: str | Path, search: Path | None) -> Path:
+    known = available("policies", search)
+    if str(name_or_path) in known:
+        return known[str(name_or_path)] / CARD_FILE
+    path = Path(name_or_path)
+    if not path.exists() and (packed := shipped("policies") / path / CARD_FILE).is_file():
+        return packed  # For example `examples/playground-go1`.
+    if path.is_dir():
+        if not (path / CARD_FILE).is_file():
+            raise PolicyError(
+                f"{path}: the folder has no {CARD_FILE}", fix="write a card, or name another folder"
+            )
+        return path / CARD_FILE
+    if path.is_file():
+        if path.suffix not in {".yaml", ".yml"}:
+            raise PolicyError(
+                f"{path}: a policy is named by its card, not by its weights",
+                fix="give a policy.yaml, and these weights with --checkpoint",
+            )
+        return path
+    raise PolicyError(f"unknown policy {str(name_or_path)!r}", fix=nearest(str(path), known))
+
+
+def _inside(card_path: Path, file: str) -> Path:
+    """Return the path of a checkpoint, which may not leave the card's folder by a link either."""
+    folder = card_path.parent.resolve()
+    path = (folder / file).resolve()
+    if not path.is_relative_to(folder):
+        raise PolicyError(
+            f"{card_path}: checkpoint {file!r} lies outside the card's folder",
+            fix="put it inside, or use --checkpoint",
+        )
+    return path
+
+
+def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > SIZE_LIMIT:
+            raise PolicyError(
+                f"{path}: the checkpoint has {size / 2**20:.0f} MiB, over the limit of "
+                f"{SIZE_LIMIT // 2**20}",
+                fix="export the actor alone, without optimiser state",
+            )
+        return path.read_bytes()
+    except FileNotFoundError:
+        origin = f" (from {source})" if source else ""
+        raise PolicyError(
+            f"{path}: the checkpoint is missing",
+            fix=f"put it{origin} at {card_path.parent}, or give --checkpoint FILE",
+        ) from None
+    except OSError as error:
+        raise PolicyError(
+            f"{path}: the checkpoint cannot be read: {error.strerror}", fix="check the path"
+        ) from None

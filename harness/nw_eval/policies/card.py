@@ -1,0 +1,193 @@
+"""The policy card: everything about a checkpoint that is not in the checkpoint.
+
+A card says which robot the policy drives, what it sees, what its outputs mean, and which file
+holds its weights. It contains no code.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+
+from nw_eval.errors import PolicyError, nearest
+from nw_eval.policies.joints import PerJoint
+from nw_eval.policies.model import CardModel, Limits
+from nw_eval.policies.observations import Observation, ProprioObservation
+from nw_eval.policies.terms import Command as CommandTerm
+from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
+
+CARD_FILE = "policy.yaml"
+
+
+def _plain_file(name: str) -> str:
+    path = Path(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name or not name.strip():
+        message = f"{name!r} leaves the card's folder; give a name inside it, or use --checkpoint"
+        raise ValueError(message)
+    return name
+
+
+class Checkpoint(CardModel):
+    """The file of weights, and the digest that it must have."""
+
+    file: Annotated[str, AfterValidator(_plain_file)]
+    """Path inside the card's folder."""
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    """Hex digest of the file; only a card that is always used with --checkpoint needs none."""
+    source: str | None = None
+    """Where people get the file if it does not lie beside the card."""
+
+
+class Control(CardModel):
+    """What a raw action means, and the motors that it drives."""
+
+    rate: Literal[50] = 50
+    """Actions per second, Hz."""
+    action: Literal["joint_position_offset", "joint_position"]
+    """Target = default pose + scale * action, or scale * action."""
+    scale: PerJoint = 1.0
+    """rad for each unit of action."""
+    clip: Limits | None = None
+    """Limits of the raw action, before scaling."""
+    delay_steps: int = Field(default=0, ge=0, le=10)
+    """Control steps that an action waits before it is applied."""
+    joints: list[str] | None = None
+    """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
+    default_pose: PerJoint | None = None
+    """rad; None = the robot's."""
+    kp: PerJoint | None = None
+    """Position gain, N m/rad; None = the robot's, here and below."""
+    kd: PerJoint | None = None
+    """Joint damping, N m s/rad."""
+    torque_limits: PerJoint | None = None
+    """N m."""
+    armature: PerJoint | None = None
+    """kg m^2."""
+    friction_loss: PerJoint | None = None
+    """N m."""
+
+
+class WaypointCommand(CardModel):
+    """The policy finds its own way to the next waypoint (`delta_yaw`) at a speed."""
+
+    source: Literal["waypoint"] = "waypoint"
+    speed: float = Field(default=0.8, ge=0.0, le=5.0)
+
+
+class TrailFollower(CardModel):
+    """A velocity command that steers towards the next waypoint.
+
+    vx = speed * max(0, cos(delta_yaw)), vy = 0, yaw rate = clip(yaw_gain * delta_yaw).
+    """
+
+    source: Literal["trail_follower"]
+    speed: float = Field(default=0.8, ge=0.0, le=5.0)
+    """m/s."""
+    yaw_gain: float = Field(default=1.5, ge=0.0)
+    """Yaw rate for each radian off course, 1/s."""
+    yaw_limit: float = Field(default=1.0, gt=0.0)
+    """Largest yaw rate, rad/s."""
+    slow_in_turns: bool = True
+    """False: vx = speed always."""
+
+
+class ConstantCommand(CardModel):
+    """The same velocity command at all times."""
+
+    source: Literal["constant"]
+    velocity: tuple[float, float, float]
+    """vx, vy (m/s), yaw rate (rad/s)."""
+
+
+Command = Annotated[
+    WaypointCommand | TrailFollower | ConstantCommand, Field(discriminator="source")
+]
+
+
+class Card(CardModel):
+    """A policy card, valid in itself. `sensors.check_card` checks it against a robot."""
+
+    schema_version: Literal[1] = Field(alias="nw-policy")
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
+    title: str = ""
+    """One line for people."""
+    licence: str = ""
+    robot: str
+    adapter: Literal["onnx", "torchscript", "zero"]
+    """How the checkpoint is run; `zero` has none and answers every observation with zeros."""
+    checkpoint: Checkpoint | None = None
+    control: Control
+    command: Command = WaypointCommand()
+    observations: dict[str, Observation] = Field(default_factory=dict[str, Observation])
+    """By name, in the order in which a checkpoint with one input takes them."""
+    inputs: dict[str, list[str]] | None = None
+    """For each input of the checkpoint, the observations that are joined to make it.
+
+    None = the checkpoint has one input, made of all observations."""
+    output: str | None = None
+    """Which output of the checkpoint is the action; None = its only or first one."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Card:
+        if self.adapter == "zero":
+            if self.checkpoint is not None:
+                raise ValueError("adapter `zero` has no checkpoint; remove `checkpoint`")
+        elif self.checkpoint is None:
+            raise ValueError("`checkpoint` is missing; add `checkpoint: {file: ..., sha256: ...}`")
+        elif not self.observations:
+            raise ValueError("`observations` is empty; name what the checkpoint sees")
+        self._check_inputs()
+        self._check_command()
+        return self
+
+    def _check_inputs(self) -> None:
+        used: list[str] = []
+        for name, parts in (self.inputs or {}).items():
+            if not parts:
+                raise ValueError(f"inputs: {name!r} has no observations; name at least one")
+            for part in parts:
+                if part not in self.observations:
+                    hint = nearest(part, self.observations)
+                    raise ValueError(f"inputs: unknown observation {part!r}; {hint}")
+            used.extend(parts)
+        unused = [name for name in self.observations if self.inputs and name not in used]
+        if unused:
+            listed = ", ".join(unused)
+            raise ValueError(f"no input uses the observation {listed}; use it or remove it")
+
+    def _check_command(self) -> None:
+        if isinstance(self.command, WaypointCommand):
+            for name, observation in self.observations.items():
+                if isinstance(observation, ProprioObservation) and any(
+                    isinstance(term, CommandTerm) for term in observation.frame_terms
+                ):
+                    message = f"{name!r} has the term `command` but the card commands no velocity"
+                    raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+
+    def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
+        """Return input names with the observations they are made of.
+
+        The name is None where the card leaves it to the checkpoint, which has one input then.
+        """
+        if self.inputs is None:
+            return ((None, tuple(self.observations)),)
+        return tuple((name, tuple(parts)) for name, parts in self.inputs.items())
+
+
+def load_card(path: Path) -> Card:
+    """Read a card.
+
+    Raises:
+        PolicyError: all problems of the file, one line each, with file, line and column.
+    """
+    try:
+        file = read_yaml(path)
+    except YamlProblems as error:
+        raise PolicyError(str(error)) from None
+    try:
+        return Card.model_validate(file.data)
+    except ValidationError as error:
+        problems = validation_problems(error, file, Card)
+        raise PolicyError("\n".join(str(problem) for problem in problems)) from None

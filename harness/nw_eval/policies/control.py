@@ -1,0 +1,142 @@
+"""From raw actions to joint targets, and the motors that follow them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.card import Card
+from nw_eval.policies.joints import PerJoint, joint_order, joint_values
+from nw_eval.policies.policy import Action
+from nw_eval.robots import RobotSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointControl:
+    """What a card says about actions, as arrays in the policy's joint order."""
+
+    order: NDArray[np.intp]
+    """(12,) for each joint of the policy, its index among the robot's joints."""
+    default_pose: NDArray[np.float64]
+    """(12,) rad."""
+    base: NDArray[np.float64]
+    """(12,) rad, the target of action 0: the default pose, or zeros for absolute actions."""
+    scale: NDArray[np.float64]
+    """(12,) rad for each unit of action."""
+    low: float
+    high: float
+    """Limits of the raw action."""
+
+    @classmethod
+    def from_card(cls, card: Card, robot: RobotSpec) -> JointControl:
+        """Resolve joint names and values against a robot.
+
+        Raises:
+            PolicyError: a joint is unknown or missing, or a list has another length.
+        """
+        control = card.control
+        order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+        names = [robot.joints[i] for i in order]
+        robot_pose = np.array(robot.default_pose)[order]
+        pose = robot_pose
+        if (given := control.default_pose) is not None:
+            pose = _named("default_pose", lambda: joint_values(given, names, robot_pose.tolist()))
+        offset = control.action == "joint_position_offset"
+        low, high = control.clip or (-np.inf, np.inf)
+        return cls(
+            order=order,
+            default_pose=pose,
+            base=pose if offset else np.zeros_like(pose),
+            scale=_named("scale", lambda: joint_values(control.scale, names)),
+            low=low,
+            high=high,
+        )
+
+    def targets(self, action: Action) -> NDArray[np.float64]:
+        """Return joint targets in the robot's order, rad.
+
+        Args:
+            action: raw action in the policy's order, (12,).
+        """
+        result = np.empty_like(self.base)
+        result[self.order] = self.base + self.scale * np.clip(action, self.low, self.high)
+        return result
+
+
+class ActionDelay:
+    """Actions on their way to the motors: each is applied `steps` control steps late.
+
+    Until the first one arrives, zeros are applied.
+    """
+
+    def __init__(self, steps: int, joints: int = 12) -> None:
+        self._steps = steps
+        self._joints = joints
+        self._waiting: deque[Action] = deque()
+        self.reset()
+
+    def reset(self) -> None:
+        """Fill the queue with zeros."""
+        self._waiting = deque(np.zeros(self._joints) for _ in range(self._steps))
+
+    def push(self, action: Action) -> Action:
+        """Queue a new action and return the one to apply now."""
+        self._waiting.append(action.copy())
+        return self._waiting.popleft()
+
+    def state(self) -> bytes:
+        """Return the actions that still wait, oldest first."""
+        return b"".join(action.tobytes() for action in self._waiting)
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of a queue of the same length."""
+        actions = np.frombuffer(state, dtype=np.float64).reshape(self._steps, self._joints)
+        self._waiting = deque(action.copy() for action in actions)
+
+
+def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]] | None:
+    """Return what a card overrides of a robot's motors, or None if it overrides nothing.
+
+    Returns:
+        kp, kd, torque_limits, armature, friction_loss: (12,) each in the robot's joint order, the
+        keyword arguments of `sim.Actuators`.
+
+    Raises:
+        PolicyError: a joint is unknown, a list has another length, or a value is negative.
+    """
+    control = card.control
+    overrides: dict[str, tuple[PerJoint | None, tuple[float, ...]]] = {
+        "kp": (control.kp, (robot.kp,) * len(robot.joints)),
+        "kd": (control.kd, (robot.joint_damping,) * len(robot.joints)),
+        "torque_limits": (control.torque_limits, robot.torque_limits),
+        "armature": (control.armature, (robot.armature,) * len(robot.joints)),
+        "friction_loss": (control.friction_loss, (robot.friction_loss,) * len(robot.joints)),
+    }
+    if all(value is None for value, _ in overrides.values()):
+        return None
+    order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+    names = [robot.joints[i] for i in order]
+    result: dict[str, NDArray[np.float64]] = {}
+    for key, (value, own) in overrides.items():
+        values = np.array(own, dtype=np.float64)
+        if value is not None:
+            values[order] = _named(
+                key, lambda v=value, o=values: joint_values(v, names, o[order].tolist())
+            )
+        if (values < 0).any():
+            raise PolicyError(f"control.{key}: {values.min():g} is negative", fix="give 0 or more")
+        result[key] = values
+    return result
+
+
+def _named(key: str, resolve: Callable[[], NDArray]) -> NDArray:
+    """Call `resolve`, and say in its errors which key of `control` they are about."""
+    try:
+        return resolve()
+    except PolicyError as error:
+        raise PolicyError(f"control.{key}: {error}") from None

@@ -1,0 +1,87 @@
+"""Values for each joint, as people write them on a card."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import PolicyError, nearest
+
+PerJoint = float | list[float] | dict[str, float]
+"""One number for all joints; a list in the order of `control.joints`; or a mapping.
+
+The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thigh"); where two of
+them name the same joint, the later one counts.
+"""
+
+
+def short_name(joint: str) -> str:
+    """Return the name of a joint without the `_joint` that URDF files append."""
+    return joint.removesuffix("_joint")
+
+
+def joint_order(wanted: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp]:
+    """Return, for each wanted name, its index among a robot's joints.
+
+    Raises:
+        PolicyError: a name is unknown or repeated, or a joint of the robot is not named.
+    """
+    known = [short_name(joint) for joint in joints]
+    names = [short_name(name) for name in wanted]
+    for name in names:
+        if name not in known:
+            raise PolicyError(f"unknown joint {name!r}", fix=nearest(name, known))
+        if names.count(name) > 1:
+            raise PolicyError(f"joint {name!r} is named twice", fix="name every joint once")
+    missing = [name for name in known if name not in names]
+    if missing:
+        raise PolicyError(
+            f"{len(names)} joints are named, {', '.join(missing)} are not",
+            fix=f"name all {len(known)} joints in the checkpoint's order",
+        )
+    return np.array([known.index(name) for name in names], dtype=np.intp)
+
+
+def joint_values(
+    value: PerJoint, joints: Sequence[str], default: Sequence[float] | None = None
+) -> NDArray[np.float64]:
+    """Return one number for each of `joints`, in their order.
+
+    Args:
+        value: what the card says.
+        joints: joint names in the order that a list of values has.
+        default: values for joints that a mapping does not name; None = it must name them all.
+
+    Raises:
+        PolicyError: a list of another length, a key that names no joint, a joint without a value.
+    """
+    if isinstance(value, list):
+        if len(value) != len(joints):
+            raise PolicyError(
+                f"{len(value)} values for {len(joints)} joints",
+                fix="give one value, one for each joint, or a mapping by name",
+            )
+        return np.array(value, dtype=np.float64)
+    if not isinstance(value, dict):
+        return np.full(len(joints), float(value))
+    names = [short_name(joint) for joint in joints]
+    result: list[float | None] = list(default) if default is not None else [None] * len(names)
+    for key, number in value.items():
+        pattern = short_name(key)
+        hits = [i for i, name in enumerate(names) if _matches(name, pattern)]
+        if not hits:
+            kinds = {name.rsplit("_", 1)[-1] for name in names}
+            raise PolicyError(f"{key!r} names no joint", fix=nearest(pattern, {*names, *kinds}))
+        for i in hits:
+            result[i] = number
+    missing = [name for name, number in zip(names, result, strict=True) if number is None]
+    if missing:
+        raise PolicyError(f"no value for {', '.join(missing)}", fix="name every joint")
+    return np.array(result, dtype=np.float64)
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return name.endswith(f"_{pattern}") or fnmatchcase(name, pattern)

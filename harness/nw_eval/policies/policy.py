@@ -1,0 +1,90 @@
+"""What a running policy is, whatever file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import TrialError
+
+Observation = Mapping[str, NDArray[Any]]
+"""Observation names of the card to arrays, without a batch axis."""
+Action = NDArray[np.float64]
+"""Raw action, one number for each joint in the order of `control.joints`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputSpec:
+    """One input of a checkpoint as its file declares it; None in `shape` is a free axis."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: np.dtype[Any]
+
+
+class Policy(Protocol):
+    """A policy in one trial. It has one thread, batch 1 and no randomness of its own.
+
+    It is used as `reset`, then `act` once for each control step, then `close`. Two policies share
+    nothing, so trials do not depend on what ran before them.
+    """
+
+    @property
+    def inputs(self) -> tuple[InputSpec, ...]:
+        """What the checkpoint declares to take; empty where its format does not say."""
+        ...
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial: forget the last one, and seed whatever is random."""
+        ...
+
+    def act(self, observation: Observation) -> Action:
+        """Return the raw action for an observation.
+
+        Raises:
+            TrialError: the checkpoint failed, or its action has another shape, inf or NaN.
+        """
+        ...
+
+    def state(self) -> bytes:
+        """Return everything that the next actions depend on beside the observations."""
+        ...
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`."""
+        ...
+
+    def close(self) -> None:
+        """Free what the policy holds. Closing twice is allowed."""
+        ...
+
+
+def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
+    """Return a checkpoint's output as an action of its own memory.
+
+    Args:
+        raw: the output, (joints,) or with leading axes of length 1.
+        joints: how many numbers an action has.
+        policy: name of the policy, for errors.
+
+    Raises:
+        TrialError: the output has another size or is not finite.
+    """
+    array = np.asarray(raw)
+    if array.size != joints or array.shape[-1:] != (joints,):
+        raise TrialError(
+            f"policy {policy!r} returned an action of shape {array.shape}",
+            fix=f"the card's robot has {joints} joints: check `output` on the card",
+        )
+    action = np.array(array.reshape(joints), dtype=np.float64)
+    if not np.isfinite(action).all():
+        index = int(np.argmin(np.isfinite(action)))
+        raise TrialError(
+            f"policy {policy!r} returned {action[index]} for joint {index} of its action",
+            fix="check the checkpoint, and the observations' scales on its card",
+        )
+    return action

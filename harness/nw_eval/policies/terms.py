@@ -1,0 +1,166 @@
+"""Terms: the named groups of numbers that a proprioceptive observation is made of.
+
+A term's numbers are `clip(value) * scale + offset`, in SI units and radians before that.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from nw_eval.policies.model import CardModel, Limits
+
+Foot = Literal["FR", "FL", "RR", "RL"]
+
+
+class _Term(CardModel):
+    scale: float | list[float] = 1.0
+    """Factor, one for all numbers of the term or one each."""
+    offset: float = 0.0
+    """Added after scaling."""
+    clip: Limits | None = None
+    """Limits before scaling. Limits after scaling are the observation's `clip`."""
+
+
+class AngularVelocity(_Term):
+    """Trunk angular velocity, rad/s (3)."""
+
+    term: Literal["ang_vel"]
+    frame: Literal["trunk", "world"] = "trunk"
+
+
+class LinearVelocity(_Term):
+    """Velocity of a point of the trunk, m/s (3). `yaw` is the world frame turned by the yaw."""
+
+    term: Literal["lin_vel"]
+    frame: Literal["trunk", "world", "yaw"] = "trunk"
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The point, in the trunk frame, m: where the velocity sensor of the training sat."""
+
+
+class Gravity(_Term):
+    """Direction of gravity in the trunk frame, a unit vector (3): (0, 0, -1) when level."""
+
+    term: Literal["gravity"]
+
+
+class RollPitch(_Term):
+    """Roll and pitch of the trunk, rad (2)."""
+
+    term: Literal["roll_pitch"]
+
+
+class Imu(_Term):
+    """Roll, pitch, 0, rad (3), as extreme-parkour lays them out."""
+
+    term: Literal["imu"]
+
+
+class DeltaYaw(_Term):
+    """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
+
+    term: Literal["delta_yaw"]
+    copies: int = Field(default=1, ge=1, le=8)
+
+
+class Command(_Term):
+    """Velocity command vx, vy (m/s, yaw frame) and yaw rate (rad/s) of the card's `command` (3)."""
+
+    term: Literal["command"]
+
+
+class Speed(_Term):
+    """Forward speed that the card's `command` asks for, m/s (1)."""
+
+    term: Literal["speed"]
+
+
+class JointPosition(_Term):
+    """Joint positions, rad, in the order of `control.joints` (12)."""
+
+    term: Literal["joint_pos"]
+    relative: bool = True
+    """Minus `control.default_pose`."""
+
+
+class JointVelocity(_Term):
+    """Joint velocities, rad/s, in the order of `control.joints` (12)."""
+
+    term: Literal["joint_vel"]
+
+
+class AppliedAction(_Term):
+    """The raw action that the last control step applied: after the delay, before scaling (12)."""
+
+    term: Literal["applied_action"]
+
+
+class LastOutput(_Term):
+    """The policy's own last raw output, which may still wait in the delay queue (12)."""
+
+    term: Literal["last_output"]
+
+
+class FootContacts(_Term):
+    """1 for a foot on the ground (force over 2 N), 0 for one in the air (4)."""
+
+    term: Literal["foot_contacts"]
+    feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
+    filter: Literal["two_steps", "none"] = "two_steps"
+    """`two_steps`: on the ground now or one observation ago."""
+
+
+class Constant(_Term):
+    """Numbers that never change."""
+
+    term: Literal["constant"]
+    values: Annotated[list[float], Field(min_length=1, max_length=1000)]
+
+
+def _bare_word(value: Any) -> Any:
+    """Read `joint_vel` as `{term: joint_vel}`."""
+    return {"term": value} if isinstance(value, str) else value
+
+
+AnyTerm = (
+    AngularVelocity
+    | LinearVelocity
+    | Gravity
+    | RollPitch
+    | Imu
+    | DeltaYaw
+    | Command
+    | Speed
+    | JointPosition
+    | JointVelocity
+    | AppliedAction
+    | LastOutput
+    | FootContacts
+    | Constant
+)
+Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
+
+_SIZES = {
+    "ang_vel": 3,
+    "lin_vel": 3,
+    "gravity": 3,
+    "roll_pitch": 2,
+    "imu": 3,
+    "command": 3,
+    "speed": 1,
+    "foot_contacts": 4,
+}
+
+
+def term_size(term: AnyTerm, joints: int = 12) -> int:
+    """Return how many numbers a term has on a robot with `joints` joints."""
+    match term:
+        case Constant():
+            return len(term.values)
+        case DeltaYaw():
+            return term.copies
+        case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
+            return joints
+        case _:
+            return _SIZES[term.term]

@@ -1,0 +1,52 @@
+"""Traffic cones at the waypoints: what the published evaluation paints into camera images."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.scenes.cone import cone_mesh
+from nw_eval.scenes.mesh import TriangleMesh, merge
+from nw_eval.scenes.rays import RayScene
+
+# Share of the light that reaches a face from everywhere; the rest comes from above.
+_AMBIENT = 0.5
+
+
+class Cones:
+    """Cones on a trail, answered by ray casting. Nothing ever touches them."""
+
+    def __init__(self, waypoints: NDArray[np.float64]) -> None:
+        """Put a cone on each waypoint, (K, 3) m."""
+        cone = cone_mesh()
+        self._rays = RayScene(
+            merge(
+                [
+                    TriangleMesh(
+                        vertices=cone.mesh.vertices + waypoint,
+                        faces=cone.mesh.faces,
+                        kinds=cone.mesh.kinds,
+                    )
+                    for waypoint in waypoints
+                ]
+            )
+        )
+        corners = cone.mesh.triangles
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        upwards = normal[:, 2] / np.where(length > 0.0, length, 1.0)  # The tip has no area.
+        light = shade(upwards).astype(np.float32)
+        self._colour = np.tile(cone.colors * light[:, np.newaxis], (len(waypoints), 1))
+
+    def cast(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return distance (N,) m, inf for a miss, and colour (N, 3) along rays from one point."""
+        origins = np.broadcast_to(origin, directions.shape)
+        distance, face = self._rays.cast(origins, directions)
+        return distance, self._colour[face]
+
+
+def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how bright surfaces are whose unit normals have these z components, 0.5 to 1."""
+    return _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * upwards)

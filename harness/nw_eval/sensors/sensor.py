@@ -1,0 +1,126 @@
+"""What a sensor is, and what it is asked about."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.policies import Action
+from nw_eval.sim import TrailProgress, World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(kw_only=True)
+class Moment:
+    """One instant of a trial: after a control step, after the trail's update for it.
+
+    The rollout makes one for each control step and shows it to every sensor; what several of them
+    need is computed once.
+    """
+
+    world: World
+    progress: TrailProgress
+    step: int
+    """Control steps done: 0 at the start of the trial."""
+    applied_action: Action
+    """(12,) the raw action of the last control step, in the policy's order; zeros first."""
+    last_output: Action
+    """(12,) what the policy returned last, before any delay; zeros first."""
+
+    @cached_property
+    def rotation(self) -> Array:
+        """R_world_trunk, (3, 3)."""
+        return self.world.trunk_rotation
+
+    @cached_property
+    def position(self) -> Array:
+        """Trunk origin in the world, (3,) m."""
+        return self.world.trunk_position
+
+    @cached_property
+    def roll_pitch_yaw(self) -> tuple[float, float, float]:
+        """Euler angles of the trunk, rad; as `World.roll_pitch_yaw`, on plain numbers for speed."""
+        w, x, y, z = self.world.trunk_quat.tolist()
+        return (
+            math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+            math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        )
+
+    @cached_property
+    def delta_yaw(self) -> float:
+        """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
+        goal_x, goal_y, _ = self.progress.target.tolist()
+        x, y, _ = self.position.tolist()
+        bearing = math.atan2(goal_y - y, goal_x - x)
+        return (bearing - self.roll_pitch_yaw[2] + math.pi) % (2.0 * math.pi) - math.pi
+
+
+class Sensor(Protocol):
+    """One observation of a card in one trial.
+
+    `read` is called once at every control step, from step 0 on. It computes a new sample only at
+    the sensor's own rate and returns the last one between.
+    """
+
+    @property
+    def name(self) -> str:
+        """The observation's name on the card."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of what `read` returns."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of what `read` returns."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """What the numbers are, for logs: "m", "rgb", or "mixed"."""
+        ...
+
+    @property
+    def rate(self) -> int:
+        """Samples per second, Hz."""
+        ...
+
+    @property
+    def is_image(self) -> bool:
+        """Whether this is a rendered image, which costs far more than numbers do."""
+        ...
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the last `read` returned another sample than the one before it."""
+        ...
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the newest camera image that the splat covers, 0..1; None without an image."""
+        ...
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial."""
+        ...
+
+    def read(self, moment: Moment) -> NDArray[Any]:
+        """Return the observation that the policy sees now. Do not change the array."""
+        ...
+
+    def state(self) -> bytes:
+        """Return what the next observations depend on beside the world."""
+        ...
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`."""
+        ...

@@ -1,0 +1,101 @@
+"""How the numbers of each proprioceptive term are read from a moment, before scale and clip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nw_eval.policies import terms
+from nw_eval.policies.card import Command
+from nw_eval.policies.control import JointControl
+from nw_eval.sensors.command import commanded_speed, velocity_command
+from nw_eval.sensors.sensor import Array, Moment
+
+Reader = Callable[[Moment], ArrayLike]
+
+_FEET = ("FR", "FL", "RR", "RL")
+
+
+def reader(  # noqa: C901, PLR0912 - one short case for each term.
+    term: terms.AnyTerm, command: Command, control: JointControl
+) -> Reader:
+    """Return the function that reads a term.
+
+    Args:
+        term: from the card.
+        command: the card's, for commanded speeds.
+        control: joint order and default pose.
+    """
+    order, pose = control.order, control.default_pose
+    match term:
+        case terms.AngularVelocity():
+            return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
+        case terms.LinearVelocity():
+            return _linear_velocity(term)
+        case terms.Gravity():
+            return lambda moment: -moment.rotation[2]
+        case terms.RollPitch():
+            return lambda moment: moment.roll_pitch_yaw[:2]
+        case terms.Imu():
+            return lambda moment: (*moment.roll_pitch_yaw[:2], 0.0)
+        case terms.DeltaYaw():
+            return lambda moment: moment.delta_yaw
+        case terms.Command():
+            return lambda moment: velocity_command(command, moment)
+        case terms.Speed():
+            speed = commanded_speed(command)
+            return lambda moment: speed  # noqa: ARG005 - as every reader.
+        case terms.JointPosition():
+            zero = pose if term.relative else np.zeros_like(pose)
+            return lambda moment: moment.world.joint_positions[order] - zero
+        case terms.JointVelocity():
+            return lambda moment: moment.world.joint_velocities[order]
+        case terms.AppliedAction():
+            return lambda moment: moment.applied_action
+        case terms.LastOutput():
+            return lambda moment: moment.last_output
+        case terms.FootContacts():
+            return _foot_contacts(term)
+        case terms.Constant():
+            values = np.array(term.values)
+            return lambda moment: values  # noqa: ARG005 - as every reader.
+        case _:
+            assert_never(term)
+
+
+def _angular_velocity(moment: Moment) -> Array:
+    return moment.world.trunk_angular_velocity
+
+
+def _angular_velocity_in_world(moment: Moment) -> Array:
+    return moment.rotation @ moment.world.trunk_angular_velocity
+
+
+def _linear_velocity(term: terms.LinearVelocity) -> Reader:
+    point = np.array(term.at)
+
+    def read(moment: Moment) -> Array:
+        rotation = moment.rotation
+        turning = np.cross(moment.world.trunk_angular_velocity, point)
+        in_world = moment.world.trunk_linear_velocity + rotation @ turning
+        if term.frame == "world":
+            return in_world
+        if term.frame == "trunk":
+            return rotation.T @ in_world
+        yaw = moment.roll_pitch_yaw[2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        x, y, z = in_world.tolist()
+        return np.array([c * x + s * y, c * y - s * x, z])
+
+    return read
+
+
+def _foot_contacts(term: terms.FootContacts) -> Reader:
+    order = [_FEET.index(foot) for foot in term.feet]
+    if term.filter == "none":
+        return lambda moment: moment.world.foot_contacts[order]
+    return lambda moment: (moment.world.foot_contacts | moment.world.previous_foot_contacts)[order]

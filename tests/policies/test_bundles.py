@@ -1,0 +1,131 @@
+import hashlib
+
+import pytest
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies import bundle as bundles
+from nw_eval.policies import load_bundle
+from nw_eval.shipped import available
+
+CARD = """\
+nw-policy: 1
+name: mine
+robot: go1
+adapter: onnx
+checkpoint: {file: %s, sha256: %s}
+control: {action: joint_position_offset, scale: 0.25}
+observations: {obs: {sensor: proprio, layout: parkour53}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "weights.onnx").write_bytes(b"weights")
+    write_card(tmp_path)
+    return tmp_path
+
+
+def write_card(folder, file="weights.onnx", sha256=None):
+    digest = sha256 or hashlib.sha256(b"weights").hexdigest()
+    (folder / "policy.yaml").write_text(CARD % (file, digest))
+
+
+@pytest.mark.parametrize("name", sorted(available("policies")))
+def test_every_shipped_bundle_is_valid(name):
+    bundle = load_bundle(name)
+    assert bundle.name == name
+    assert (bundle.folder / "README.md").is_file()
+    if bundle.checkpoint is not None:
+        assert bundle.checkpoint.stat().st_size < 1_000_000
+
+
+def test_a_bundle_is_found_by_folder_and_by_card(folder):
+    assert load_bundle(folder).digest == load_bundle(folder / "policy.yaml").digest
+
+
+def test_an_example_card_is_found_under_the_shipped_policies(tmp_path):
+    (tmp_path / "w.onnx").write_bytes(b"any")
+    bundle = load_bundle("examples/playground-go1", checkpoint=tmp_path / "w.onnx")
+    assert bundle.name == "playground-go1"
+
+
+def test_an_unknown_name_is_answered_with_the_nearest_one():
+    with pytest.raises(PolicyError, match="did you mean 'go1-parkour'"):
+        load_bundle("go1-parkur")
+
+
+def test_weights_in_place_of_a_card_are_answered_with_how_to_give_them(folder):
+    with pytest.raises(PolicyError, match="--checkpoint"):
+        load_bundle(folder / "weights.onnx")
+
+
+def test_a_folder_without_a_card_is_an_error(tmp_path):
+    with pytest.raises(PolicyError, match=r"has no policy\.yaml"):
+        load_bundle(tmp_path)
+
+
+def test_a_missing_checkpoint_names_the_file_and_the_fix(folder):
+    (folder / "weights.onnx").unlink()
+    with pytest.raises(
+        PolicyError, match=r"weights\.onnx: the checkpoint is missing.*--checkpoint"
+    ):
+        load_bundle(folder)
+
+
+def test_a_checkpoint_with_another_digest_is_refused(folder):
+    (folder / "weights.onnx").write_bytes(b"tampered")
+    with pytest.raises(PolicyError, match="the card says") as caught:
+        load_bundle(folder)
+    assert hashlib.sha256(b"tampered").hexdigest() in str(caught.value)
+
+
+def test_a_checkpoint_that_changes_after_the_check_is_not_loaded(folder):
+    bundle = load_bundle(folder)
+    (folder / "weights.onnx").write_bytes(b"tampered")
+    with pytest.raises(PolicyError, match="changed while it was in use"):
+        bundle.read_checkpoint()
+
+
+def test_a_link_out_of_the_folder_is_refused(folder, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside") / "weights.onnx"
+    outside.write_bytes(b"weights")
+    (folder / "link.onnx").symlink_to(outside)
+    write_card(folder, file="link.onnx")
+    with pytest.raises(PolicyError, match="lies outside the card's folder"):
+        load_bundle(folder)
+
+
+def test_weights_given_by_hand_need_not_have_the_cards_digest_but_are_recorded(folder, tmp_path):
+    other = tmp_path / "candidate.onnx"
+    other.write_bytes(b"candidate")
+    bundle = load_bundle(folder, checkpoint=other)
+    assert bundle.checkpoint_sha256 == hashlib.sha256(b"candidate").hexdigest()
+    assert bundle.digest != load_bundle(folder).digest
+
+
+def test_a_checkpoint_over_the_size_limit_is_not_read(folder, monkeypatch):
+    monkeypatch.setattr(bundles, "SIZE_LIMIT", 3)
+    with pytest.raises(PolicyError, match="over the limit"):
+        load_bundle(folder)
+
+
+def test_a_card_without_digest_is_answered_with_the_line_to_add(folder):
+    text = (folder / "policy.yaml").read_text()
+    (folder / "policy.yaml").write_text(text.replace(", sha256: ", "}  # "))
+    with pytest.raises(PolicyError, match="add `sha256: ") as caught:
+        load_bundle(folder)
+    assert hashlib.sha256(b"weights").hexdigest() in str(caught.value)
+
+
+def test_a_policy_without_weights_takes_none(folder):
+    with pytest.raises(PolicyError, match="has no weights"):
+        load_bundle("stand", checkpoint=folder / "weights.onnx")
+
+
+def test_the_digest_changes_with_the_card_but_not_with_its_title(folder):
+    before = load_bundle(folder).digest
+    card = folder / "policy.yaml"
+    card.write_text(card.read_text() + "title: hello\n")
+    assert load_bundle(folder).digest == before
+    card.write_text(card.read_text().replace("scale: 0.25", "scale: 0.5"))
+    assert load_bundle(folder).digest != before

@@ -1,0 +1,116 @@
+import textwrap
+
+import pytest
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies import load_card
+from nw_eval.policies.layouts import LAYOUTS
+from nw_eval.policies.terms import term_size
+
+MINIMAL = """\
+nw-policy: 1
+name: mine
+robot: go1
+adapter: onnx
+checkpoint: {file: policy.onnx, sha256: %s}
+control: {action: joint_position_offset, scale: 0.25}
+observations:
+  obs: {sensor: proprio, layout: parkour53}
+""" % ("ab" * 32)
+
+
+def written(folder, text):
+    path = folder / "policy.yaml"
+    path.write_text(textwrap.dedent(text))
+    return path
+
+
+def problems_of(folder, text):
+    with pytest.raises(PolicyError) as caught:
+        load_card(written(folder, text))
+    return str(caught.value).splitlines()
+
+
+def test_a_card_of_eight_lines_is_enough(tmp_path):
+    card = load_card(written(tmp_path, MINIMAL))
+    assert card.control.delay_steps == 0
+    assert card.control.clip is None
+    assert card.observations["obs"].rate == 50
+
+
+def test_all_problems_of_a_card_are_said_at_once_with_their_lines(tmp_path):
+    text = MINIMAL.replace("robot: go1", "robto: go1").replace("scale: 0.25", "scale: fast")
+    text = text.replace("layout: parkour53", "layout: parkour35")
+    problems = problems_of(tmp_path, text)
+    assert [line.split(":")[1] for line in problems] == ["1", "3", "6", "8"]
+    assert "'robot' is missing" in problems[0]
+    assert "unknown key 'robto'; did you mean 'robot'?" in problems[1]
+    assert "control.scale" in problems[2]
+    assert "'fast'" in problems[2]
+    assert "'parkour35' is not one of them" in problems[3]
+
+
+def test_an_unknown_key_of_a_sensor_names_the_nearest_one_of_that_sensor(tmp_path):
+    text = MINIMAL + "  eye: {sensor: splat_rgb, widht: 80}\n"
+    assert "did you mean 'width'?" in problems_of(tmp_path, text)[0]
+
+
+def test_duplicate_keys_are_refused(tmp_path):
+    problems = problems_of(tmp_path, MINIMAL + "name: other\n")
+    assert problems[0].endswith("9:1: duplicate key 'name', first on line 2; keep one of them")
+
+
+def test_yaml_tags_make_no_objects(tmp_path):
+    problems = problems_of(tmp_path, MINIMAL + "title: !!python/object/apply:os.getcwd []\n")
+    assert "has the tag 'os.getcwd'" in problems[0]
+
+
+def test_nested_aliases_are_refused_before_they_fill_the_memory(tmp_path):
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+    assert "too many values" in problems_of(tmp_path, "\n".join(lines))[0]
+
+
+def test_a_missing_card_is_one_line(tmp_path):
+    with pytest.raises(PolicyError, match="cannot be read") as caught:
+        load_card(tmp_path / "policy.yaml")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("  eye: {sensor: splat_rgb, rate: 15}", "15 Hz does not divide"),
+        ("  eye: {sensor: splat_rgb, latency: 0.03}", "whole number of control steps"),
+        ("  eye: {sensor: splat_rgb, sampling: published, width: 160}", "makes 80 x 45"),
+        ("  dots: {sensor: scandots, clip: [1, -1]}", "are empty"),
+        ("  body: {sensor: proprio}", "needs `layout` or `terms`"),
+        ("  body: {sensor: proprio, terms: [comand]}", "'comand' is not known"),
+        ("  body: {sensor: proprio, terms: [command]}", "add `command: {source: trail_follower}`"),
+        ("  dots: {sensor: scandts}", "did you mean 'scandots'?"),
+        ("inputs: {obs: [obss]}", "unknown observation 'obss'; did you mean 'obs'?"),
+        ("inputs: {obs: []}", "has no observations"),
+    ],
+)
+def test_values_that_make_no_sense_are_said_with_what_would(tmp_path, line, said):
+    assert said in "\n".join(problems_of(tmp_path, MINIMAL + line + "\n"))
+
+
+def test_an_observation_that_no_input_uses_is_an_error(tmp_path):
+    text = MINIMAL + "  dots: {sensor: scandots}\ninputs: {obs: [obs]}\n"
+    assert "no input uses the observation dots" in problems_of(tmp_path, text)[0]
+
+
+@pytest.mark.parametrize("file", ["../policy.onnx", "/etc/passwd", "a/../../b.onnx"])
+def test_a_checkpoint_outside_the_folder_is_refused(tmp_path, file):
+    problems = problems_of(tmp_path, MINIMAL.replace("policy.onnx", file))
+    assert "leaves the card's folder" in problems[0]
+
+
+def test_a_clip_of_one_number_limits_both_sides(tmp_path):
+    text = MINIMAL.replace("scale: 0.25", "scale: 0.25, clip: 4.8")
+    assert load_card(written(tmp_path, text)).control.clip == (-4.8, 4.8)
+
+
+def test_parkour53_has_53_numbers():
+    assert sum(term_size(term) for term in LAYOUTS["parkour53"]) == 53

@@ -1,0 +1,111 @@
+import hashlib
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from nw_eval.errors import PolicyError, TrialError
+from nw_eval.policies import load_bundle, open_policy
+
+CARD = """\
+nw-policy: 1
+name: mine
+robot: go1
+adapter: onnx
+checkpoint: {file: policy.onnx, sha256: %s}
+control: {action: joint_position_offset, scale: 0.25}
+observations:
+  body: {sensor: proprio, terms: [joint_pos]}
+  feet: {sensor: proprio, terms: [foot_contacts]}
+"""
+
+
+def linear(weight, inputs=16, outputs=12):
+    """A graph action = obs @ weight.T, as bytes."""
+    graph = helper.make_graph(
+        [helper.make_node("Gemm", ["obs", "weight"], ["action"], transB=1)],
+        "linear",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, inputs])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [1, outputs])],
+        [numpy_helper.from_array(weight.astype(np.float32), "weight")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    return model.SerializeToString()
+
+
+def bundle_of(folder, data, extra=""):
+    (folder / "policy.onnx").write_bytes(data)
+    digest = hashlib.sha256(data).hexdigest()
+    (folder / "policy.yaml").write_text(CARD % digest + extra)
+    return load_bundle(folder)
+
+
+def test_observations_are_joined_in_the_order_of_the_card(tmp_path):
+    weight = np.zeros((12, 16))
+    weight[0, 0], weight[1, 12] = 1.0, 1.0
+    policy = open_policy(bundle_of(tmp_path, linear(weight)))
+    body, feet = np.arange(12, dtype=np.float32) + 5, np.full(4, 7, dtype=np.float32)
+    action = policy.act({"feet": feet, "body": body})
+    assert action[:3].tolist() == [5.0, 7.0, 0.0]
+    assert action.dtype == np.float64
+
+
+def test_an_action_is_not_changed_by_the_next_one(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, linear(np.eye(12, 16))))
+    feet = np.zeros(4, dtype=np.float32)
+    first = policy.act({"body": np.ones(12, dtype=np.float32), "feet": feet})
+    policy.act({"body": np.zeros(12, dtype=np.float32), "feet": feet})
+    assert first.tolist() == [1.0] * 12
+
+
+def test_an_action_that_is_not_a_number_is_a_trial_error(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, linear(np.full((12, 16), np.nan))))
+    zeros = {"body": np.zeros(12, np.float32), "feet": np.zeros(4, np.float32)}
+    with pytest.raises(TrialError, match="policy 'mine' returned nan for joint 0"):
+        policy.act(zeros)
+
+
+def test_an_output_of_another_size_is_found_before_any_trial(tmp_path):
+    with pytest.raises(PolicyError, match="has 8 numbers, the robot 'go1' has 12 joints"):
+        open_policy(bundle_of(tmp_path, linear(np.zeros((8, 16)), outputs=8)))
+
+
+def test_a_corrupt_file_is_a_policy_error_of_one_line(tmp_path):
+    with pytest.raises(PolicyError, match="not a usable ONNX file") as caught:
+        open_policy(bundle_of(tmp_path, b"\x08\x08garbage"))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_output_is_answered_with_the_nearest_one(tmp_path):
+    with pytest.raises(PolicyError, match="did you mean 'action'"):
+        open_policy(bundle_of(tmp_path, linear(np.zeros((12, 16))), "output: actoin\n"))
+
+
+def test_an_unknown_input_is_answered_with_the_nearest_one(tmp_path):
+    extra = "inputs: {ops: [body, feet]}\n"
+    with pytest.raises(PolicyError, match="no input 'ops'; did you mean 'obs'"):
+        open_policy(bundle_of(tmp_path, linear(np.zeros((12, 16))), extra))
+
+
+def test_weights_in_files_beside_the_graph_are_not_read(tmp_path):
+    model = onnx.load_from_string(linear(np.ones((12, 16))))
+    onnx.save(
+        model,
+        tmp_path / "outside.onnx",
+        save_as_external_data=True,
+        location="data.bin",
+        size_threshold=0,
+    )
+    data = (tmp_path / "outside.onnx").read_bytes()
+    with pytest.raises(PolicyError, match="export it again as one file"):
+        open_policy(bundle_of(tmp_path, data))
+
+
+def test_a_closed_policy_says_so(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, linear(np.zeros((12, 16)))))
+    policy.close()
+    policy.close()
+    with pytest.raises(TrialError, match="is closed"):
+        policy.act({})
