@@ -1,0 +1,369 @@
+"""What one can do with nw-eval. The command line and other doors call these and nothing deeper.
+
+The hall of the house: the only room that sees both wings, the one that makes rows (scenes, sim,
+sensors, policies, rollout, engine) and the one that reads them (results, stats, gate, report).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from nw_eval.errors import StoreError, UsageError, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.engine.listener import Listener
+    from nw_eval.gate.verdict import Verdict
+    from nw_eval.policies import Bundle
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.job import Backend, Record
+    from nw_eval.scenes import Scene
+    from nw_eval.suite import Suite, Trial
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunReport:
+    """A judged run: its verdict, where its evidence lies, and the same in words."""
+
+    folder: Path
+    verdict: Verdict
+    rows: tuple[Row, ...]
+    interrupted: bool
+    summary: str
+
+    @property
+    def exit_code(self) -> int:
+        """0 PASS, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors left or trials missing."""
+        return self.verdict.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a run would be."""
+
+    suite: Suite
+    bundle: Bundle
+    scenes: tuple[Scene, ...]
+    references: dict[str, str]
+    trials: tuple[Trial, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """Words for people, and the exit code that goes with them."""
+
+    text: str
+    exit_code: int = 0
+
+
+def plan(
+    suite: str | Path,
+    *,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    trials: int | None = None,
+    scenes: Sequence[str] = (),
+    record: Record | None = None,
+) -> Plan:
+    """Resolve a suite and a policy to the trials that they mean, and check all of it.
+
+    Args:
+        suite: a suite file or the name of a shipped one.
+        policy: a bundle's name, folder or card; the suite's own if None.
+        checkpoint: weights to use with the card.
+        trials: per scene; the suite's own number if None.
+        scenes: globs; only scenes that match one of them.
+        record: whose camera images the logs keep; the suite's own choice if None.
+
+    Raises:
+        UsageError, SuiteError, SceneError, PolicyError: something cannot be used as given.
+    """
+    from nw_eval import scenes as places
+    from nw_eval.policies import load_bundle
+    from nw_eval.robots import get_robot
+    from nw_eval.sensors import check_bundle
+    from nw_eval.suite import check_scenes, check_tiers, expand, load_suite, override
+
+    told = override(load_suite(suite), policy=policy, trials=trials, record=record)
+    check_scenes(told, places.names())
+    found = places.match_scenes(told.scenes, told.base)
+    check_tiers(told, [scene.name for scene in found])
+    chosen = tuple(s for s in found if not scenes or any(fnmatchcase(s.name, p) for p in scenes))
+    if not chosen:
+        asked = ", ".join(scenes)
+        raise UsageError(
+            f"--scenes {asked} matches no scene of suite {told.name!r}",
+            fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
+        )
+    bundle = load_bundle(_policy_reference(told, policy), checkpoint=checkpoint)
+    check_bundle(bundle, get_robot(told.robot))
+    return Plan(
+        suite=told,
+        bundle=bundle,
+        scenes=chosen,
+        references=places.references(told.scenes, told.base),
+        trials=expand(told, chosen),
+    )
+
+
+def check(
+    suite: str | Path,
+    *,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    trials: int | None = None,
+    scenes: Sequence[str] = (),
+    workers: int | None = None,
+) -> Message:
+    """Say what a run would be, without running it: scenes, trials, digests, expected minutes."""
+    from nw_eval.engine.forecast import forecast
+
+    made = plan(suite, policy=policy, checkpoint=checkpoint, trials=trials, scenes=scenes)
+    return Message(text=forecast(made.suite, made.bundle, made.scenes, made.trials, workers))
+
+
+def run(
+    suite: str | Path | None,
+    *,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    trials: int | None = None,
+    scenes: Sequence[str] = (),
+    workers: int | None = None,
+    out: Path | None = None,
+    resume: Path | None = None,
+    record: Record | None = None,
+    time_limit: float | None = None,
+    render: Backend = "cpu",
+    allow_code: bool = False,
+    listener: Listener | None = None,
+) -> RunReport:
+    """Roll a checkpoint out through a suite, write the evidence, and judge it.
+
+    Args:
+        suite: a suite file or the name of a shipped one; None only with `resume`.
+        policy: a bundle's name, folder or card; the suite's own if None.
+        checkpoint: weights to use with the card.
+        trials: per scene; the suite's own number if None.
+        scenes: globs; only scenes that match one of them.
+        workers: processes; one for each core if None.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept.
+        record: whose camera images the logs keep; the suite's own choice if None.
+        time_limit: wall seconds after which a trial counts as hung.
+        render: the splat backend.
+        allow_code: whether `python:` adapters may import code.
+        listener: hears of progress.
+
+    Raises:
+        UsageError, SuiteError, SceneError, PolicyError: nothing was run.
+        IncomparableError: the run to resume was made under something else.
+        StoreError: results cannot be written; those that were written stay.
+    """
+    from nw_eval.engine import session
+
+    if resume is not None:
+        if out is not None:
+            raise UsageError("--out and --resume exclude each other", fix="drop --out")
+        settings = session.settings_of(resume)
+        suite = suite or settings.suite
+        policy = policy or settings.policy
+        checkpoint = checkpoint or settings.checkpoint
+        trials = trials or settings.trials
+        scenes = scenes or settings.scenes
+        record = record or settings.record
+    if suite is None:
+        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+    made = plan(
+        suite, policy=policy, checkpoint=checkpoint, trials=trials, scenes=scenes, record=record
+    )
+    folder = session.run(
+        made.suite,
+        made.bundle,
+        made.scenes,
+        made.trials,
+        references=made.references,
+        checkpoint=checkpoint,
+        workers=workers,
+        out=out,
+        resume=resume,
+        time_limit=time_limit,
+        render=render,
+        allow_code=allow_code,
+        command=tuple(sys.argv),
+        listener=listener,
+    )
+    return report(folder.path)
+
+
+def report(run: Path, *, out: Path | None = None) -> RunReport:
+    """Judge a run from its rows, write report.md, and return the verdict.
+
+    Raises:
+        StoreError: there is no such run, or the report cannot be written.
+    """
+    from nw_eval.gate.absolute import judge
+    from nw_eval.report.markdown import render_markdown, write_report
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite import new_suite
+
+    folder = open_run_folder(run)
+    info = read_run_info(folder.run_json)
+    rows = _rows(folder)
+    verdict = judge(rows, new_suite(info.suite).gate, info.planned)
+    shown = _as_typed(folder.path)
+    write_report(out or folder.report_md, render_markdown(info, rows, verdict, shown))
+    return RunReport(
+        folder=folder.path,
+        verdict=verdict,
+        rows=tuple(rows),
+        interrupted=info.interrupted,
+        summary=_summary(info, rows, verdict, shown),
+    )
+
+
+def replay(
+    log: Path,
+    *,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    start: float = 0.0,
+    picture: Path | None = None,
+    allow_code: bool = False,
+) -> Message:
+    """Run a recorded trial again and compare its end bit for bit; exit code 4 if it differs.
+
+    Raises:
+        StoreError: the log cannot be read.
+        PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
+    """
+    from nw_eval.rollout import replay as rollouts
+
+    replayed = rollouts.replay(
+        log, policy=policy, checkpoint=checkpoint, start=start, allow_code=allow_code
+    )
+    text = replayed.text
+    if picture is not None:
+        from nw_eval.rollout.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(replayed.recording, picture)
+        text += f"\n{picture}"
+    return Message(text=text, exit_code=0 if replayed.is_identical else StoreError.exit_code)
+
+
+def list_scenes(patterns: Sequence[str] = ()) -> str:
+    """Return a table of scenes: name, waypoints, title."""
+    from nw_eval.scenes import match_scenes
+
+    found = match_scenes(tuple(patterns) or ("*",))
+    width = max(len(scene.name) for scene in found)
+    return "\n".join(
+        f"{scene.name:{width}}  {len(scene.trail)} waypoints  {scene.title}" for scene in found
+    )
+
+
+def render_scenes(
+    patterns: Sequence[str] = (), *, out: Path, width: int = 480, listener: Listener | None = None
+) -> None:
+    """Draw scenes from the robot's eye and from outside into one PNG.
+
+    Raises:
+        SceneError: no such scene. StoreError: the picture cannot be written.
+    """
+    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.prepare import build_splats
+    from nw_eval.rollout.contact_sheet import write_scene_sheet
+    from nw_eval.scenes import match_scenes
+
+    found = match_scenes(tuple(patterns) or ("*",))
+    build_splats(found, listener or Silence())
+    write_scene_sheet(found, out, width=width)
+
+
+def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> str:
+    """Compile the kernels into the cache and build scenes ahead; return what was done, in words."""
+    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.prepare import build_splats
+    from nw_eval.scenes import match_scenes
+    from nw_eval.splat.warmup import warmup as compile_kernels
+
+    seconds = compile_kernels()
+    found = match_scenes(tuple(scenes)) if scenes else ()
+    build_splats(found, listener or Silence())
+    built = f", {len(found)} scenes built" if found else ""
+    return f"kernels ready after {seconds:.1f} s{built}"
+
+
+def schema(kind: Literal["suite", "policy"]) -> str:
+    """Return the JSON Schema of suite files or policy cards."""
+    if kind == "suite":
+        from nw_eval.suite import json_schema
+
+        return json.dumps(json_schema(), indent=2)
+    from nw_eval.policies import Card
+
+    return json.dumps(Card.model_json_schema(by_alias=True), indent=2)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    from nw_eval.report.markdown import write_report
+
+    write_report(path, text)
+
+
+def _policy_reference(suite: Suite, given: str | None) -> str:
+    """Return what names the policy: a suite's own relative path starts from the suite's folder."""
+    own = suite.base / suite.policy
+    if given is None and ("/" in suite.policy or own.suffix == ".yaml") and own.exists():
+        return str(own)
+    return suite.policy
+
+
+def _rows(folder: RunFolder) -> list[Row]:
+    """Return a run's rows: from its Parquet file, or from the journal while there is none."""
+    if folder.trials.is_file():
+        from nw_eval.results.parquet import read_rows
+
+        return read_rows(folder.trials)[0]
+    from nw_eval.results.journal import read_journal
+
+    return list(read_journal(folder.journal).rows)
+
+
+def _as_typed(path: Path) -> Path:
+    """Return a path as one would type it here: relative where it lies below."""
+    resolved = path.resolve()
+    here = Path.cwd()
+    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+
+
+def _summary(info: Any, rows: Sequence[Row], verdict: Verdict, folder: Path) -> str:
+    from rich.console import Console
+
+    from nw_eval.report.console import print_summary
+
+    stream = StringIO()
+    screen = Console(file=sys.stdout)
+    console = Console(
+        file=stream,
+        width=max(screen.width, 100),
+        force_terminal=screen.is_terminal,
+        no_color=screen.no_color,
+    )
+    print_summary(console, info, rows, verdict, folder)
+    console.print(f"report: {folder / 'report.md'}", highlight=False, soft_wrap=True)
+    return stream.getvalue().rstrip("\n")

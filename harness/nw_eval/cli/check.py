@@ -1,0 +1,40 @@
+"""`nw-eval check`: what would run, without running it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Say what a suite would run: scenes, trials, digests, expected minutes. Runs no physics."""
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    policy: str | None = None
+    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
+    trials: int | None = None
+    """Trials per scene; the suite's own number when absent."""
+    scenes: tuple[str, ...] = ()
+    """Only scenes that match one of these globs."""
+    workers: int | None = None
+    """Worker processes to reckon with; the number of cores when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        told = api.check(
+            self.suite,
+            policy=self.policy,
+            checkpoint=self.checkpoint,
+            trials=self.trials,
+            scenes=self.scenes,
+            workers=self.workers,
+        )
+        print(told.text)
+        return told.exit_code

@@ -1,0 +1,102 @@
+"""What one sees while scenes are built and trials run: bars on a terminal, lines in a log."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from nw_eval.results.row import Row
+
+_LOG_EVERY = 10.0  # Seconds between two lines where there is no terminal.
+
+
+class RunProgress:
+    """Listens to `api.run`: scene building, then trials with their rate and success so far."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[note]}"),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._total = 0
+        self._done = 0
+        self._fresh = 0
+        self._errors = 0
+        self._fractions: list[float] = []
+        self._began = self._said = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bars.stop()
+
+    def message(self, text: str) -> None:
+        """Say one line above the bars."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def scene(self, name: str, fraction: float) -> None:
+        """Show that a scene is being built, from 0 to 1."""
+        label = f"building {name}"
+        if label not in self._tasks:
+            self._tasks[label] = self._bars.add_task(label, total=1.0, note="")
+            if not self._console.is_terminal:
+                self.message(label)
+        self._bars.update(self._tasks[label], completed=fraction, visible=fraction < 1.0)
+
+    def planned(self, *, total: int, finished: int) -> None:
+        """Show how many trials there are, and how many an earlier run already finished."""
+        self._total, self._done = total, finished
+        self._began = self._said = time.perf_counter()
+        self._tasks["trials"] = self._bars.add_task(
+            "trials", total=total, completed=finished, note=""
+        )
+        if finished:
+            self.message(f"resuming: {finished} of {total} trials are already finished")
+
+    def trial(self, row: Row) -> None:
+        """Show one more finished trial."""
+        self._done += 1
+        self._fresh += 1
+        if row.fraction is not None:
+            self._fractions.append(row.fraction)
+        else:
+            self._errors += 1
+            self.message(f"trial {row.trial_id}: {row.error_type}: {row.error_text}")
+        note = self._note()
+        if self._bars.disable:
+            now = time.perf_counter()
+            if now - self._said >= _LOG_EVERY or self._done == self._total:
+                self._said = now
+                self.message(f"{self._done}/{self._total} trials, {note}")
+        else:
+            self._bars.update(self._tasks["trials"], completed=self._done, note=note)
+
+    def _note(self) -> str:
+        minutes = max(time.perf_counter() - self._began, 1e-9) / 60.0
+        success = sum(self._fractions) / len(self._fractions) if self._fractions else 0.0
+        note = f"{self._fresh / minutes:.0f} a minute, success so far {success:.2f}"
+        return f"{note}, {self._errors} errors" if self._errors else note
+
+
+def build_progress() -> RunProgress:
+    """Return the listener for verbs that only build scenes."""
+    return RunProgress()

@@ -1,0 +1,25 @@
+"""`nw-eval report`: write a run's pages again, from its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Judge a finished or interrupted run again from its rows, and write its report."""
+
+    run: tyro.conf.Positional[Path]
+    """A run's folder."""
+    out: Path | None = None
+    """Where to write the Markdown; the run's own report.md when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        outcome = api.report(self.run, out=self.out)
+        print(outcome.summary)
+        return outcome.exit_code

@@ -1,0 +1,62 @@
+"""`nw-eval run`: roll a checkpoint out through a suite, and judge it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Roll a checkpoint out through a suite, write the evidence, and give a verdict."""
+
+    suite: tyro.conf.Positional[str | None] = None
+    """A suite file, or the name of a shipped suite; only --resume can do without."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Trials per scene; the suite's own number when absent."""
+    scenes: tuple[str, ...] = ()
+    """Only scenes that match one of these globs."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+    out: Path | None = None
+    """The run's folder; `reports/<suite>-<policy>-<time>-<digest>` when absent."""
+    resume: Path | None = None
+    """The folder of an interrupted run to finish."""
+    record: Literal["all", "failures", "none"] | None = None
+    """Camera images in MCAP for which trials; the suite's own choice when absent."""
+    time_limit: float | None = None
+    """Seconds of wall time after which a trial counts as hung; a generous default when absent."""
+    render: Literal["cpu", "cuda"] = "cpu"
+    """The splat renderer. There is no silent fallback."""
+    allow_code: bool = False
+    """Let `python:` adapters import code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.progress import RunProgress
+
+        with RunProgress() as progress:
+            outcome = api.run(
+                self.suite,
+                policy=self.policy,
+                checkpoint=self.checkpoint,
+                trials=self.trials,
+                scenes=self.scenes,
+                workers=self.workers,
+                out=self.out,
+                resume=self.resume,
+                record=self.record,
+                time_limit=self.time_limit,
+                render=self.render,
+                allow_code=self.allow_code,
+                listener=progress,
+            )
+        print(outcome.summary)
+        return outcome.exit_code

@@ -1,0 +1,57 @@
+"""`nw-eval scenes`: what places there are, and what they look like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List scenes with their task, obstacles and waypoints."""
+
+    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Names or globs; every built-in scene when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.list_scenes(self.patterns))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render:
+    """Draw scenes from the robot's eye and from outside, one contact sheet for all."""
+
+    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Names or globs; every built-in scene when absent."""
+    out: Path = Path("scenes.png")
+    """The PNG to write."""
+    width: int = 480
+    """Pixels across each view."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.progress import build_progress
+
+        with build_progress() as listener:
+            api.render_scenes(self.patterns, out=self.out, width=self.width, listener=listener)
+        print(self.out)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenes:
+    """List the places that suites can name, or draw them."""
+
+    action: (
+        Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Render, tyro.conf.subcommand("render")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()

@@ -1,0 +1,29 @@
+"""`nw-eval schema`: the JSON Schema of suite files and policy cards, for editors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schema:
+    """Write the JSON Schema that editors use to complete and check files."""
+
+    kind: tyro.conf.Positional[Literal["suite", "policy"]] = "suite"
+    """Which kind of file."""
+    out: Path | None = None
+    """Where to write it; standard output when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        text = api.schema(self.kind)
+        if self.out is None:
+            print(text)
+        else:
+            api.write_text(self.out, text + "\n")
+        return 0

@@ -1,0 +1,61 @@
+"""Ctrl-C and SIGTERM: the first asks for an orderly stop, the second ends at once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+    from types import FrameType, TracebackType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupts:
+    """Listens for signals while a run is under way.
+
+    Python delivers signals to the main thread only; elsewhere (a notebook's executor, a test's
+    thread) this listens to nothing and `requested` stays None.
+    """
+
+    def __init__(self) -> None:
+        self.requested: signal.Signals | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._heard) for number in _SIGNALS}
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}
+
+    def _heard(self, number: int, _frame: FrameType | None) -> None:
+        if self.requested is not None:
+            raise KeyboardInterrupt
+        self.requested = signal.Signals(number)
+
+
+@contextmanager
+def interrupts_blocked() -> Generator[None]:
+    """Start processes and threads that never see Ctrl-C.
+
+    A terminal sends Ctrl-C to every process of its group. Masks pass to new threads and over
+    `exec` to new processes, so workers, and those that replace them later, are deaf to it from
+    their first instruction, and print no tracebacks while they import.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,35 @@
+"""Builds what all workers will need, once, before the first of them starts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from nw_eval.engine.listener import Listener
+    from nw_eval.policies import Card
+    from nw_eval.rollout.job import Record
+    from nw_eval.scenes import Scene
+
+
+def needs_splats(card: Card, record: Record) -> bool:
+    """Return whether any trial may render: for the policy's eyes or for the log."""
+    sees = any(spec.sensor == "splat_rgb" for spec in card.observations.values())
+    return sees or record != "none"
+
+
+def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
+    """Make the compiled splat of every scene that has one and that the cache does not hold yet.
+
+    Raises:
+        SceneError: a splat cannot be made.
+    """
+    for scene in scenes:
+        if scene.splat is not None:
+            name = scene.name
+
+            def progress(_stage: str, fraction: float, name: str = name) -> None:
+                listener.scene(name, fraction)
+
+            scene.splat_store(progress)

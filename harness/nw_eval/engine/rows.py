@@ -1,0 +1,70 @@
+"""From a trial's result to its row."""
+
+from __future__ import annotations
+
+import platform
+from typing import TYPE_CHECKING
+
+from nw_eval.results.row import Row
+
+if TYPE_CHECKING:
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
+
+
+def make_row(
+    job: TrialJob, result: TrialResult, *, attempt: int, policy: str, folder: RunFolder
+) -> Row:
+    """Return the row of one attempt at a trial.
+
+    Args:
+        job: what was to be run.
+        result: what it came to.
+        attempt: 1, or 2 for a trial that was run again after an error.
+        policy: the policy's name.
+        folder: of the run, which the row's log path starts from.
+    """
+    trial = job.trial
+    is_ok = result.status == "ok"
+    outcome = result.outcome if is_ok else result.error_type
+    if outcome is None:
+        raise ValueError(f"trial {trial.id}: a result with status {result.status} has no outcome")
+    has_log = job.mcap is not None and result.mcap_bytes > 0
+    return Row(
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        task=trial.task,
+        seed_index=trial.index,
+        seed=trial.seed,
+        policy=policy,
+        attempt=attempt,
+        perturbation=trial.perturbation,
+        status=result.status,
+        outcome=outcome,
+        end_reason=result.end_reason if is_ok else "error",
+        completed=is_ok and result.waypoints_reached == result.waypoints_total,
+        fraction=result.fraction if is_ok else None,
+        waypoints_reached=result.waypoints_reached,
+        waypoints_total=result.waypoints_total,
+        waypoint_times=result.waypoint_times,
+        steps=result.steps,
+        sim_s=result.sim_seconds,
+        physics_s=result.wall.physics,
+        render_s=result.wall.render,
+        policy_s=result.wall.policy,
+        log_s=result.wall.log,
+        wall_s=result.wall_seconds,
+        coverage_min=result.coverage_min,
+        coverage_mean=result.coverage_mean,
+        state_digest=result.state_digest,
+        action_digest=result.action_digest,
+        checkpoint_digest=job.checkpoint_digest,
+        scene_digest=trial.scene_digest,
+        host=platform.node(),
+        mcap_path=folder.relative(job.mcap) if has_log and job.mcap is not None else "",
+        mcap_bytes=result.mcap_bytes,
+        error_type=result.error_type or "",
+        error_text=result.error_text,
+    )

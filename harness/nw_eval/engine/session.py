@@ -1,0 +1,264 @@
+"""One run from its folder to its rows: provenance first, then trials, then the Parquet file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.plan import plan_jobs
+from nw_eval.engine.prepare import build_splats, needs_splats
+from nw_eval.engine.run import RunOutcome, default_workers, run_trials
+from nw_eval.errors import StoreError
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.machine import code_info, library_versions, machine_info
+from nw_eval.results.provenance import (
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    read_run_info,
+    write_run_info,
+)
+from nw_eval.results.row import rows_digest
+from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.suite import suite_yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from nw_eval.policies import Bundle
+    from nw_eval.rollout.job import Backend, Record
+    from nw_eval.scenes import Scene
+    from nw_eval.suite import Suite, Trial
+
+_REPORTS = "reports"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What an interrupted run was started with."""
+
+    suite: str
+    policy: str
+    checkpoint: Path | None
+    trials: int
+    scenes: tuple[str, ...]
+    record: Record
+
+
+def settings_of(run: Path) -> Settings:
+    """Return what the run of a folder was started with, to go on with it.
+
+    Raises:
+        StoreError: it is no run's folder.
+    """
+    folder = open_run_folder(run)
+    info = read_run_info(folder.run_json)
+    return Settings(
+        suite=info.suite_file,
+        policy=info.policy.card,
+        checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
+        trials=info.suite["trials"],
+        scenes=tuple(info.scenes),
+        record=info.suite["record"],
+    )
+
+
+def run(
+    suite: Suite,
+    bundle: Bundle,
+    scenes: Sequence[Scene],
+    trials: Sequence[Trial],
+    *,
+    references: Mapping[str, str],
+    checkpoint: Path | None,
+    workers: int | None,
+    out: Path | None,
+    resume: Path | None,
+    time_limit: float | None,
+    render: Backend,
+    allow_code: bool,
+    command: tuple[str, ...],
+    listener: Listener | None,
+) -> RunFolder:
+    """Run what has no result yet and leave a folder that can be judged, or resumed.
+
+    Raises:
+        IncomparableError: the run to resume was made under something else.
+        StoreError: the folder cannot be made or written; what was written stays.
+        SceneError: a splat cannot be made.
+    """
+    told = listener or Silence()
+    folder = _folder(suite, bundle, out, resume)
+    told.message(f"run folder: {folder.path}")
+    # Workers and rows need a path that means the same everywhere.
+    folder = RunFolder(path=folder.path.resolve())
+    engine = _engine(render)
+    header = JournalHeader(
+        suite_digest=suite.digest,
+        policy_digest=bundle.digest,
+        scene_digests={scene.name: scene.digest for scene in scenes},
+        engine=engine,
+    )
+    opened = Journal.create if resume is None else Journal.resume
+    earlier = None if resume is None else read_run_info(folder.run_json)
+    with opened(folder.journal, header) as journal:
+        if journal.dropped:
+            told.message(journal.dropped)
+        info = _info(
+            folder,
+            suite,
+            bundle,
+            scenes,
+            trials,
+            checkpoint=checkpoint,
+            workers=workers,
+            renderer=engine["renderer"],
+            command=command,
+        )
+        if earlier is not None:
+            info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
+        write_run_info(folder.run_json, info)
+        if needs_splats(bundle.card, suite.record):
+            build_splats(scenes, told)
+        jobs = plan_jobs(
+            suite,
+            trials,
+            bundle,
+            folder,
+            references=references,
+            checkpoint=checkpoint,
+            allow_code=allow_code,
+            render=render,
+            time_limit=time_limit,
+            suite_text=suite_yaml(suite),
+        )
+        began = perf_counter()
+        outcome = run_trials(
+            jobs,
+            journal=journal,
+            folder=folder,
+            policy=bundle.name,
+            workers=workers,
+            listener=told,
+        )
+        _finish(folder, info, outcome, wall=perf_counter() - began, engine=engine)
+    return folder
+
+
+def _folder(suite: Suite, bundle: Bundle, out: Path | None, resume: Path | None) -> RunFolder:
+    if resume is not None:
+        return open_run_folder(resume)
+    if out is None:
+        return create_run_folder(
+            Path(_REPORTS), suite=suite.name, policy=bundle.name, digest=suite.content_digest
+        )
+    folder = RunFolder(path=out)
+    if folder.journal.exists():
+        raise StoreError(
+            f"{out} already holds a run", fix=f"go on with --resume {out}, or choose another --out"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"cannot make {out}: {error.strerror}", fix="choose another folder with --out"
+        ) from error
+    return folder
+
+
+def _info(
+    folder: RunFolder,
+    suite: Suite,
+    bundle: Bundle,
+    scenes: Sequence[Scene],
+    trials: Sequence[Trial],
+    *,
+    checkpoint: Path | None,
+    workers: int | None,
+    renderer: str,
+    command: tuple[str, ...],
+) -> RunInfo:
+    """Return a run's provenance as it starts."""
+    return RunInfo(
+        run=1,
+        id=folder.id,
+        started=_now(),
+        suite_file=suite.source.file,
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=PolicyInfo(
+            name=bundle.name,
+            adapter=bundle.card.adapter,
+            card_digest=bundle.digest,
+            checkpoint_digest=bundle.checkpoint_sha256,
+            card=str(bundle.card_path.resolve()),
+            checkpoint="" if checkpoint is None else str(checkpoint.resolve()),
+        ),
+        scenes=_scene_infos(scenes, trials),
+        workers=workers or default_workers(),
+        renderer=renderer,
+        command=command,
+        code=code_info(),
+        machine=machine_info(),
+        versions=library_versions(),
+    )
+
+
+def _finish(
+    folder: RunFolder, info: RunInfo, outcome: RunOutcome, *, wall: float, engine: dict[str, str]
+) -> None:
+    from nw_eval.results.parquet import write_rows
+
+    digest = rows_digest(outcome.rows)
+    metadata: dict[str, Any] = {
+        "run_id": info.id,
+        "suite_digest": info.suite_digest,
+        "git": info.code.commit,
+        "code_digest": info.code.digest,
+        "engine": f"mujoco {engine['mujoco']}",
+        "renderer": info.renderer,
+        "rows_digest": digest,
+    }
+    write_rows(folder.trials, outcome.rows, metadata)
+    write_run_info(
+        folder.run_json,
+        info.model_copy(
+            update={
+                "finished": _now(),
+                # A run that was resumed cost what all its sessions did.
+                "wall_s": info.wall_s + wall,
+                "interrupted": outcome.interrupted is not None,
+                "rows_digest": digest,
+            }
+        ),
+    )
+
+
+def _scene_infos(scenes: Sequence[Scene], trials: Sequence[Trial]) -> dict[str, SceneInfo]:
+    return {
+        scene.name: SceneInfo(
+            digest=scene.digest,
+            task=scene.task,
+            trials=sum(trial.scene == scene.name for trial in trials),
+        )
+        for scene in scenes
+    }
+
+
+def _engine(render: Backend) -> dict[str, str]:
+    """Return what makes bits differ between runs of the same trials."""
+    versions = library_versions()
+    kept = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
+    return {
+        **{name: versions[name] for name in kept if name in versions},
+        "renderer": f"{render} gsplat-1.5",
+        "code": code_info().digest[:16],
+    }
+
+
+def _now() -> str:
+    return datetime.now(tz=UTC).isoformat(timespec="seconds")

@@ -1,0 +1,1 @@
+"""One trial, from seed to result, and its log."""

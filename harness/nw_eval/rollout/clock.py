@@ -1,0 +1,56 @@
+"""Where a trial's time goes, by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from time import perf_counter, thread_time
+from typing import Literal, get_args
+
+from nw_eval.rollout.result import StageSeconds
+
+Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]
+
+
+class StageClock:
+    """Adds up wall seconds and the thread's CPU seconds of each stage.
+
+    Stages nest: while an inner one runs, the outer one stands still, so no second counts twice.
+    """
+
+    def __init__(self) -> None:
+        stages: tuple[Stage, ...] = get_args(Stage)
+        self._wall: dict[Stage, float] = dict.fromkeys(stages, 0.0)
+        self._cpu: dict[Stage, float] = dict.fromkeys(stages, 0.0)
+        self._running: list[Stage] = []
+        self._began = (perf_counter(), thread_time())
+
+    @contextmanager
+    def __call__(self, stage: Stage) -> Generator[None]:
+        """Credit the time inside the `with` block to a stage."""
+        self._turn()
+        self._running.append(stage)
+        try:
+            yield
+        finally:
+            self._turn()
+            self._running.pop()
+
+    @property
+    def wall(self) -> StageSeconds:
+        """Wall seconds so far."""
+        return StageSeconds(**self._wall)
+
+    @property
+    def cpu(self) -> StageSeconds:
+        """CPU seconds of the calling thread so far."""
+        return StageSeconds(**self._cpu)
+
+    def _turn(self) -> None:
+        """Credit the time since the last turn to the stage that was running."""
+        now = (perf_counter(), thread_time())
+        if self._running:
+            stage = self._running[-1]
+            self._wall[stage] += now[0] - self._began[0]
+            self._cpu[stage] += now[1] - self._began[1]
+        self._began = now

@@ -1,0 +1,37 @@
+"""What a worker needs to run one trial: plain values that travel between processes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from nw_eval.suite.trials import Trial
+
+Protocol = Literal["strict", "neverwhere-2026"]
+Record = Literal["all", "failures", "none"]
+Backend = Literal["cpu", "cuda"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialJob:
+    """One trial to run, and where its evidence goes.
+
+    Nothing in it depends on the other trials of the run, on the worker, or on the order.
+    """
+
+    trial: Trial
+    robot: str
+    protocol: Protocol = "strict"
+    duration: float  # s of simulated time after which the trial times out
+    scene: str  # what scenes.get_scene understands: a built-in name or a folder
+    policy: str  # what policies.load_bundle understands
+    policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it
+    checkpoint: Path | None = None  # weights instead of those that the card names
+    checkpoint_digest: str  # hex SHA-256
+    allow_code: bool = False
+    record: Record = "failures"  # camera images for which trials; the rest is always logged
+    mcap: Path | None = None  # where the log goes; None = no log
+    render: Backend = "cpu"
+    time_limit: float = 600.0  # s of wall time after which the trial counts as hung
+    attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card

@@ -1,0 +1,79 @@
+"""Scenes and policy bundles that a process has loaded, kept for its next trials."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from nw_eval.policies import Bundle, load_bundle
+from nw_eval.scenes import Scene, get_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from nw_eval.scenes.rays import RayScene
+
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
+
+
+class Recent(Generic[_Key, _Value]):
+    """The `size` values used last; others are made again when they are asked for."""
+
+    def __init__(self, size: int, make: Callable[[_Key], _Value]) -> None:
+        self._size = size
+        self._make = make
+        self._kept: OrderedDict[_Key, _Value] = OrderedDict()
+
+    def __call__(self, key: _Key) -> _Value:
+        """Return the value of a key."""
+        if key not in self._kept:
+            self._kept[key] = self._make(key)
+        self._kept.move_to_end(key)
+        while len(self._kept) > self._size:
+            self._kept.popitem(last=False)
+        return self._kept[key]
+
+
+class Library:
+    """What trials of one process may share: values that no trial can change.
+
+    Worlds, policies and sensors have state, and are made anew for every trial.
+    """
+
+    def __init__(self, *, scenes: int = 32, bundles: int = 4) -> None:
+        self._scenes = Recent[str, Scene](scenes, get_scene)
+        self._rays = Recent[str, "RayScene"](scenes, self._make_rays)
+        self._bundles = Recent[tuple[str, "Path | None"], Bundle](
+            bundles, lambda key: load_bundle(key[0], checkpoint=key[1])
+        )
+
+    def scene(self, reference: str) -> Scene:
+        """Return the scene of a name or folder.
+
+        Raises:
+            SceneError: as `scenes.get_scene`.
+        """
+        return self._scenes(reference)
+
+    def rays(self, reference: str) -> RayScene:
+        """Return the ray caster of a scene's static geometry.
+
+        Raises:
+            SceneError: as `scenes.get_scene`.
+        """
+        return self._rays(reference)
+
+    def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
+        """Return the policy bundle of a name, folder or card, with its own weights or others.
+
+        Raises:
+            PolicyError: as `policies.load_bundle`.
+        """
+        return self._bundles((reference, checkpoint))
+
+    def _make_rays(self, reference: str) -> RayScene:
+        from nw_eval.scenes.rays import RayScene
+
+        return RayScene(self.scene(reference).mesh())

@@ -1,0 +1,135 @@
+"""An MCAP file that is whole or not there, and whose bytes depend on nothing but the trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
+
+from nw_eval import __version__
+
+# Small chunks leave much to recover of a log whose process was killed.
+CHUNK_BYTES = 512 * 1024
+
+Images = Literal["keep", "decide", "drop"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    """One message, serialised."""
+
+    topic: str
+    time_ns: int
+    kind: type[Any]  # the protobuf class
+    data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Image:
+    """An image's message that is made if images are kept."""
+
+    topic: str
+    time_ns: int
+    make: Callable[[], Any]
+
+
+class McapFile:
+    """Writes protobuf messages under `<path>.partial`, which becomes `path` when it is complete.
+
+    A worker that dies leaves the partial file, from which `mcap recover` saves the whole chunks.
+    With `images="decide"` there is nothing to recover: messages wait in memory, so that those of
+    images can be left out when the trial turns out well, and the file is still in order of time.
+
+    Every method that writes raises OSError when the disk does not take it; `discard` then frees
+    what the file holds. The caller decides what a lost log means.
+    """
+
+    def __init__(self, path: Path, *, images: Images) -> None:
+        self.path = path
+        self.partial = path.with_name(path.name + ".partial")
+        self._images = images
+        self._pending: list[_Entry | _Image] = []
+        self._channels: dict[str, int] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        self._stream: IO[bytes] = self.partial.open("wb")
+        self._writer = Writer(
+            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
+        self._writer.start(profile="", library=f"nw-eval/{__version__}")
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether an image that is added now can still end up in the file."""
+        return self._images != "drop"
+
+    def add(self, topic: str, time_ns: int, message: Any) -> None:
+        """Append one message as it is now; times must not decrease."""
+        self._take(_serialised(topic, time_ns, message))
+
+    def add_image(self, topic: str, time_ns: int, make: Callable[[], Any]) -> None:
+        """Append the message that `make` returns, called only if images are kept."""
+        if self.takes_images:
+            self._take(_Image(topic=topic, time_ns=time_ns, make=make))
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Add a record of texts by name."""
+        self._writer.add_metadata(name, values)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file; it carries no time of day."""
+        self._writer.add_attachment(0, 0, name, media_type, data)
+
+    def settle(self, *, keep_images: bool) -> None:
+        """Write the messages that waited, with or without the images among them."""
+        for entry in self._pending:
+            if keep_images or isinstance(entry, _Entry):
+                self._write(entry)
+        self._pending.clear()
+        self._images = "keep" if keep_images else "drop"
+
+    def close(self) -> int:
+        """Finish the file, move it into place and return its size in bytes."""
+        self._writer.finish()
+        self._stream.close()
+        self.partial.replace(self.path)
+        return self.path.stat().st_size
+
+    def discard(self) -> None:
+        """Remove what was written, as far as the disk lets us; never raises OSError."""
+        self._pending.clear()
+        with suppress(OSError):
+            self._stream.close()  # flushes, which fails again on a full disk
+        with suppress(OSError):
+            self.partial.unlink(missing_ok=True)
+
+    def _take(self, entry: _Entry | _Image) -> None:
+        if self._images == "decide":
+            self._pending.append(entry)
+        else:
+            self._write(entry)
+
+    def _write(self, entry: _Entry | _Image) -> None:
+        if isinstance(entry, _Image):
+            entry = _serialised(entry.topic, entry.time_ns, entry.make())
+        channel = self._channels.get(entry.topic)
+        if channel is None:
+            schema = register_schema(self._writer, entry.kind)
+            channel = self._writer.register_channel(entry.topic, "protobuf", schema)
+            self._channels[entry.topic] = channel
+        self._writer.add_message(
+            channel_id=channel,
+            log_time=entry.time_ns,
+            publish_time=entry.time_ns,
+            data=entry.data,
+        )
+
+
+def _serialised(topic: str, time_ns: int, message: Any) -> _Entry:
+    data = message.SerializeToString(deterministic=True)
+    return _Entry(topic=topic, time_ns=time_ns, kind=type(message), data=data)

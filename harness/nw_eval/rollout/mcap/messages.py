@@ -1,0 +1,87 @@
+"""The protobuf messages that Foxglove has no schema for: policy steps, restartable states, events.
+
+Built from a table at import, so that no generated file and no protoc are needed. Field numbers are
+a promise to every log ever written: append, never renumber.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from google.protobuf import descriptor_pool, timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.message_factory import GetMessageClass
+
+_Field = FieldDescriptorProto
+_TYPES = {
+    "bytes": _Field.TYPE_BYTES,
+    "double": _Field.TYPE_DOUBLE,
+    "string": _Field.TYPE_STRING,
+    "uint32": _Field.TYPE_UINT32,
+    "int32": _Field.TYPE_INT32,
+}
+
+# (name, type); a type in brackets is repeated, one with a dot is a message.
+_MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
+    # What the policy saw, said, and what was applied (which lags by the action delay).
+    "PolicyStep": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("step", "uint32"),
+        ("observation_digest", "bytes"),  # SHA-256 over the observations, names in order
+        ("action", "[double]"),  # raw output, (12)
+        ("applied", "[double]"),  # raw action applied in this step, (12)
+        ("targets", "[double]"),  # joint targets of this step, rad, (12)
+        (
+            "state_digest",
+            "bytes",
+        ),  # SHA-256 of the policy's memory, where /nw/state has it
+    ),
+    "Part": (("name", "string"), ("data", "bytes")),
+    # Everything that a trial needs to go on from a control step to the same end, bit for bit.
+    "SimState": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("step", "uint32"),  # control steps done
+        ("world", "bytes"),  # sim.World.state()
+        ("policy", "bytes"),  # Policy.state()
+        ("parts", "[nw.Part]"),  # trail, termination, delay queue, sensors, digests, by name
+    ),
+    "Event": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("step", "uint32"),
+        ("kind", "string"),  # see trial_log.EventKind
+        ("text", "string"),
+        ("waypoint", "int32"),  # number of the waypoint reached, from 0; -1 = none
+        ("value", "double"),
+    ),
+}
+
+
+def _file() -> FileDescriptorProto:
+    file = FileDescriptorProto(name="nw/messages.proto", package="nw", syntax="proto3")
+    file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+    for name, fields in _MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for number, (field, written) in enumerate(fields, start=1):
+            kind = written.strip("[]")
+            added = message.field.add(
+                name=field,
+                number=number,
+                label=_Field.LABEL_REPEATED if written != kind else _Field.LABEL_OPTIONAL,
+                type=_TYPES.get(kind, _Field.TYPE_MESSAGE),
+            )
+            if kind not in _TYPES:
+                added.type_name = f".{kind}"
+    return file
+
+
+def _classes() -> dict[str, Any]:
+    pool = descriptor_pool.Default()
+    pool.AddSerializedFile(_file().SerializeToString())
+    return {name: GetMessageClass(pool.FindMessageTypeByName(f"nw.{name}")) for name in _MESSAGES}
+
+
+_BUILT = _classes()
+PolicyStep: Any = _BUILT["PolicyStep"]
+Part: Any = _BUILT["Part"]
+SimState: Any = _BUILT["SimState"]
+Event: Any = _BUILT["Event"]

@@ -1,0 +1,159 @@
+"""From a job to a trial that stands at its first control step."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from nw_eval.errors import PolicyError, UsageError, nearest
+from nw_eval.policies import Bundle, JointControl, Policy, actuator_values, open_policy
+from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.rollout.episode import Episode, policy_at_fault
+from nw_eval.rollout.spawn import draw_start
+from nw_eval.scenes import Scene
+from nw_eval.sensors import build_sensors
+from nw_eval.sim import Actuators, Termination, TrailProgress, World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.rollout.clock import StageClock
+    from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.library import Library
+    from nw_eval.splat.render import Renderer
+
+PERTURBATIONS = ("friction",)
+"""Axes that a trial can be perturbed along."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenTrial:
+    """A trial's parts; a context manager that closes world and policy."""
+
+    job: TrialJob
+    robot: RobotSpec
+    scene: Scene
+    bundle: Bundle
+    episode: Episode
+    renderer: Callable[[], Renderer]  # of the scene's splat, made when first called
+    cleanup: ExitStack
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cleanup.close()
+
+
+def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
+    """Load what a job names, draw its start and put the robot there.
+
+    Raises:
+        SceneError: the scene cannot be loaded, or its splat not made.
+        PolicyError: the bundle cannot be loaded, or is not the one that the job was planned with.
+        UsageError: no such robot or perturbation.
+    """
+    trial = job.trial
+    robot = get_robot(job.robot)
+    scene = library.scene(job.scene)
+    bundle = library.bundle(job.policy, job.checkpoint)
+    _check_same(job, scene, bundle)
+    renderer = cache(lambda: _open_renderer(scene, job.render))
+    start = draw_start(
+        trial,
+        protocol=job.protocol,
+        spawn=(*scene.spawn.position[:2], scene.spawn.yaw),
+        jitter=(scene.spawn.x_jitter, scene.spawn.y_jitter, scene.spawn.yaw_jitter),
+        trail=scene.trail,
+        waypoint_noise=scene.waypoint_noise,
+    )
+    with ExitStack() as cleanup:
+        world = cleanup.enter_context(_open_world(job, robot, scene, bundle))
+        with policy_at_fault():
+            policy: Policy = open_policy(bundle, allow_code=job.allow_code)
+            cleanup.callback(policy.close)
+            policy.reset(_seed(trial.seed_sequence("policy")))
+        height = scene.spawn.position[2] + robot.spawn_height
+        world.reset(position=(start.x, start.y, height), yaw=start.yaw)
+        casts = any(spec.sensor == "scandots" for spec in bundle.card.observations.values())
+        sensors = build_sensors(
+            bundle.card,
+            world,
+            rays=library.rays(job.scene) if casts else None,
+            renderer=lambda _scene: renderer(),
+        )
+        for name, sensor in sensors.items():
+            sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
+        period = world.control_period
+        episode = Episode(
+            world=world,
+            sensors=sensors,
+            policy=policy,
+            control=JointControl.from_card(bundle.card, robot),
+            delay_steps=bundle.card.control.delay_steps,
+            progress=TrailProgress(start.trail, job.protocol, control_period=period),
+            termination=Termination(
+                start.trail,
+                (start.x, start.y),
+                protocol=job.protocol,
+                duration=job.duration,
+                control_period=period,
+            ),
+            clock=clock,
+        )
+        return OpenTrial(
+            job=job,
+            robot=robot,
+            scene=scene,
+            bundle=bundle,
+            episode=episode,
+            renderer=renderer,
+            cleanup=cleanup.pop_all(),
+        )
+    raise AssertionError("an ExitStack without suppressing callbacks lets no exception vanish")
+
+
+def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
+    """Refuse a scene or checkpoint that is not what the trial's identity and row say."""
+    if bundle.checkpoint_sha256 != job.checkpoint_digest:
+        raise PolicyError(
+            f"the checkpoint of {job.policy!r} is {bundle.checkpoint_sha256[:12]}, the trial was "
+            f"planned with {job.checkpoint_digest[:12]}",
+            fix="name the bundle or the --checkpoint that it was planned with",
+        )
+    if scene.digest != job.trial.scene_digest:
+        raise UsageError(
+            f"scene {job.scene!r} is {scene.digest[:12]}, the trial was planned with "
+            f"{job.trial.scene_digest[:12]}",
+            fix="start a new run: the scene has changed",
+        )
+
+
+def _open_world(job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle) -> World:
+    cell = dict(job.trial.perturbation)
+    for axis in cell:
+        if axis not in PERTURBATIONS:
+            raise UsageError(f"unknown perturbation {axis!r}", fix=nearest(axis, PERTURBATIONS))
+    motors = actuator_values(bundle.card, robot)
+    return World(
+        robot,
+        scene,
+        protocol=job.protocol,
+        actuators=None if motors is None else Actuators(**motors),
+        friction=cell.get("friction"),
+    )
+
+
+def _open_renderer(scene: Scene, backend: str) -> Renderer:
+    from nw_eval.splat.render import open_renderer
+    from nw_eval.splat.store import open_store
+
+    return open_renderer(open_store(scene.splat_store()), "cuda" if backend == "cuda" else "cpu")
+
+
+def _seed(sequence: np.random.SeedSequence) -> int:
+    return int(sequence.generate_state(1, np.uint32)[0])

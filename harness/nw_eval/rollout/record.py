@@ -1,0 +1,99 @@
+"""What a log says about its trial in text: enough to run it again, and to compare the ends."""
+
+from __future__ import annotations
+
+import json
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval import __version__
+from nw_eval.rollout.job import TrialJob
+from nw_eval.suite.trials import Trial
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.rollout.result import TrialResult
+
+TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
+
+# Whose versions change bits. A replay under others is refused a verdict on its bits.
+_LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
+# Fields of a job that say how it was run and where to, not what it is.
+_CIRCUMSTANCE = frozenset({"attachments", "mcap", "record", "time_limit", "trial"})
+
+
+def provenance() -> dict[str, str]:
+    """Return versions and architecture, without importing anything heavy."""
+    found = {"nw-eval": __version__, "architecture": platform.machine()}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def trial_metadata(job: TrialJob) -> dict[str, str]:
+    """Return the job as texts: the readable keys, and `job` with all of it as JSON."""
+    trial = job.trial
+    fields = {name: value for name, value in vars(job).items() if name not in _CIRCUMSTANCE}
+    fields["checkpoint"] = None if job.checkpoint is None else str(job.checkpoint)
+    identity = {name: getattr(trial, name) for name in Trial.__dataclass_fields__}
+    return {
+        "trial": trial.id,
+        "suite": trial.suite,
+        "scene": trial.scene,
+        "task": trial.task,
+        "index": str(trial.index),
+        "seed": str(trial.seed),
+        "policy": job.policy_name or job.policy,
+        "job": json.dumps({**fields, "trial": identity}, sort_keys=True),
+    }
+
+
+def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
+    """Return the job of `trial_metadata`; its log and record mode are not part of it.
+
+    Raises:
+        ValueError: the metadata is damaged or of another version.
+    """
+    try:
+        fields: dict[str, Any] = json.loads(metadata["job"])
+        identity: dict[str, Any] = fields.pop("trial")
+        cell = identity.pop("perturbation")
+        weights = fields.pop("checkpoint")
+        perturbation = tuple((str(axis), float(value)) for axis, value in cell)
+        return TrialJob(
+            trial=Trial(**identity, perturbation=perturbation),
+            checkpoint=None if weights is None else Path(weights),
+            **fields,
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"its metadata {TRIAL!r} is damaged: {error!r}") from error
+
+
+def verdict_metadata(result: TrialResult) -> dict[str, str]:
+    """Return a result as texts, without anything that a second run would measure anew."""
+    return {
+        "status": result.status,
+        "outcome": result.outcome or "",
+        "end_reason": result.end_reason,
+        "error_type": result.error_type or "",
+        "error_text": result.error_text,
+        "waypoints_reached": str(result.waypoints_reached),
+        "waypoints_total": str(result.waypoints_total),
+        "steps": str(result.steps),
+        "state_digest": result.state_digest,
+        "action_digest": result.action_digest,
+    }
+
+
+def attachments(card: Path, suite_text: str) -> tuple[tuple[str, str], ...]:
+    """Return what every log of a run carries along: the resolved suite and the policy's card."""
+    return (
+        ("suite.yaml", suite_text),
+        ("policy.yaml", card.read_text(encoding="utf-8", errors="replace")),
+    )

@@ -1,0 +1,174 @@
+"""Steps an episode and writes down what happens."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.rollout.cameras import Cameras
+from nw_eval.rollout.episode import observation_digest
+from nw_eval.rollout.mcap.trial_log import camera_frame
+from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
+from nw_eval.sim.binding import mujoco
+
+if TYPE_CHECKING:
+    from nw_eval.rollout.clock import StageClock
+    from nw_eval.rollout.episode import Decision
+    from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
+    from nw_eval.rollout.prepare import OpenTrial
+    from nw_eval.rollout.result import Outcome, TrialResult
+
+# Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
+# stacks of images, which would otherwise be most of the file.
+STATE_PERIOD, LARGE_STATE_PERIOD = 5, 25
+LARGE_STATE = 32 * 1024  # bytes
+# A camera image that the splat covers less than this is an event in the log.
+LOW_COVERAGE = 0.9
+
+
+class Recorder:
+    """One trial's loop with its log. Where there is no log, only the loop is left.
+
+    Args:
+        trial: stands at its first control step.
+        log: where to write.
+        clock: writing counts as `log`.
+    """
+
+    def __init__(self, trial: OpenTrial, log: TrialLog, clock: StageClock) -> None:
+        self._trial = trial
+        self._episode = trial.episode
+        self._log = log
+        self._clock = clock
+        self._cameras = Cameras(
+            card=trial.bundle.card,
+            world=trial.episode.world,
+            scene=trial.scene,
+            sensors=trial.episode.sensors,
+            renderer=trial.renderer,
+            log=log,
+            clock=clock,
+        )
+        self._state_due = True
+        self._state_period = STATE_PERIOD
+        self._memory_digest = b""  # of the policy, where this step has a state
+        self._touching = False
+        self._covered = True
+
+    def start(self) -> None:
+        """Write what does not change, and that the trial begins."""
+        job = self._trial.job
+        if not self._log.is_open:
+            return
+        self._log.start(
+            robot=self._trial.robot,
+            mesh=self._trial.scene.mesh(),
+            trail=self._episode.progress.waypoints,
+            metadata={TRIAL: trial_metadata(job), PROVENANCE: provenance()},
+            attachments=job.attachments,
+        )
+        self._cameras.calibrate()
+        self._event("start", f"trial {job.trial.id} of suite {job.trial.suite}")
+
+    def step(self) -> Outcome | None:
+        """Run one control step and write it down."""
+        episode = self._episode
+        if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
+            with self._clock("log"):
+                state = episode.snapshot()
+                if state.ByteSize() > LARGE_STATE:
+                    self._state_period = LARGE_STATE_PERIOD
+                self._log.state(episode.world.time, state)
+                self._memory_digest = sha256(state.policy).digest()
+                self._state_due = False
+        decision = episode.decide()
+        if self._log.is_open:
+            with self._clock("log"):
+                self._write(decision)
+        outcome, credited = episode.advance(decision)
+        if self._log.is_open:
+            with self._clock("log"):
+                self._notice(credited=credited)
+        return outcome
+
+    def end(self, result: TrialResult) -> None:
+        """Write how the trial ended and close the log."""
+        if not self._log.is_open:
+            return
+        episode = self._episode
+        self._write_body()
+        if result.status == "ok":
+            self._log.state(episode.world.time, episode.snapshot())
+            reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
+            self._event("end", f"{result.outcome} ({result.end_reason}): {reached}")
+        else:
+            self._event("error", f"{result.error_type}: {result.error_text}")
+        failed = result.outcome != "completed"
+        keep = self._trial.job.record == "all" or failed
+        self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
+
+    def _write(self, decision: Decision) -> None:
+        episode = self._episode
+        self._write_body()
+        self._log.policy(
+            episode.world.time,
+            step=episode.step,
+            observation_digest=observation_digest(decision.observation),
+            state_digest=self._memory_digest,
+            action=decision.action,
+            applied=decision.applied,
+            targets=decision.targets,
+        )
+        self._memory_digest = b""
+        self._cameras.record(episode.step, decision.observation)
+
+    def _write_body(self) -> None:
+        world = self._episode.world
+        frames = world.body_transforms()
+        for mount in self._cameras.mounts:
+            frames[camera_frame(mount)] = _pose(world.camera_pose(mount))
+        self._log.body(
+            world.time,
+            frames=frames,
+            trunk=self._trial.robot.bodies[0],
+            joints=(world.joint_positions, world.joint_velocities, world.torques),
+        )
+
+    def _notice(self, *, credited: bool) -> None:
+        """Write events of the step that was just made."""
+        episode = self._episode
+        progress = episode.progress
+        if credited:
+            number = progress.reached - 1
+            self._log.waypoint(episode.world.time, number, progress.waypoints[number].tolist())
+            self._event("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
+        force = episode.world.monitored_force()
+        if force > 0.0 and not self._touching:
+            forces = episode.world.monitored_forces()
+            geom = max(forces, key=forces.__getitem__)
+            self._event("contact", f"{geom} touches with {force:.1f} N", value=force)
+        self._state_due = credited or (force > 0.0 and not self._touching)
+        self._touching = force > 0.0
+        shares = [s.coverage for s in episode.sensors.values() if s.coverage is not None]
+        covered = min(shares, default=1.0) >= LOW_COVERAGE
+        if self._covered and not covered:
+            share = min(shares)
+            self._event("coverage", f"the splat covers {share:.0%} of the image", value=share)
+        self._covered = covered
+
+    def _event(self, kind: EventKind, text: str, *, number: int = -1, value: float = 0.0) -> None:
+        episode = self._episode
+        self._log.event(
+            episode.world.time, kind, text, step=episode.step, waypoint=number, value=value
+        )
+
+
+def _pose(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position (3,) and quaternion wxyz of a transform (4, 4)."""
+    quat = np.empty(4)
+    rotation = np.ascontiguousarray(T[:3, :3]).ravel()
+    mujoco.mju_mat2Quat(quat, rotation)
+    return T[:3, 3], quat

@@ -1,0 +1,185 @@
+"""Runs a recorded trial again, from its start or from a state in its middle, and compares bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import StoreError
+from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata, provenance
+from nw_eval.rollout.record import verdict_metadata as as_metadata
+from nw_eval.rollout.result import Outcome, TrialResult
+from nw_eval.rollout.trial import ended, failed, so_far
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.rollout.prepare import OpenTrial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What a log says about its trial, read back."""
+
+    path: Path
+    job: TrialJob
+    verdict: Mapping[str, str]
+    versions: Mapping[str, str]
+
+    @property
+    def log(self) -> LogReader:
+        """The log itself, for its states, pictures and poses."""
+        return LogReader(self.path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replayed:
+    """A trial that was run again.
+
+    `differences` says in words what is not as recorded; `version_differences` says which versions
+    are not, under which equal bits cannot be expected.
+    """
+
+    recording: Recording
+    result: TrialResult
+    start_step: int
+    differences: tuple[str, ...]
+    version_differences: tuple[str, ...]
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether the end is the recorded one, bit for bit."""
+        return not self.differences
+
+    @property
+    def text(self) -> str:
+        """What happened, in one line."""
+        trial = self.recording.job.trial.id
+        start = "" if self.start_step == 0 else f" from step {self.start_step}"
+        if self.is_identical:
+            end = self.result.outcome or self.result.error_type
+            return f"{trial}{start}: {end} after {self.result.steps} steps, identical bit for bit"
+        said = "; ".join(self.differences)
+        if self.version_differences:
+            return f"{trial}{start}: {said} (recorded with {', '.join(self.version_differences)})"
+        return f"{trial}{start}: {said}"
+
+
+def read_recording(path: Path) -> Recording:
+    """Return what a log says about its trial.
+
+    Raises:
+        StoreError: the file is missing, damaged, or no log of a trial.
+    """
+    metadata = LogReader(path).metadata()
+    if TRIAL not in metadata or VERDICT not in metadata:
+        raise StoreError(f"{path} is no log of a finished trial", fix="name a file of mcap/")
+    try:
+        job = job_from_metadata(metadata[TRIAL])
+    except ValueError as error:
+        raise StoreError(f"{path}: {error}", fix="run the trial again") from None
+    return Recording(
+        path=path, job=job, verdict=metadata[VERDICT], versions=metadata.get(PROVENANCE, {})
+    )
+
+
+def replay(
+    path: Path,
+    *,
+    start: float = 0.0,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    allow_code: bool = False,
+    library: Library | None = None,
+) -> Replayed:
+    """Run a recorded trial again and compare its end with the recorded one.
+
+    Args:
+        path: the trial's log.
+        start: seconds; greater than 0 restores the last recorded state at or before it.
+        policy: the bundle, where it has moved since.
+        checkpoint: weights that were used instead of the card's.
+        allow_code: as for a run.
+        library: scenes and bundles that are loaded already.
+
+    Raises:
+        StoreError: the log cannot be read, or has no state that early.
+        PolicyError: the bundle is missing, or is not the one that was recorded.
+        SceneError, UsageError: the scene is missing, or has changed.
+        TrialError: the recorded state does not fit.
+    """
+    recording = read_recording(path)
+    job = replace(
+        recording.job,
+        policy=policy or _found(recording.job),
+        checkpoint=checkpoint or (None if policy else recording.job.checkpoint),
+        allow_code=allow_code or recording.job.allow_code,
+    )
+    with open_trial(job, library or Library(), StageClock()) as trial:
+        if start > 0.0:
+            restore(trial, recording, start)
+        start_step = trial.episode.step
+        result = run_on(trial)
+    return Replayed(
+        recording=recording,
+        result=result,
+        start_step=start_step,
+        differences=_differences(recording.verdict, as_metadata(result)),
+        version_differences=_version_differences(recording.versions),
+    )
+
+
+def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
+    """Bring a trial to the last recorded state at or before `time` (s).
+
+    Raises:
+        StoreError: there is none.
+        TrialError: the state does not fit the trial.
+    """
+    limit = round(time / trial.episode.world.control_period)
+    states = [state for state in recording.log.states() if state.step <= limit]
+    if not states:
+        raise StoreError(f"{recording.path} has no state at or before {time:g} s", fix="run it all")
+    trial.episode.restore(states[-1])
+
+
+def run_on(trial: OpenTrial) -> TrialResult:
+    """Run a trial from where it stands to its end, without a log."""
+    episode = trial.episode
+    try:
+        outcome: Outcome | None = None
+        while outcome is None:
+            outcome, _ = episode.advance(episode.decide())
+    except Exception as error:  # noqa: BLE001 - as in a run, it is the result.
+        return failed(so_far(trial), error)
+    return ended(trial, outcome)
+
+
+def _found(job: TrialJob) -> str:
+    """Return the recorded bundle's path, or its name where the path is of another machine."""
+    return job.policy if Path(job.policy).exists() or not job.policy_name else job.policy_name
+
+
+def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    names = [name for name in now if name != "error_text" and recorded.get(name) != now[name]]
+    return tuple(f"{name} was {_short(recorded, name)}, now {_short(now, name)}" for name in names)
+
+
+def _short(values: Mapping[str, str], name: str) -> str:
+    text = values.get(name, "") or "none"
+    return text[:12] if name.endswith("_digest") else text
+
+
+def _version_differences(recorded: Mapping[str, str]) -> tuple[str, ...]:
+    now = provenance()
+    return tuple(
+        f"{name} {recorded.get(name, 'unknown')}, not {now.get(name, 'none')}"
+        for name in sorted({*recorded, *now})
+        if recorded.get(name) != now.get(name)
+    )

@@ -1,0 +1,57 @@
+"""What one trial came to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Outcome = Literal["completed", "fell", "collided", "stuck", "off_course", "timeout"]
+ErrorType = Literal["policy_error", "physics_error", "crashed", "hung"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageSeconds:
+    """Seconds that a trial spent in each stage, by one clock."""
+
+    setup: float = 0.0  # scene, robot, renderer and policy, before the first step
+    physics: float = 0.0
+    render: float = 0.0  # camera images, the policy's and the log's
+    sense: float = 0.0  # every observation that is not an image
+    policy: float = 0.0
+    log: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialResult:
+    """One trial's outcome. An error is never a failure of the policy: it has no outcome.
+
+    Digests chain SHA-256 over the control steps: `state_digest` over qpos and qvel,
+    `action_digest` over the applied actions, so equal digests mean equal trajectories bit for bit.
+    """
+
+    status: Literal["ok", "error"]
+    outcome: Outcome | None = None
+    end_reason: str = ""  # what decided it: "roll", "contact face", "time"
+    error_type: ErrorType | None = None
+    error_text: str = ""  # one line
+
+    waypoints_reached: int = 0
+    waypoints_total: int = 0
+    waypoint_times: tuple[float, ...] = ()  # s of simulated time, one for each reached waypoint
+    steps: int = 0  # control steps
+    sim_seconds: float = 0.0
+    coverage_min: float | None = None  # share of a camera image that the splat covers, 0..1
+    coverage_mean: float | None = None  # None = no camera image was rendered
+    state_digest: str = ""  # hex
+    action_digest: str = ""  # hex
+
+    wall_seconds: float = 0.0  # all of the trial
+    wall: StageSeconds = StageSeconds()
+    cpu: StageSeconds = StageSeconds()  # of the trial's own thread
+    mcap_bytes: int = 0  # 0 = no log was kept
+    mcap_error: str = ""  # why there is no log, although one was asked for
+
+    @property
+    def fraction(self) -> float:
+        """Share of the trail's waypoints reached, 0..1."""
+        return self.waypoints_reached / self.waypoints_total if self.waypoints_total else 0.0

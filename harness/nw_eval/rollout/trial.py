@@ -1,0 +1,109 @@
+"""One trial from seed to result."""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import NwEvalError, PolicyError, TrialError
+from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.episode import PolicyFailedError
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.mcap.trial_log import TrialLog
+from nw_eval.rollout.prepare import OpenTrial, open_trial
+from nw_eval.rollout.recorder import Recorder
+from nw_eval.rollout.result import ErrorType, Outcome, TrialResult
+
+if TYPE_CHECKING:
+    from nw_eval.rollout.job import TrialJob
+
+
+def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
+    """Run one trial and write its log.
+
+    Args:
+        job: which trial, and where its log goes.
+        library: scenes and bundles that this process has loaded already.
+
+    Returns:
+        The result. A fault of policy, physics or of this program is a result with status `error`;
+        it is never raised, and never counted as the policy's failure.
+    """
+    began = perf_counter()
+    clock = StageClock()
+    try:
+        with clock("setup"):
+            trial = open_trial(job, library or Library(), clock)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it costs this trial only.
+        result = failed(TrialResult(status="error"), error)
+    else:
+        with trial:
+            result = _run(trial, clock)
+    return replace(result, wall=clock.wall, cpu=clock.cpu, wall_seconds=perf_counter() - began)
+
+
+def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
+    with clock("log"):
+        log = TrialLog(trial.job.mcap, record=trial.job.record, joints=trial.robot.joints)
+        recorder = Recorder(trial, log, clock)
+    try:
+        with clock("log"):
+            recorder.start()
+        outcome: Outcome | None = None
+        while outcome is None:
+            outcome = recorder.step()
+        result = ended(trial, outcome)
+    except Exception as error:  # noqa: BLE001 - it becomes the trial's result.
+        result = failed(so_far(trial), error)
+    try:
+        with clock("log"):
+            recorder.end(result)
+    except Exception as error:  # noqa: BLE001 - the trial is over: only its log can be lost now.
+        log.lose(OSError(f"its end could not be written: {_one_line(error)}"))
+    return replace(result, mcap_bytes=log.bytes, mcap_error=log.error)
+
+
+def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
+    """Return the result of a trial that ran to an outcome."""
+    reason = trial.episode.end_reason(outcome)
+    return replace(so_far(trial), status="ok", outcome=outcome, end_reason=reason)
+
+
+def failed(so_far: TrialResult, error: Exception) -> TrialResult:
+    """Return the result of a trial that an exception ended."""
+    kind: ErrorType = "crashed"
+    if isinstance(error, PolicyFailedError | PolicyError):
+        kind = "policy_error"
+    elif isinstance(error, TrialError):
+        kind = "physics_error"
+    return replace(so_far, status="error", error_type=kind, error_text=_one_line(error))
+
+
+def so_far(trial: OpenTrial) -> TrialResult:
+    """Return what a trial has come to, with status `error` until it has an outcome."""
+    episode = trial.episode
+    return TrialResult(
+        status="error",
+        waypoints_reached=episode.progress.reached,
+        waypoints_total=episode.progress.total,
+        waypoint_times=episode.progress.times,
+        steps=episode.step,
+        sim_seconds=episode.world.time,
+        coverage_min=episode.coverage.smallest,
+        coverage_mean=episode.coverage.mean,
+        state_digest=episode.states.hex,
+        action_digest=episode.actions.hex,
+    )
+
+
+def _one_line(error: Exception) -> str:
+    """Return an error's text; one that nobody raised on purpose also says where it came from."""
+    text = " ".join(str(error).split())
+    if isinstance(error, NwEvalError):
+        return text
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return f"{type(error).__name__}: {text}{place}"

@@ -1,0 +1,142 @@
+"""The main job from a suite file to a verdict, in real processes; no splats, so it is quick."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from nw_eval import api
+from nw_eval.errors import (
+    IncomparableError,
+    PolicyError,
+    SceneError,
+    StoreError,
+    SuiteError,
+    UsageError,
+)
+from nw_eval.results.parquet import read_rows
+
+SUITE = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: {policy}
+trials: {trials}
+seed: 5
+episode: {{duration: {duration}}}
+scenes: [{scenes}]
+record: none
+gate: {{success_rate: {bar}}}
+"""
+
+
+@pytest.fixture
+def suite(tmp_path, monkeypatch):
+    """Return a writer of suite files in an empty working folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(
+        *, policy="go1-parkour", trials=2, duration=12.0, scenes="hurdles/three_low", bar=0.3
+    ):
+        path = tmp_path / "quick.yaml"
+        path.write_text(
+            SUITE.format(policy=policy, trials=trials, duration=duration, scenes=scenes, bar=bar)
+        )
+        return path
+
+    return write
+
+
+def test_the_shipped_policy_passes_low_bars_and_leaves_the_evidence(suite, tmp_path):
+    # Its README: 0.96 to 1.00 of the waypoints for bars up to 0.25 m.
+    ran = api.run(suite(trials=4, scenes="hurdles/three_low, hurdles/one_low_carpet"))
+    assert ran.verdict.verdict == "PASS"
+    assert ran.verdict.effect >= 0.9
+    assert ran.exit_code == 0
+    assert ran.folder.parent == tmp_path / "reports"
+    for name in ("run.json", "journal.jsonl", "trials.parquet", "report.md"):
+        assert (ran.folder / name).is_file()
+    assert (ran.folder / "report.md").read_text().startswith("# PASS")
+    rows, metadata = read_rows(ran.folder / "trials.parquet")
+    assert len(rows) == 8
+    assert (
+        metadata["rows_digest"] == json.loads((ran.folder / "run.json").read_text())["rows_digest"]
+    )
+    assert "PASS" in ran.summary
+
+
+def test_a_policy_that_does_nothing_scores_zero_and_is_convicted(suite):
+    ran = api.run(suite(policy="stand", trials=4, bar=0.9))
+    assert ran.verdict.effect == 0.0
+    assert {row.outcome for row in ran.rows} == {"stuck"}
+    assert ran.verdict.verdict == "REGRESSED"
+    assert ran.exit_code == 1
+
+
+def test_a_run_can_be_resumed_by_its_folder_alone_and_cannot_be_overwritten(suite, tmp_path):
+    path = suite(trials=2, duration=1.0, bar=0.99)
+    first = api.run(path, out=tmp_path / "run")
+    with pytest.raises(StoreError, match="already holds a run; go on with --resume"):
+        api.run(path, out=tmp_path / "run")
+    (tmp_path / "run" / "trials.parquet").unlink()
+    journal = tmp_path / "run" / "journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
+    again = api.run(None, resume=tmp_path / "run")
+    assert {row.digest for row in again.rows} == {row.digest for row in first.rows}
+
+
+def test_another_policy_does_not_resume_a_run(suite, tmp_path):
+    path = suite(trials=1, duration=1.0)
+    api.run(path, out=tmp_path / "run")
+    with pytest.raises(IncomparableError, match="policy"):
+        api.run(path, policy="stand", resume=tmp_path / "run")
+
+
+def test_more_trials_keep_the_earlier_ones(suite, tmp_path):
+    path = suite(trials=1, duration=1.0)
+    few = api.run(path, out=tmp_path / "run")
+    many = api.run(path, trials=3, resume=tmp_path / "run")
+    assert len(many.rows) == 3
+    assert few.rows[0] in many.rows
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "said"),
+    [
+        ({"trials": 0}, SuiteError, "quick.yaml:5:1: trials"),
+        ({"scenes": "hurdles/three_lo"}, SuiteError, "did you mean 'hurdles/three_low'"),
+        ({"scenes": "./nowhere"}, SceneError, "nowhere"),
+        ({"policy": "go1-parkur"}, PolicyError, "did you mean 'go1-parkour'"),
+    ],
+)
+def test_what_cannot_be_run_is_told_before_anything_runs(suite, tmp_path, settings, error, said):
+    with pytest.raises(error, match=said.replace(".", r"\.")):
+        api.run(suite(**settings))
+    assert not (tmp_path / "reports").exists()
+
+
+def test_a_scene_filter_that_matches_nothing_names_the_nearest_scene(suite):
+    with pytest.raises(UsageError, match="hurdles/three_low"):
+        api.run(suite(), scenes=("three_low",))
+
+
+def test_a_place_that_cannot_be_written_is_an_error_that_names_the_fix(suite, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="choose another folder with --out"):
+        api.run(suite(), out=tmp_path / "file" / "run")
+
+
+def test_check_says_what_would_run_and_runs_nothing(suite, tmp_path):
+    told = api.check(suite(trials=3), workers=2).text
+    assert "3 of 12 s: 1 scenes" in told
+    assert "hurdles/three_low" in told
+    assert "minutes" in told
+    assert not (tmp_path / "reports").exists()
+
+
+def test_the_report_of_a_run_can_be_written_again(suite, tmp_path):
+    ran = api.run(suite(trials=1, duration=1.0))
+    again = api.report(ran.folder, out=tmp_path / "copy.md")
+    assert again.verdict == ran.verdict
+    assert (tmp_path / "copy.md").read_text() == (ran.folder / "report.md").read_text()

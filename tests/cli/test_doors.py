@@ -1,0 +1,52 @@
+"""The command line's manners: light, honest about its verbs, and never a traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from nw_eval import cli
+from nw_eval.errors import SceneError
+
+HEAVY = ("mujoco", "torch", "numba", "onnxruntime", "pyarrow", "pandas", "matplotlib", "numpy")
+
+
+def test_the_command_line_loads_no_heavy_library() -> None:
+    code = f"import nw_eval.cli, sys; print([m for m in {HEAVY!r} if m in sys.modules])"
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert shown.strip() == "[]"
+
+
+def test_help_names_every_verb_and_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        cli.main(["--help"])
+    shown = capsys.readouterr().out
+    assert left.value.code == 0
+    for word in ("run", "check", "report", "replay", "scenes", "schema", "warmup"):
+        assert word in shown
+    for word in ("0 PASS", "1 REGRESSED", "3 INCONCLUSIVE", "5 not comparable"):
+        assert word in " ".join(shown.replace("│", " ").split())
+
+
+def test_a_known_error_is_one_line_and_its_own_exit_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise SceneError("scene 'x' has no floor", fix="add one")
+
+    monkeypatch.setattr("nw_eval.api.list_scenes", fail)
+    with pytest.raises(SystemExit) as left:
+        cli.main(["scenes", "list"])
+    assert left.value.code == 2
+    assert capsys.readouterr().err == "error: scene 'x' has no floor; add one\n"
+
+
+def test_an_unknown_option_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        cli.main(["run", "smoke", "--trails", "3"])
+    assert left.value.code == 2
+    assert "--trials" in capsys.readouterr().err

@@ -1,0 +1,47 @@
+"""The order of a run."""
+
+from collections import Counter
+
+from nw_eval.engine.order import in_order
+from nw_eval.suite.trials import Trial
+
+
+def trials(scenes=5, count=4, suite_digest="a"):
+    return [
+        Trial(
+            suite="s",
+            suite_digest=suite_digest,
+            suite_seed=1,
+            scene=f"hurdles/{k}",
+            scene_digest=f"{k}",
+            task="hurdles",
+            index=index,
+        )
+        for k in range(scenes)
+        for index in range(count)
+    ]
+
+
+def test_a_run_that_is_cut_short_has_met_every_scene_about_equally_often():
+    ordered = in_order(trials())
+    for cut in range(1, 20):
+        met = Counter(trial.scene for trial in ordered[:cut])
+        counts = [met[f"hurdles/{k}"] for k in range(5)]
+        assert max(counts) - min(counts) <= 1
+
+
+def test_the_order_does_not_depend_on_how_trials_are_listed():
+    listed = trials()
+    assert in_order(reversed(listed)) == in_order(listed)
+
+
+def test_rounds_and_suites_meet_the_scenes_in_different_orders():
+    rounds = [tuple(t.scene for t in in_order(trials())[k : k + 5]) for k in (0, 5, 10, 15)]
+    assert len(set(rounds)) > 1
+    other = [trial.scene for trial in in_order(trials(suite_digest="b"))]
+    assert other != [trial.scene for trial in in_order(trials())]
+
+
+def test_more_trials_per_scene_leave_the_earlier_ones_where_they_were():
+    few, many = in_order(trials(count=2)), in_order(trials(count=6))
+    assert many[: len(few)] == few

@@ -1,0 +1,194 @@
+"""A tiny run: the flat room, a fifth of a second a trial, and policies that misbehave."""
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from nw_eval.engine import plan_jobs, run_trials
+from nw_eval.policies import load_bundle
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.run_folder import RunFolder
+from nw_eval.scenes import get_scene
+from nw_eval.suite.model import new_suite
+from nw_eval.suite.trials import expand
+
+SCENE = "flat/carpet_room"
+# Index of delta_yaw among the numbers of `parkour53`: its sign differs from trial to trial.
+DELTA_YAW = 6
+
+
+def chosen_by_sign(if_positive, otherwise):
+    """Return nodes that make `choice` (int64 scalar) of the sign of delta_yaw."""
+    constants = [
+        numpy_helper.from_array(np.array([DELTA_YAW]), "index"),
+        numpy_helper.from_array(np.array([0.0], np.float32), "zero"),
+        numpy_helper.from_array(np.array([if_positive], np.int64), "yes"),
+        numpy_helper.from_array(np.array([otherwise], np.int64), "no"),
+    ]
+    nodes = [
+        helper.make_node("Gather", ["obs", "index"], ["yaw"], axis=1),
+        helper.make_node("Greater", ["yaw", "zero"], ["positive"]),
+        helper.make_node("Where", ["positive", "yes", "no"], ["choices"]),
+        helper.make_node("ReduceMax", ["choices"], ["choice"], keepdims=0),
+    ]
+    return nodes, constants
+
+
+def looping(if_positive, otherwise):
+    """Return a model that counts up to one of two numbers before it answers with zeros."""
+    nodes, constants = chosen_by_sign(if_positive, otherwise)
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["go_on"], ["go_on_out"]),
+            helper.make_node("Sin", ["value"], ["value_out"]),
+        ],
+        "body",
+        [
+            helper.make_tensor_value_info("i", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go_on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("value", TensorProto.FLOAT, [1, 12]),
+        ],
+        [
+            helper.make_tensor_value_info("go_on_out", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("value_out", TensorProto.FLOAT, [1, 12]),
+        ],
+    )
+    constants += [
+        numpy_helper.from_array(np.array(True), "always"),
+        numpy_helper.from_array(np.zeros((1, 12), np.float32), "start"),
+    ]
+    nodes.append(helper.make_node("Loop", ["choice", "always", "start"], ["action"], body=body))
+    return nodes, constants
+
+
+def going_nan(if_positive):
+    """Return a model that answers with NaN in some trials, in all of them or in none."""
+    nodes, constants = chosen_by_sign(0 if if_positive else 1, 1)
+    constants.append(numpy_helper.from_array(np.zeros((1, 12), np.float32), "numerator"))
+    nodes += [
+        helper.make_node("Cast", ["choice"], ["denominator"], to=TensorProto.FLOAT),
+        helper.make_node("Div", ["numerator", "denominator"], ["action"]),
+    ]
+    return nodes, constants
+
+
+MODELS = {
+    "slow": lambda: looping(20_000, 20_000),  # takes some time
+    "hangs": lambda: looping(10**13, 1),  # in trials that start with the waypoint on the left
+    "nan": lambda: going_nan(if_positive=True),
+    "fine": lambda: going_nan(if_positive=False),
+}
+
+CARD = """\
+nw-policy: 1
+name: {name}
+robot: go1
+adapter: onnx
+checkpoint: {{file: policy.onnx, sha256: {sha256}}}
+control: {{action: joint_position_offset, scale: 0.25, delay_steps: 1}}
+observations:
+  proprio: {{sensor: proprio, layout: parkour53}}
+"""
+
+
+def write_bundle(folder, name):
+    """Write a bundle of one of the models, and return its folder."""
+    nodes, constants = MODELS[name]()
+    graph = helper.make_graph(
+        nodes,
+        name,
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 53])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [1, 12])],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    onnx.checker.check_model(model)
+    folder.mkdir(parents=True)
+    data = model.SerializeToString()
+    (folder / "policy.onnx").write_bytes(data)
+    digest = hashlib.sha256(data).hexdigest()
+    (folder / "policy.yaml").write_text(CARD.format(name=name, sha256=digest))
+    return folder
+
+
+class Ears:
+    """A listener that remembers."""
+
+    def __init__(self):
+        self.messages = []
+        self.rows = []
+
+    def message(self, text):
+        self.messages.append(text)
+
+    def scene(self, name, fraction):
+        pass
+
+    def planned(self, *, total, finished):
+        self.total, self.already = total, finished
+
+    def trial(self, row):
+        self.rows.append(row)
+
+
+@dataclass
+class TinyRun:
+    """A run of one scene: its jobs, its folder, and what was heard."""
+
+    folder: RunFolder
+    jobs: tuple
+    header: JournalHeader
+    policy: str
+    ears: Ears = field(default_factory=Ears)
+
+    def go(self, *, workers=2, resume=False):
+        open_journal = Journal.resume if resume else Journal.create
+        with open_journal(self.folder.journal, self.header) as journal:
+            return run_trials(
+                self.jobs,
+                journal=journal,
+                folder=self.folder,
+                policy=self.policy,
+                workers=workers,
+                listener=self.ears,
+            )
+
+
+@pytest.fixture
+def tiny_run(tmp_path):
+    """Return a maker of runs: `tiny_run("slow", trials=4)`."""
+
+    def make(model, *, name="run", trials=4, duration=0.2, time_limit=60.0, record="none"):
+        bundles: Path = tmp_path / "policies" / model
+        if not bundles.exists():
+            write_bundle(bundles, model)
+        bundle = load_bundle(bundles)
+        suite = new_suite(
+            {
+                "nw-eval": 1,
+                "name": "tiny",
+                "robot": "go1",
+                "policy": str(bundles),
+                "trials": trials,
+                "seed": 7,
+                "episode": {"duration": duration},
+                "scenes": [SCENE],
+                "record": record,
+            }
+        )
+        folder = RunFolder(path=tmp_path / name)
+        scene = get_scene(SCENE)
+        jobs = plan_jobs(suite, expand(suite, [scene]), bundle, folder, time_limit=time_limit)
+        header = JournalHeader(
+            suite_digest=suite.digest,
+            policy_digest=bundle.digest,
+            scene_digests={scene.name: scene.digest},
+        )
+        return TinyRun(folder=folder, jobs=jobs, header=header, policy=bundle.name)
+
+    return make

@@ -1,0 +1,46 @@
+"""Policies that hang or answer nonsense cost their own trials, as errors, and nothing else."""
+
+import time
+
+
+def by_status(outcome):
+    groups = {"ok": [], "error": []}
+    for row in outcome.rows:
+        groups[row.status].append(row)
+    return groups["ok"], groups["error"]
+
+
+def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
+    run = tiny_run("hangs", trials=4, time_limit=2.0)
+    began = time.perf_counter()
+    outcome = run.go(workers=2)
+    ok, hung = by_status(outcome)
+    assert len(ok) + len(hung) == 4
+    assert ok, "no trial of the panel starts with the waypoint on the right"
+    assert hung, "no trial of the panel starts with the waypoint on the left"
+    assert {row.outcome for row in hung} == {"hung"}
+    assert {row.fraction for row in hung} == {None}
+    assert {row.attempt for row in hung} == {2}, "an error is tried once more"
+    assert {row.attempt for row in ok} == {1}
+    assert "2 s" in hung[0].error_text
+    assert time.perf_counter() - began < 60.0
+
+
+def test_a_nan_action_is_an_error_of_the_policy_and_not_a_failure(tiny_run):
+    run = tiny_run("nan", trials=4)
+    ok, wrong = by_status(run.go(workers=1))
+    assert ok
+    assert wrong
+    assert {row.outcome for row in wrong} == {"policy_error"}
+    assert all("nan" in row.error_text for row in wrong)
+    assert all("\n" not in row.error_text for row in wrong)
+    assert all(row.mcap_bytes > 0 for row in wrong), "the log of an error is evidence"
+
+
+def test_an_error_is_announced_once_and_its_retry_counts_as_the_trial(tiny_run):
+    run = tiny_run("nan", trials=4)
+    outcome = run.go(workers=1)
+    _, wrong = by_status(outcome)
+    again = [text for text in run.ears.messages if "again in a fresh process" in text]
+    assert len(again) == len(wrong)
+    assert sorted(row.trial_id for row in run.ears.rows) == sorted(job.trial.id for job in run.jobs)

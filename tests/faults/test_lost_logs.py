@@ -1,0 +1,87 @@
+"""A log that cannot be written costs the log; a journal that cannot be written ends the run."""
+
+import resource
+from contextlib import contextmanager
+
+import pytest
+
+from nw_eval.errors import StoreError
+from nw_eval.results.journal import read_journal
+from nw_eval.results.row import MEASURED, rows_digest, to_dict
+
+
+@contextmanager
+def file_size_limit(size):
+    """Let no process started in the block write a file longer than `size` bytes.
+
+    It fails with EFBIG where a full disk fails with ENOSPC; both are an OSError of `write`.
+    """
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_log_that_does_not_fit_the_disk_costs_the_log_and_not_the_trial(tiny_run):
+    run = tiny_run("fine", name="full", trials=2)
+    with file_size_limit(8_000):
+        outcome = run.go(workers=1)
+    assert [row.status for row in outcome.rows] == ["ok", "ok"]
+    assert {(row.mcap_path, row.mcap_bytes) for row in outcome.rows} == {("", 0)}
+    lost = [text for text in run.ears.messages if "log is lost" in text]
+    assert len(lost) == 2
+    assert "File too large" in lost[0]
+    assert "--out" in lost[0]
+    assert not list(run.folder.path.glob("mcap/**/*.mcap*")), "a torn log only fills the disk"
+    with_logs = tiny_run("fine", name="roomy", trials=2).go(workers=1)
+    assert rows_digest(outcome.rows) == rows_digest(with_logs.rows)
+
+
+def test_a_folder_that_cannot_be_made_costs_the_logs_and_not_the_trials(tiny_run):
+    run = tiny_run("fine", trials=2)
+    run.folder.path.mkdir()
+    (run.folder.path / "mcap").write_text("in the way")
+    outcome = run.go(workers=1)
+    assert [row.status for row in outcome.rows] == ["ok", "ok"]
+    assert len([text for text in run.ears.messages if "log is lost" in text]) == 2
+
+
+def test_a_splat_that_only_the_log_wants_costs_the_log_and_not_the_trial(
+    tiny_run, tmp_path, monkeypatch
+):
+    (tmp_path / "cache").write_text("in the way of the folder")
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    run = tiny_run("fine", trials=2, record="failures")
+    outcome = run.go(workers=1)
+    assert [row.status for row in outcome.rows] == ["ok", "ok"]
+    lost = [text for text in run.ears.messages if "log is lost" in text]
+    assert len(lost) == 2
+    assert "camera failed" in lost[0]
+
+
+def test_a_full_disk_under_the_journal_ends_the_run_and_keeps_what_is_finished(tiny_run):
+    run = tiny_run("fine", name="full", trials=4)
+    with file_size_limit(3_000), pytest.raises(StoreError, match="finished trials are kept"):
+        run.go(workers=1)
+    kept = read_journal(run.folder.journal).rows
+    assert 0 < len(kept) < 4
+    outcome = run.go(resume=True)
+    assert len(outcome.rows) == 4
+    whole = tiny_run("fine", name="whole", trials=4).go(workers=1)
+    assert rows_digest(outcome.rows) == rows_digest(whole.rows)
+
+
+def test_one_and_two_workers_give_the_same_rows_but_for_wall_times(tiny_run):
+    one = tiny_run("fine", name="one", trials=10).go(workers=1)
+    two = tiny_run("fine", name="two", trials=10).go(workers=2)
+    unmeasured = [
+        [
+            {name: value for name, value in to_dict(row).items() if name not in MEASURED}
+            for row in sorted(outcome.rows, key=lambda row: row.trial_id)
+        ]
+        for outcome in (one, two)
+    ]
+    assert unmeasured[0] == unmeasured[1]
+    assert len({row.state_digest for row in one.rows}) == 10, "ten seeds, ten trajectories"

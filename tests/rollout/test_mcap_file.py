@@ -1,0 +1,97 @@
+"""The file under a trial's log."""
+
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from nw_eval.rollout.library import Recent
+from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
+
+
+def topics(path):
+    with path.open("rb") as stream:
+        return [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+
+
+def test_the_file_appears_under_its_name_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "deep" / "trial.mcap"
+    file = McapFile(path, images="keep")
+    file.add("/log", 0, Log(message="hello"))
+    assert not path.exists()
+    size = file.close()
+    assert path.stat().st_size == size
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_discarded_file_leaves_nothing(tmp_path):
+    file = McapFile(tmp_path / "trial.mcap", images="keep")
+    file.add("/log", 0, Log(message="hello"))
+    file.discard()
+    file.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("images", "keep", "found"),
+    [
+        ("keep", True, ["/log", "/camera/ego", "/log"]),
+        ("decide", True, ["/log", "/camera/ego", "/log"]),
+        ("decide", False, ["/log", "/log"]),
+        ("drop", True, ["/log", "/log"]),
+    ],
+)
+def test_images_are_kept_decided_on_or_dropped_and_order_stays(tmp_path, images, keep, found):
+    path = tmp_path / "trial.mcap"
+    made = []
+    file = McapFile(path, images=images)
+    file.add("/log", 0, Log(message="before"))
+    file.add_image("/camera/ego", 1, lambda: made.append(1) or Log(message="a picture"))
+    file.add("/log", 2, Log(message="after"))
+    file.settle(keep_images=keep)
+    file.close()
+    assert topics(path) == found
+    assert bool(made) == ("/camera/ego" in found), "a picture is made only to be kept"
+
+
+def test_a_message_that_waits_is_the_one_that_was_added(tmp_path):
+    path = tmp_path / "trial.mcap"
+    template = Log(message="first")
+    file = McapFile(path, images="decide")
+    file.add("/log", 0, template)
+    template.message = "second"
+    file.add("/log", 1, template)
+    file.settle(keep_images=False)
+    file.close()
+    with path.open("rb") as stream:
+        read = [Log.FromString(m.data).message for _, _, m in make_reader(stream).iter_messages()]
+    assert read == ["first", "second"]
+
+
+def test_whole_chunks_of_a_log_whose_writer_died_can_be_read(tmp_path):
+    rng = np.random.default_rng(0)
+    file = McapFile(tmp_path / "trial.mcap", images="keep")
+    for k in range(22):
+        file.add("/log", k, Log(message=rng.bytes(CHUNK_BYTES // 10).hex()))
+    with file.partial.open("rb") as stream:
+        records = StreamReader(stream, emit_chunks=False).records
+        found = iter(records)
+        seen = 0
+        with suppress(EndOfFile):  # The file stops where its writer did.
+            while record := next(found, None):
+                seen += isinstance(record, Message)
+    file.discard()
+    assert 10 <= seen < 22
+
+
+def test_only_the_values_used_last_are_kept():
+    made = []
+    recent = Recent(2, lambda key: made.append(key) or key.upper())
+    assert [recent(key) for key in "abacab"] == list("ABACAB")
+    # `b` was used longest ago when `c` came, and is made again at the end.
+    assert made == ["a", "b", "c", "b"]
