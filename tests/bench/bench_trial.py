@@ -1,0 +1,119 @@
+"""One trial on one core: what each stage costs, against simulated time.
+
+The shipped policy with a camera added to its card: 160 x 90 splat images at 10 Hz beside scandots
+and proprioception at 50 Hz, logging with every image. Thread CPU time, so that a busy machine
+changes the figures little.
+
+    python tests/bench/bench_trial.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from dataclasses import astuple, fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import onnx
+from onnx import TensorProto, helper
+
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.result import StageSeconds
+from nw_eval.rollout.trial import run_trial
+from nw_eval.shipped import shipped
+from nw_eval.splat.store import open_store
+from nw_eval.suite.trials import Trial
+
+SCENES = ("hurdles/three_low", "hurdles/two_logs_park", "hurdles/one_low_carpet")
+TRIALS = 3
+WANTED = 6.0  # times real time
+CAMERA = "  rgb: {sensor: splat_rgb, width: 160, height: 90, rate: 10}\n"
+INPUTS = "inputs: {obs: [proprio, scandots, last_output, history], image: [rgb]}\n"
+
+
+def write_seeing_bundle(folder: Path) -> Path:
+    """Write the shipped bundle with a camera, whose images its network takes and ignores."""
+    source = shipped("policies") / "go1-parkour"
+    model = onnx.load(str(source / "policy.onnx"))
+    image = helper.make_tensor_value_info("image", TensorProto.UINT8, [1, 90, 160, 3])
+    model.graph.input.append(image)
+    data = model.SerializeToString()
+    (folder / "policy.onnx").write_bytes(data)
+    card = (source / "policy.yaml").read_text()
+    old = hashlib.sha256((source / "policy.onnx").read_bytes()).hexdigest()
+    card = card.replace(old, hashlib.sha256(data).hexdigest())
+    (folder / "policy.yaml").write_text(card.rstrip() + "\n" + CAMERA + INPUTS)
+    return folder
+
+
+def measure(folder: Path) -> tuple[StageSeconds, float, int]:
+    """Return CPU seconds by stage, simulated seconds, and the mean number of Gaussians."""
+    policy = str(write_seeing_bundle(folder))
+    library = Library()
+    digest = library.bundle(policy, None).checkpoint_sha256
+    total = [0.0] * len(fields(StageSeconds))
+    simulated = 0.0
+    gaussians = []
+    for name in SCENES:
+        scene = library.scene(name)
+        gaussians.append(open_store(scene.splat_store()).count)
+        for index in range(TRIALS + 1):
+            trial = Trial(
+                suite="bench",
+                suite_digest="0" * 64,
+                suite_seed=1,
+                scene=scene.name,
+                scene_digest=scene.digest,
+                task=scene.task,
+                index=index,
+            )
+            job = TrialJob(
+                trial=trial,
+                robot="go1",
+                duration=12.0,
+                scene=name,
+                policy=policy,
+                checkpoint_digest=digest,
+                record="all",
+                mcap=folder / f"{trial.id}.mcap",
+            )
+            result = run_trial(job, library=library)
+            assert result.status == "ok", result.error_text
+            if index:  # The first one loads and compiles.
+                total = [a + b for a, b in zip(total, astuple(result.cpu), strict=True)]
+                simulated += result.sim_seconds
+    names = (field.name for field in fields(StageSeconds))
+    stages = StageSeconds(**dict(zip(names, total, strict=True)))
+    return stages, simulated, round(sum(gaussians) / len(gaussians))
+
+
+def table() -> float:
+    """Print the table; return how many times faster than real time."""
+    with TemporaryDirectory() as place:
+        cpu, simulated, gaussians = measure(Path(place))
+    spent = sum(astuple(cpu))
+    print(
+        f"\none trial, one core, {gaussians:,} Gaussians, 160x90 at 10 Hz, control at 50 Hz, log on"
+    )
+    print(f"{'stage':10} {'ms per simulated s':>20} {'s per 12 s trial':>18} {'share':>7}")
+    for field in fields(StageSeconds):
+        seconds = getattr(cpu, field.name)
+        print(
+            f"{field.name:10} {1000 * seconds / simulated:20.2f} {12 * seconds / simulated:18.3f}"
+            f" {seconds / spent:7.1%}"
+        )
+    print(
+        f"{'all':10} {1000 * spent / simulated:20.2f} {12 * spent / simulated:18.3f} {1:7.1%}"
+        f"   {simulated / spent:.1f} times real time"
+    )
+    return simulated / spent
+
+
+def test_a_trial_with_a_camera_runs_six_times_faster_than_real_time():
+    assert table() >= WANTED
+
+
+if __name__ == "__main__":
+    sys.exit(0 if table() >= WANTED else 1)
