@@ -34,6 +34,7 @@ _VIEW = (400, 225)
 _EGO = "ego"
 _ROBOT = "go1"
 _LABEL = 22  # pixels
+_SETTLING = 40  # control steps until a robot that was put down stands
 
 
 def write_contact_sheet(recording: Recording, path: Path) -> None:
@@ -75,6 +76,8 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
     for scene in scenes:
         spectator = Spectator(scene, open_renderer(open_store(scene.splat_store()), "cpu"))
         with World(robot, scene) as world:
+            for _ in range(_SETTLING):
+                world.step(robot.default_pose)
             views = [
                 spectator.beside(world, scene.trail, width=width, height=height),
                 spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
@@ -89,11 +92,9 @@ def _write(path: Path, cells: list[tuple[str, list[Bytes]]], *, rows: int, acros
     cell_height = _LABEL + rows * view_height
     down = -(-len(cells) // across)
     sheet = PillowImage.new("RGB", (across * view_width, down * cell_height), "white")
-    pen = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=_LABEL - 8)
     for number, (label, views) in enumerate(cells):
         x, y = number % across * view_width, number // across * cell_height
-        pen.text((x + 6, y + 3), label, fill="black", font=font)
+        sheet.paste(_label(label, view_width), (x, y))
         for row, view in enumerate(views):
             sheet.paste(PillowImage.fromarray(view), (x, y + _LABEL + row * view_height))
     try:
@@ -103,3 +104,15 @@ def _write(path: Path, cells: list[tuple[str, list[Bytes]]], *, rows: int, acros
         raise StoreError(
             f"cannot write {path}: {error.strerror or error}", fix="choose another --out"
         ) from error
+
+
+def _label(text: str, width: int) -> PillowImage.Image:
+    """Return a strip of text, cut off with an ellipsis where it does not fit."""
+    strip = PillowImage.new("RGB", (width, _LABEL), "white")
+    font = ImageFont.load_default(size=_LABEL - 8)
+    room, cut = width - 12, text
+    while cut and font.getlength(cut if cut == text else f"{cut}...") > room:
+        cut = cut[:-1]
+    shown = text if cut == text else f"{cut}..."
+    ImageDraw.Draw(strip).text((6, 3), shown, fill="black", font=font)
+    return strip
