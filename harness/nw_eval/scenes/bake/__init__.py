@@ -1,0 +1,1 @@
+"""From a place to Gaussians: sampling, paint, light, leaves, sky."""

@@ -1,0 +1,1 @@
+"""Materials: colour as a function of where one looks, procedural and seeded."""

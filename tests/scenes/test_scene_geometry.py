@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from nw_eval.scenes import get_scene, names
+from nw_eval.scenes.catalogue import _BY_NAME
+from nw_eval.scenes.mesh import box_mesh
+from nw_eval.scenes.paint.registry import is_known
+from nw_eval.scenes.places.crowns import crown_mesh
+from nw_eval.scenes.places.parts import Crown
+from nw_eval.scenes.rays import RayScene
+
+
+@pytest.fixture(params=names())
+def scene(request):
+    return get_scene(request.param)
+
+
+def _corners(points):
+    return frozenset(tuple(point) for point in np.round(points, 6) + 0.0)
+
+
+def _faces_of(box):
+    return box_mesh(box.center, box.half_size, box.quat, box.kind).triangles
+
+
+def test_every_solid_has_exactly_its_faces_in_the_mesh(scene):
+    # A face is two triangles, split along either diagonal: compare the four corners of faces.
+    corners = [_corners(triangle) for triangle in scene.mesh().triangles]
+    quads = {one | two for one, two in pairwise(corners) if len(one | two) == 4}
+    for box in scene.solids:
+        for face in _faces_of(box).reshape(6, 6, 3):
+            assert _corners(face) in quads, box
+
+
+def test_height_rays_on_bars_meet_their_tops(scene):
+    rays = RayScene(scene.mesh())
+    rng = np.random.default_rng(1)
+    for box in scene.solids:
+        if box.kind != "obstacle":
+            continue
+        at = np.array(box.center[:2]) + (rng.random((50, 2)) - 0.5) * 1.98 * np.array(
+            box.half_size[:2]
+        )
+        assert np.allclose(rays.height(at), box.center[2] + box.half_size[2], atol=1e-6)
+
+
+def test_waypoints_lie_on_what_is_beneath_them_wherever_noise_moves_them(scene):
+    rays = RayScene(scene.mesh())
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            moved = scene.trail[:, :2] + np.array([dx, dy]) * scene.waypoint_noise
+            assert np.allclose(rays.height(moved), scene.trail[:, 2], atol=1e-6)
+    assert scene.trail[-1, 2] == 0.0
+
+
+def test_nothing_stands_within_half_a_metre_of_the_spawn(scene):
+    rays = RayScene(scene.mesh())
+    x, y = np.meshgrid(np.linspace(-0.6, 0.6, 41), np.linspace(-0.5, 0.5, 41))
+    assert np.all(rays.height(np.stack([x.ravel(), y.ravel()], axis=1)) == 0.0)
+    level = np.stack([np.zeros(360), np.zeros(360), np.full(360, 0.25)], axis=1)
+    angle = np.radians(np.arange(360))
+    ways = np.stack([np.cos(angle), np.sin(angle), np.zeros(360)], axis=1)
+    assert rays.cast(level, ways)[0].min() > 0.6
+
+
+def test_the_trail_is_free_of_clutter(scene):
+    rays = RayScene(scene.mesh())
+    x, y = np.meshgrid(
+        np.arange(-0.4, scene.trail[-1, 0] + 0.4, 0.05), np.linspace(-0.45, 0.45, 19)
+    )
+    found = rays.height(np.stack([x.ravel(), y.ravel()], axis=1))
+    tops = [0.0, *(2 * box.half_size[2] for box in scene.solids if box.kind == "obstacle")]
+    assert np.abs(found[:, None] - np.array(tops)).min(axis=1).max() < 1e-6
+
+
+def test_the_meshes_of_boxes_and_crowns_are_watertight():
+    crown = Crown(center=(0, 0, 2), radii=(1, 2, 0.5), material="leaves/oak")
+    box = box_mesh((1, 2, 3), (0.1, 0.2, 0.3), (0.9, 0.1, 0.2, 0.3), "obstacle")
+    for mesh in (box, crown_mesh(crown)):
+        edges = Counter(
+            (int(a), int(b))
+            for face in mesh.faces
+            for a, b in zip(face, np.roll(face, -1), strict=True)
+        )
+        assert set(edges.values()) == {1}
+        assert all((b, a) in edges for a, b in edges)
+        # Closed and counter-clockwise from outside: the signed volume is positive.
+        t = mesh.triangles
+        assert np.einsum("ij,ij->i", t[:, 0], np.cross(t[:, 1], t[:, 2])).sum() > 0
+
+
+def test_without_collisions_nothing_but_the_ground_is_left_to_touch():
+    scene = get_scene("hurdles/three_low")
+    ghost = scene.without_collisions()
+    assert ghost.solids == ()
+    assert ghost.mesh() is scene.mesh()
+    assert ghost.digest != scene.digest
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_material_that_a_place_names_is_known(name):
+    place = _BY_NAME[name].place()
+    used = {patch.material for patch in place.patches}
+    used |= {decal.material for patch in place.patches for decal in patch.decals}
+    used |= {part.material for part in (*place.crowns, *place.lawns)}
+    assert {material for material in used if not is_known(material)} == set()
+
+
+def test_patches_are_parallelograms_with_right_angles_unless_they_lean():
+    # Textures are laid along u and across it; a very slanted patch would shear them.
+    for name in names():
+        for patch in _BY_NAME[name].place().patches:
+            u, v = np.array(patch.u), np.array(patch.v)
+            slant = abs(u @ v) / np.linalg.norm(u) / np.linalg.norm(v)
+            assert slant < 0.8, (name, patch)
