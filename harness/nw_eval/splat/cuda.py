@@ -1,0 +1,126 @@
+"""The CUDA backend: gsplat, given the same compiled Gaussians as the CPU renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.splat.camera import Camera
+from nw_eval.splat.image import Image
+from nw_eval.splat.layout import unpack
+from nw_eval.splat.pixels import Pixels
+from nw_eval.splat.presets import PresetName, get_preset
+from nw_eval.splat.store import Store
+
+_TILE = 16
+
+
+class CudaRenderer:
+    """Renders with gsplat on a CUDA device; the contract is CpuRenderer's.
+
+    Covariances, opacities and harmonics come from the store, so both backends draw the same
+    numbers. A pixel set is cut from the full image: on a GPU the rest of it costs little.
+
+    Args:
+        store: what to render.
+        preset: which gsplat; it must be the one installed, since they do not render alike.
+        antialiased: compensate opacity for the blur of small splats.
+        background: colour behind everything.
+        device: torch device.
+
+    Raises:
+        PrerequisiteError: when gsplat, its version or a device is missing.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        preset: PresetName = "gsplat-1.5",
+        antialiased: bool = True,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        device: str = "cuda",
+    ) -> None:
+        torch, self._rasterize, version = _load()
+        if preset.removeprefix("gsplat-") != ".".join(version.split(".")[:2]):
+            wanted = preset.removeprefix("gsplat-")
+            raise PrerequisiteError(
+                f"preset {preset} needs gsplat {wanted}, installed is {version}",
+                fix=f"pip install 'gsplat=={wanted}.*' or choose its preset",
+            )
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise PrerequisiteError(
+                "torch finds no CUDA device", fix="use --render cpu, or a machine with one"
+            )
+        self.store = store
+        self._torch, self._device = torch, device
+        self._preset, self._antialiased = get_preset(preset), antialiased
+        self._background = np.asarray(background, dtype=np.float32)
+        self._sh_degree = {1: 0, 4: 1, 9: 2, 16: 3}[store.sh_count]
+        splats = unpack(store.layout)
+        self._means = torch.as_tensor(splats.means, device=device)
+        self._covariances = torch.as_tensor(splats.covariances, device=device)
+        self._opacities = torch.as_tensor(splats.opacities, device=device)
+        self._sh = torch.as_tensor(splats.sh, device=device)
+
+    def render(self, camera: Camera, pixels: Pixels = Pixels()) -> Image:  # noqa: B008 (frozen)
+        """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
+
+        Raises:
+            UsageError: when the pixel set takes no pixel of the image.
+        """
+        if pixels.count(camera.width) == 0 or pixels.count(camera.height) == 0:
+            raise UsageError(f"{pixels} takes no pixel of {camera.width}x{camera.height}")
+        torch = self._torch
+        view = camera.T_camera_world.astype(np.float32)
+        K = np.array(
+            [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float32
+        )
+        with torch.no_grad():
+            colours, alphas, _ = self._rasterize(
+                means=self._means,
+                quats=None,
+                scales=None,
+                covars=self._covariances,
+                opacities=self._opacities,
+                colors=self._sh,
+                sh_degree=self._sh_degree,
+                viewmats=torch.as_tensor(view, device=self._device)[None],
+                Ks=torch.as_tensor(K, device=self._device)[None],
+                width=camera.width,
+                height=camera.height,
+                near_plane=camera.near,
+                far_plane=camera.far,
+                eps2d=self._preset.eps2d,
+                radius_clip=0.0,
+                packed=False,
+                tile_size=_TILE,
+                render_mode="RGB+ED",
+                rasterize_mode="antialiased" if self._antialiased else "classic",
+            )
+        # The background is added here: versions differ in how many channels they want of it.
+        values = colours[0].float().cpu().numpy()
+        alpha = alphas[0, ..., 0].float().cpu().numpy()
+        rgb = values[..., :3] + (1.0 - alpha)[..., None] * self._background
+        return Image(
+            rgb=np.ascontiguousarray(pixels.crop(rgb), dtype=np.float32),
+            depth=np.ascontiguousarray(pixels.crop(values[..., 3])),
+            alpha=np.ascontiguousarray(pixels.crop(alpha)),
+        )
+
+
+def _load() -> tuple[Any, Callable[..., Any], str]:
+    """Return torch, gsplat's rasterization and gsplat's version."""
+    try:
+        import torch
+
+        gsplat: Any = import_module("gsplat")
+    except ImportError as error:
+        raise PrerequisiteError(
+            f"the cuda renderer needs the package {error.name}", fix="pip install 'nw-eval[cuda]'"
+        ) from error
+    return torch, gsplat.rasterization, gsplat.__version__

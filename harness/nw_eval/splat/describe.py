@@ -1,0 +1,91 @@
+"""What a splat file holds, in numbers that a person wants first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.quantise import sigmoid
+
+_BAR = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """Figures of a set of Gaussians.
+
+    Attributes:
+        count: all of them.
+        visible: those with opacity of at least 1/255 and finite values.
+        not_finite: those with a value that is not finite.
+        sh_degree: degree of the harmonics, 0 to 3.
+        bounds: (low, high) corners of all finite centres, x y z each.
+        bulk: the same for the middle 98 % along each axis: floaters left out.
+        scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.
+        opacity_histogram: how many have opacity in each tenth of 0..1.
+    """
+
+    count: int
+    visible: int
+    not_finite: int
+    sh_degree: int
+    bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    bulk: tuple[tuple[float, ...], tuple[float, ...]]
+    scale_percentiles: tuple[float, float, float]
+    opacity_histogram: tuple[int, ...]
+
+    def lines(self) -> list[str]:
+        """Return the figures as lines of text, the histogram as bars."""
+        most = max(*self.opacity_histogram, 1)
+        text = [
+            f"Gaussians  {self.count:,} ({self.visible:,} visible, {self.not_finite:,} not finite)",
+            f"harmonics  degree {self.sh_degree}",
+            f"bounds     {_box(self.bounds)}",
+            f"bulk (98%) {_box(self.bulk)}",
+            "size       1% {:.4g}, median {:.4g}, 99% {:.4g}".format(*self.scale_percentiles),
+            "opacity",
+        ]
+        for i, number in enumerate(self.opacity_histogram):
+            bar = "#" * round(_BAR * number / most)
+            text.append(f"  {i / 10:.1f}-{(i + 1) / 10:.1f} {number:>10,} {bar}".rstrip())
+        return text
+
+
+def describe(gaussians: Gaussians) -> Description:
+    """Return the figures of a set of Gaussians."""
+    finite = np.isfinite(gaussians.means).all(axis=1)
+    centres = gaussians.means[finite]
+    if len(centres) == 0:
+        centres = np.zeros((1, 3), dtype=np.float32)
+    for values in (gaussians.log_scales, gaussians.quats):
+        finite &= np.isfinite(values).all(axis=1)
+    finite &= np.isfinite(gaussians.opacity_logits) & np.isfinite(gaussians.sh).all(axis=(1, 2))
+    opacity = sigmoid(gaussians.opacity_logits[finite])
+    largest = np.exp(np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0))
+    percentiles = np.percentile(largest, [1, 50, 99]) if len(largest) else np.zeros(3)
+    return Description(
+        count=len(gaussians),
+        visible=int((opacity >= 1.0 / 255.0).sum()),
+        not_finite=int((~finite).sum()),
+        sh_degree=gaussians.sh_degree,
+        bounds=(_point(centres.min(axis=0)), _point(centres.max(axis=0))),
+        bulk=(
+            _point(np.percentile(centres, 1, axis=0)),
+            _point(np.percentile(centres, 99, axis=0)),
+        ),
+        scale_percentiles=(float(percentiles[0]), float(percentiles[1]), float(percentiles[2])),
+        opacity_histogram=tuple(np.histogram(opacity, bins=10, range=(0.0, 1.0))[0].tolist()),
+    )
+
+
+def _point(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
+
+
+def _box(corners: tuple[tuple[float, ...], tuple[float, ...]]) -> str:
+    low, high = corners
+    return "  ".join(
+        f"{axis} {a:.3f} to {b:.3f}" for axis, a, b in zip("xyz", low, high, strict=True)
+    )

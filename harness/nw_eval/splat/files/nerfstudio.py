@@ -1,0 +1,59 @@
+"""A splatfacto export of nerfstudio: splat.ply in the trainer's frame, and the way back from it.
+
+dataparser_transforms.json holds {"transform": 3x4 [R | t], "scale": s} with
+x_trainer = s (R x_capture + t). The exporter leaves splat.ply in the trainer's frame; reading the
+folder brings it back to the frame of the capture (COLMAP's or the device's).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.splat.files.ply import Ply
+from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply
+from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.transform import transformed
+
+_TRANSFORMS = "dataparser_transforms.json"
+_FIX = "give the folder that `ns-export gaussian-splat` wrote, with that file beside splat.ply"
+
+
+def read_nerfstudio(folder: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
+    """Read a splatfacto export in the frame of the capture.
+
+    Raises:
+        SceneError: when a part is missing or the transform is no similarity.
+    """
+    clouds = sorted(folder.glob("*.ply"))
+    cloud = folder / "splat.ply" if folder / "splat.ply" in clouds else None
+    if cloud is None and len(clouds) == 1:
+        cloud = clouds[0]
+    if cloud is None:
+        raise SceneError(f"{folder}: {len(clouds)} .ply files, none is splat.ply", fix=_FIX)
+    T_trainer_capture = _read_transform(folder / _TRANSFORMS)
+    gaussians = read_threedgs_ply(Ply.open(cloud), rest_order=rest_order)
+    return transformed(gaussians, np.linalg.inv(T_trainer_capture).astype(np.float64))
+
+
+def _read_transform(path: Path) -> NDArray[np.float64]:
+    """(4, 4) of a similarity from capture to trainer."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        matrix = np.array(content["transform"], dtype=np.float64)
+        scale = float(content["scale"])
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}", fix=_FIX) from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise SceneError(f"{path}: no transform and scale in it ({error!r})", fix=_FIX) from error
+    if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        raise SceneError(f"{path}: transform has shape {matrix.shape}", fix="it must be 3x4")
+    if not (np.isfinite(scale) and scale > 0):
+        raise SceneError(f"{path}: scale is {scale}", fix="it must be positive")
+    T = np.eye(4)
+    T[:3] = scale * matrix[:3]
+    return T

@@ -1,0 +1,112 @@
+"""The PLY file of 3DGS: one row of floats for each Gaussian.
+
+Columns x y z, f_dc_0..2, f_rest_0.., opacity (logit), scale_0..2 (logarithms), rot_0..3 (w x y z);
+found by name, others ignored. f_rest comes in two arrangements. Everyone's is channel-major: all
+red coefficients, then green, then blue. The published Neverwhere toolchain writes
+coefficient-major: red, green, blue of the first coefficient, then of the second. Nothing in such
+a file says so, but the three channels of a coefficient resemble one another much more than any
+other three values, which tells the two apart.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.splat.files.ply import Ply
+from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+
+RestOrder = Literal["detect", "channel", "coefficient"]
+"""How f_rest is arranged: channel-major, coefficient-major, or to be found out."""
+
+_SAMPLE = 20_000
+_MARGIN = 0.8
+_COMMENT = "f_rest order: channel"
+
+
+def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussians:
+    """Read a 3DGS PLY file.
+
+    Raises:
+        SceneError: for missing columns or a number of f_rest that is no degree of harmonics.
+    """
+    if "vertex" not in ply.elements:
+        raise SceneError(f"{ply.path}: has no element vertex", fix="give a Gaussian splat")
+    names = ply.elements["vertex"].dtype.names or ()
+    rest = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
+    if rest % 3 or rest // 3 + 1 not in SH_COUNTS:
+        raise SceneError(
+            f"{ply.path}: {rest} f_rest properties", fix="0, 9, 24 or 45 make degree 0, 1, 2 or 3"
+        )
+    n = len(ply.elements["vertex"])
+    sh = np.empty((n, 1 + rest // 3, 3), dtype=np.float32)
+    sh[:, 0] = ply.columns("vertex", ["f_dc_0", "f_dc_1", "f_dc_2"])
+    if rest:
+        rest_names = [f"f_rest_{i}" for i in range(rest)]
+        if rest_order == "detect":
+            sample = slice(None, None, max(1, n // _SAMPLE))
+            rest_order = _detect(ply, ply.columns("vertex", rest_names, rows=sample))
+        values = ply.columns("vertex", rest_names)
+        if rest_order == "channel":
+            sh[:, 1:] = values.reshape(n, 3, rest // 3).transpose(0, 2, 1)
+        else:
+            sh[:, 1:] = values.reshape(n, rest // 3, 3)
+    return Gaussians(
+        means=ply.columns("vertex", ["x", "y", "z"]),
+        log_scales=ply.columns("vertex", ["scale_0", "scale_1", "scale_2"]),
+        quats=ply.columns("vertex", ["rot_0", "rot_1", "rot_2", "rot_3"]),
+        opacity_logits=ply.columns("vertex", ["opacity"])[:, 0],
+        sh=sh,
+    )
+
+
+def _detect(ply: Ply, rest: NDArray[np.float32]) -> RestOrder:
+    if _COMMENT in ply.comments:
+        return "channel"
+    values = rest[np.isfinite(rest).all(axis=1)].astype(np.float64)
+    n, count = len(values), values.shape[1] // 3
+    channel = _disagreement(values.reshape(n, 3, count).transpose(0, 2, 1))
+    coefficient = _disagreement(values.reshape(n, count, 3))
+    return "coefficient" if coefficient < _MARGIN * channel else "channel"
+
+
+def _disagreement(sh: NDArray[np.float64]) -> float:
+    """Variance among the three channels of each coefficient of (n, K, 3), summed."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(sh.var(axis=2).sum())
+
+
+def write_threedgs_ply(path: Path, gaussians: Gaussians) -> None:
+    """Write a 3DGS PLY file, channel-major; exact."""
+    n, count = len(gaussians), gaussians.sh.shape[1]
+    rest = 3 * (count - 1)
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{i}" for i in range(rest)]
+    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {_COMMENT}",
+        f"element vertex {n}",
+    ]
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    with path.open("wb") as file:
+        file.write("\n".join(header).encode("ascii"))
+        # By parts, so that a file of gigabytes is not held twice.
+        for start in range(0, n, 1 << 16):
+            part = slice(start, start + (1 << 16))
+            sh = gaussians.sh[part]
+            columns = [
+                gaussians.means[part],
+                sh[:, 0],
+                sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1),
+                gaussians.opacity_logits[part, None],
+                gaussians.log_scales[part],
+                gaussians.quats[part],
+            ]
+            file.write(np.concatenate(columns, axis=1, dtype="<f4").tobytes())

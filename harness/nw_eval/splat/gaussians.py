@@ -1,0 +1,98 @@
+"""A set of 3D Gaussians, in the form that training tools store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+
+SH_COUNTS = (1, 4, 9, 16)
+"""Spherical-harmonic coefficients per channel at degree 0, 1, 2, 3."""
+
+SH0 = 0.28209479177387814
+"""The constant harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH0 * sh[:, 0] + ..."""
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaussians:
+    """N Gaussians in one frame; lengths in the unit of that frame.
+
+    Attributes:
+        means: (N, 3) float32 centres.
+        log_scales: (N, 3) float32, natural logarithm of the standard deviations along own axes.
+        quats: (N, 4) float32 w x y z, own axes to frame; any non-zero length.
+        opacity_logits: (N,) float32; opacity = 1 / (1 + exp(-logit)).
+        sh: (N, K, 3) float32, K in 1, 4, 9, 16; coefficients in the order and signs of 3DGS.
+            Colour seen along unit direction d = max(0, 0.5 + sum_k Y_k(d) sh[:, k]).
+    """
+
+    means: F32
+    log_scales: F32
+    quats: F32
+    opacity_logits: F32
+    sh: F32
+
+    def __post_init__(self) -> None:
+        """Make arrays contiguous float32 and check shapes.
+
+        Raises:
+            SceneError: when shapes do not agree or K is not 1, 4, 9 or 16.
+        """
+        for field in fields(self):
+            array = np.ascontiguousarray(getattr(self, field.name), dtype=np.float32)
+            object.__setattr__(self, field.name, array)
+        n = len(self.means)
+        expected = {
+            "means": (n, 3),
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "opacity_logits": (n,),
+            "sh": (n, self.sh.shape[1] if self.sh.ndim == 3 else -1, 3),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise SceneError(
+                    f"Gaussians.{name} has shape {getattr(self, name).shape}",
+                    fix=f"give {shape} for {n} means",
+                )
+        if self.sh.shape[1] not in SH_COUNTS:
+            raise SceneError(
+                f"Gaussians.sh has {self.sh.shape[1]} coefficients per channel",
+                fix="give 1, 4, 9 or 16 (degree 0 to 3)",
+            )
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the harmonics, 0 to 3."""
+        return SH_COUNTS.index(self.sh.shape[1])
+
+    def take(self, selection: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
+        """Return the Gaussians at a mask, an index array or a slice."""
+        return self._map(lambda array: array[selection])
+
+    def _map(self, change: Callable[[F32], F32]) -> Gaussians:
+        return Gaussians(**{f.name: change(getattr(self, f.name)) for f in fields(self)})
+
+
+def concatenate(*parts: Gaussians) -> Gaussians:
+    """Join sets; harmonics of lower degree are padded with zeros to the highest degree."""
+    if not parts:
+        raise SceneError("no Gaussians to concatenate", fix="give at least one set")
+    most = max(part.sh.shape[1] for part in parts)
+    sh = [np.pad(part.sh, ((0, 0), (0, most - part.sh.shape[1]), (0, 0))) for part in parts]
+    return Gaussians(
+        means=np.concatenate([part.means for part in parts]),
+        log_scales=np.concatenate([part.log_scales for part in parts]),
+        quats=np.concatenate([part.quats for part in parts]),
+        opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
+        sh=np.concatenate(sh),
+    )

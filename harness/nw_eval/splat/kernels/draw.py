@@ -1,0 +1,193 @@
+"""One window of one frame: slabs of depth, nearest first, through project, sort and blend.
+
+Chunks are taken in the order of their nearest point, some at a time: a slab. Every Gaussian
+nearer than the nearest point of the chunks not yet taken can be blended, since nothing comes
+before it; the others are carried to the next slab. A chunk whose blocks are all finished when its
+turn comes is skipped before a byte of it is read, and the frame ends when no pixel is left. The
+order of blending is the order of depth, as if everything had been sorted at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, blend, clear
+from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
+from nw_eval.splat.kernels.jit import inlined, kernel
+from nw_eval.splat.kernels.project import project_chunk
+from nw_eval.splat.kernels.simd import (
+    RECORD,
+    bits_of,
+    clock_nanoseconds,
+    float_of,
+    load,
+    peek,
+    store,
+)
+from nw_eval.splat.kernels.sort import sort_keys, sort_nearer
+
+# Places in the statistics vector (int64); stages in nanoseconds of the given clock.
+CULL, PROJECT, SORT, BLEND = 0, 1, 2, 3
+VISIBLE_CHUNKS, HIDDEN_CHUNKS, RECORDS, VECTORS, DRAWN = 4, 5, 6, 7, 8
+STATISTICS = 16
+
+
+@kernel
+def _order_chunks(nearest: Any, count: Any, keys: Any, scratch: Any, histogram: Any) -> Any:
+    """Sort the visible chunks by nearest depth; keys come back in `keys`, chunk in lower half."""
+    least, most = 0x7FFFFFFF, 0
+    for i in range(count):
+        bits = int(bits_of(nearest[i]))
+        least, most = min(least, bits), max(most, bits)
+    for i in range(count):
+        keys[i] |= (int(bits_of(nearest[i])) - least) << 32
+    if sort_keys(keys, scratch, count, most - least, histogram):
+        for i in range(count):
+            keys[i] = scratch[i]
+    return least
+
+
+@inlined
+def nearest_of(key: Any, least: Any) -> Any:
+    """Return the depth in the upper half of a chunk key."""
+    return float_of((key >> 32) + least)
+
+
+@kernel
+def _keep_carried(records: Any, carried: Any, count: Any) -> None:
+    """Move the carried records to the front, in their order."""
+    for i in range(count):
+        source, target = peek(carried, i) * RECORD, i * RECORD
+        first, second = load(records, source), load(records, source + 8)
+        store(records, target, first)
+        store(records, target + 8, second)
+
+
+@kernel
+def _resolve(
+    frame: Any, plane: Any, width: Any, height: Any, background: Any, out: Any, x0: Any, y0: Any
+) -> None:
+    rgb, depth, alpha = out
+    row = PLANES * plane
+    for y in range(height):
+        for x in range(width):
+            o = y * row + x
+            T = abs(peek(frame, o))
+            for channel in range(3):
+                value = peek(frame, o + (channel + 1) * plane) + T * background[channel]
+                rgb[y0 + y, x0 + x, channel] = value
+            covered = np.float32(1.0) - T
+            alpha[y0 + y, x0 + x] = covered
+            depth[y0 + y, x0 + x] = peek(frame, o + 4 * plane) / max(covered, np.float32(1e-10))
+
+
+@kernel
+def draw(
+    store_arrays: Any,
+    sh_count: Any,
+    view: Any,
+    columns: Any,
+    rows: Any,
+    options: Any,
+    work: Any,
+    out: Any,
+    statistics: Any,
+    clock: Any,
+) -> None:
+    """Render one window of a view.
+
+    Args:
+        store_arrays: (geometry, dc, sh, bounds) of the compiled store.
+        sh_count: harmonics per channel.
+        view: (SIZE,) float32 of view.py.
+        columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
+        rows: likewise of its rows.
+        options: (eps2d, antialiased, floor of the compensation squared, most alpha, background
+            (3,) float32, chunks in a slab).
+        work: (keys, scratch, carried, chunk_keys, nearest, records, histogram, frame, live): the
+            workspace of render.py.
+        out: (rgb, depth, alpha) of the whole image; the window's part is written.
+        statistics: (STATISTICS,) int64, out.
+        clock: POSIX clock for the stages, or -1 to take no time.
+    """
+    geometry, dc, sh, bounds = store_arrays
+    eps2d, antialiased, floor2, most_alpha, background, slab = options
+    keys, scratch, carried, chunk_keys, nearest, records, histogram, frame, live = work
+    width, height = int(view[at.COLUMN1] - view[at.COLUMN0]), int(view[at.ROW1] - view[at.ROW0])
+    plane = width + SLACK_COLUMNS
+    live_stride = (width + 7) // 8 + 1
+    statistics[:] = 0
+    started = clock_nanoseconds(clock) if clock >= 0 else 0
+    clear(frame, plane, width, height, live, live_stride)
+    visible = visible_chunks(bounds, view, eps2d, chunk_keys, nearest)
+    least = _order_chunks(nearest, visible, chunk_keys, scratch, histogram) if visible else 0
+    statistics[VISIBLE_CHUNKS] = visible
+    now = clock_nanoseconds(clock) if clock >= 0 else 0
+    statistics[CULL] += now - started
+    left, taken, count = width * height, 0, 0
+    while left > 0 and (taken < visible or count > 0):
+        started = now
+        end = min(taken + slab, visible)
+        for i in range(taken, end):
+            chunk = chunk_keys[i] & 0xFFFFFFFF
+            if taken > 0 and is_hidden(bounds, chunk, view, eps2d, live, live_stride):
+                statistics[HIDDEN_CHUNKS] += 1
+                continue
+            before = count
+            count = project_chunk(
+                geometry,
+                dc,
+                sh,
+                sh_count,
+                bounds,
+                chunk,
+                view,
+                eps2d,
+                antialiased,
+                floor2,
+                records,
+                count,
+            )
+            statistics[RECORDS] += count - before
+        taken = end
+        now = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[PROJECT] += now - started
+        started = now
+        boundary = np.float32(np.inf)
+        if taken < visible:
+            boundary = nearest_of(chunk_keys[taken], least)
+        ready, in_scratch, later = sort_nearer(
+            records, count, boundary, keys, scratch, carried, histogram
+        )
+        ordered = scratch if in_scratch else keys
+        now = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[SORT] += now - started
+        started = now
+        finished, vectors, drawn = blend(
+            records,
+            ordered,
+            ready,
+            columns,
+            rows,
+            frame,
+            plane,
+            live,
+            live_stride,
+            view,
+            most_alpha,
+        )
+        left -= finished
+        statistics[VECTORS] += vectors
+        statistics[DRAWN] += drawn
+        _keep_carried(records, carried, later)
+        count = later
+        now = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[BLEND] += now - started
+    started = now
+    x0, y0 = int(view[at.COLUMN0]), int(view[at.ROW0])
+    _resolve(frame, plane, width, height, background, out, x0, y0)
+    now = clock_nanoseconds(clock) if clock >= 0 else 0
+    statistics[BLEND] += now - started

@@ -1,0 +1,209 @@
+"""From Gaussians in the world to records on the screen, eight at a time.
+
+EWA splatting (Zwicker et al. 2001) as gsplat 1.5 does it. With camera point (x, y, z), view
+rotation rows r0, r1, r2, and a = clamp(x / z), b = clamp(y / z), the rows of J R are
+t = fx / z (r0 - a r2) and u = fy / z (r1 - b r2); the footprint's covariance is
+[[t' S t, t' S u], [., u' S u]] + eps2d I. Antialiased mode multiplies opacity by
+sqrt(max(floor**2, det before / det after)), the part of the energy that the blur did not add.
+
+Opacity and exponent are kept as base-2 logarithms: alpha = 2**(lo - A dx^2 - B dx dy - C dy^2)
+with (A, B, C) = log2(e) / 2 * (conic xx, 2 conic xy, conic yy). The pixels with alpha >= 1/255
+lie within sqrt(q cov_xx) by sqrt(q cov_yy) of the centre, q = 2 ln 2 (lo - log2(1/255)): a box
+that encloses the ellipse exactly. It is widened a little, since the blend tests each pixel and
+its verdict alone must count.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.cull import BOUNDS, REACH
+from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
+from nw_eval.splat.kernels.jit import kernel
+from nw_eval.splat.kernels.math8 import log2, taken_below
+from nw_eval.splat.kernels.simd import (
+    append_records,
+    ceil,
+    floor,
+    fma,
+    load,
+    mask_bits,
+    maximum,
+    minimum,
+    negate,
+    pack_range,
+    sqrt,
+)
+
+GEOMETRY = 10
+"""Floats per Gaussian: centre (3), covariance xx xy xz yy yz zz, log2 opacity."""
+
+THRESHOLD = math.log2(1.0 / 255.0)
+"""log2 of the least alpha that is blended."""
+
+# Places in a record of 16 floats.
+U, V, A, B, C, LOG_OPACITY, DEPTH = 0, 1, 2, 3, 4, 5, 6
+COLUMNS, ROWS, RED, GREEN, BLUE = 7, 8, 9, 10, 11
+
+_LOG2E = 1.4426950408889634
+_TWO_LN2 = 2.0 * math.log(2.0)
+_WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
+
+
+@kernel
+def project_chunk(
+    geometry: Any,
+    dc: Any,
+    sh: Any,
+    sh_count: Any,
+    bounds: Any,
+    chunk: Any,
+    view: Any,
+    eps2d: Any,
+    antialiased: Any,
+    least_compensation: Any,
+    records: Any,
+    count: Any,
+) -> Any:
+    """Append the records of a chunk's Gaussians that touch a pixel of the window.
+
+    Args:
+        geometry: (chunks * 256 * GEOMETRY,) float32, group by group, value by value.
+        dc: (chunks * 256 * 3,) float32, 0.5 + constant harmonic, likewise.
+        sh: (chunks * 256 * 3 * (sh_count - 1),) float16 bits, likewise.
+        sh_count: coefficients per channel: 1, 4, 9 or 16.
+        bounds: (chunks * BOUNDS,) float32.
+        chunk: which chunk.
+        view: (SIZE,) float32 of view.py.
+        eps2d: variance added to the footprint, pixels squared.
+        antialiased: whether opacity is compensated for it.
+        least_compensation: floor of the compensation's square.
+        records: float32, 16 per record, with eight records of slack.
+        count: records that are there already.
+
+    Returns:
+        The new count.
+    """
+    r0, r1, r2 = view[at.R], view[at.R + 1], view[at.R + 2]
+    r3, r4, r5 = view[at.R + 3], view[at.R + 4], view[at.R + 5]
+    r6, r7, r8 = view[at.R + 6], view[at.R + 7], view[at.R + 8]
+    eye_x, eye_y, eye_z = view[at.EYE], view[at.EYE + 1], view[at.EYE + 2]
+    fx, fy, cx, cy = view[at.FX], view[at.FY], view[at.CX], view[at.CY]
+    near, far = view[at.NEAR], view[at.FAR]
+    stride, inverse = view[at.STRIDE], view[at.INVERSE_STRIDE]
+    offset, block = view[at.OFFSET], view[at.BLOCK]
+    column0, column1, row0, row1 = (
+        view[at.COLUMN0],
+        view[at.COLUMN1],
+        view[at.ROW0],
+        view[at.ROW1],
+    )
+    blur = REACH * math.sqrt(eps2d) + 1.0
+    left, right = cx - view[at.LEFT] + blur, view[at.RIGHT] - cx + blur
+    top, bottom = cy - view[at.TOP] + blur, view[at.BOTTOM] - cy + blur
+    largest = bounds[chunk * BOUNDS + 6]
+    reach_x = REACH * view[at.SPREAD_X] * largest
+    reach_y = REACH * view[at.SPREAD_Y] * largest
+    first = chunk * (CHUNK * GEOMETRY)
+    first_dc = chunk * (CHUNK * 3)
+    first_sh = chunk * (CHUNK * 3) * (sh_count - 1)
+    for i in range(0, CHUNK, GROUP):
+        g = first + i * GEOMETRY
+        px, py, pz = load(geometry, g), load(geometry, g + GROUP), load(geometry, g + 2 * GROUP)
+        # From the eye first: the rounding then is that of the distance, not of the place.
+        dx, dy, dz = px - eye_x, py - eye_y, pz - eye_z
+        z = fma(dx, r6, fma(dy, r7, dz * r8))
+        x = fma(dx, r0, fma(dy, r1, dz * r2))
+        y = fma(dx, r3, fma(dy, r4, dz * r5))
+        fx_x, fy_y = x * fx, y * fy
+        ok = (
+            (z >= near)
+            & (z <= far)
+            & (fma(z, left, fx_x) > -reach_x)
+            & (fma(z, right, negate(fx_x)) > -reach_x)
+            & (fma(z, top, fy_y) > -reach_y)
+            & (fma(z, bottom, negate(fy_y)) > -reach_y)
+        )
+        if mask_bits(ok) == 0:
+            continue
+        inverse_z = 1.0 / z
+        slope_x, slope_y = x * inverse_z, y * inverse_z
+        a = negate(minimum(maximum(slope_x, view[at.X_LOW]), view[at.X_HIGH]))
+        b = negate(minimum(maximum(slope_y, view[at.Y_LOW]), view[at.Y_HIGH]))
+        sx, sy = inverse_z * fx, inverse_z * fy
+        t0, t1, t2 = sx * fma(a, r6, r0), sx * fma(a, r7, r1), sx * fma(a, r8, r2)
+        u0, u1, u2 = sy * fma(b, r6, r3), sy * fma(b, r7, r4), sy * fma(b, r8, r5)
+        c00 = load(geometry, g + 3 * GROUP)
+        c01 = load(geometry, g + 4 * GROUP)
+        c02 = load(geometry, g + 5 * GROUP)
+        c11 = load(geometry, g + 6 * GROUP)
+        c12 = load(geometry, g + 7 * GROUP)
+        c22 = load(geometry, g + 8 * GROUP)
+        s0 = fma(c00, t0, fma(c01, t1, c02 * t2))
+        s1 = fma(c01, t0, fma(c11, t1, c12 * t2))
+        s2 = fma(c02, t0, fma(c12, t1, c22 * t2))
+        xx = fma(t0, s0, fma(t1, s1, t2 * s2))
+        xy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        s0 = fma(c00, u0, fma(c01, u1, c02 * u2))
+        s1 = fma(c01, u0, fma(c11, u1, c12 * u2))
+        s2 = fma(c02, u0, fma(c12, u1, c22 * u2))
+        yy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        before = fma(xx, yy, negate(xy * xy))
+        xx, yy = xx + eps2d, yy + eps2d
+        after = fma(xx, yy, negate(xy * xy))
+        inverse_det = 1.0 / after
+        log_opacity = load(geometry, g + 9 * GROUP)
+        if antialiased:
+            kept = maximum(maximum(before * inverse_det, least_compensation), 1e-30)
+            log_opacity = fma(log2(kept), 0.5, log_opacity)
+        q = (log_opacity - THRESHOLD) * _TWO_LN2
+        ok = ok & (after > 0.0) & (q >= 0.0)
+        rx = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
+        ry = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
+        u, v = fma(slope_x, fx, cx), fma(slope_y, fy, cy)
+        low, high = ceil(u - rx - 0.5), floor(u + rx + 0.5)
+        c_low = maximum(taken_below(low, stride, inverse, offset, block), column0)
+        c_high = minimum(taken_below(high, stride, inverse, offset, block) - 1.0, column1 - 1.0)
+        low, high = ceil(v - ry - 0.5), floor(v + ry + 0.5)
+        r_low = maximum(taken_below(low, stride, inverse, offset, block), row0)
+        r_high = minimum(taken_below(high, stride, inverse, offset, block) - 1.0, row1 - 1.0)
+        ok = ok & (c_low <= c_high) & (r_low <= r_high)
+        bits = mask_bits(ok)
+        if bits == 0:
+            continue
+        half = inverse_det * (0.5 * _LOG2E)
+        d = first_dc + i * 3
+        red, green, blue = load(dc, d), load(dc, d + GROUP), load(dc, d + 2 * GROUP)
+        if sh_count > 1:
+            unit = 1.0 / sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
+            red, green, blue = shade(
+                sh,
+                first_sh + i * 3 * (sh_count - 1),
+                sh_count,
+                dx * unit,
+                dy * unit,
+                dz * unit,
+                (red, green, blue),
+            )
+        count = append_records(
+            records,
+            count,
+            bits,
+            (
+                u,
+                v,
+                yy * half,
+                xy * half * -2.0,
+                xx * half,
+                log_opacity,
+                z,
+                pack_range(c_low - column0, c_high - column0),
+                pack_range(r_low - row0, r_high - row0),
+                maximum(red, 0.0),
+                maximum(green, 0.0),
+                maximum(blue, 0.0),
+            ),
+        )
+    return count

@@ -1,0 +1,251 @@
+"""Renderers: a store and a camera in, an image out."""
+
+from __future__ import annotations
+
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import UsageError, nearest
+from nw_eval.splat.camera import Camera
+from nw_eval.splat.image import Image
+from nw_eval.splat.kernels import draw as frame
+from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS
+from nw_eval.splat.kernels.simd import LANES, RECORD
+from nw_eval.splat.kernels.sort import HISTOGRAM
+from nw_eval.splat.kernels.view import Window, view_vector
+from nw_eval.splat.layout import CHUNK
+from nw_eval.splat.pixels import Pixels
+from nw_eval.splat.presets import PresetName, get_preset
+from nw_eval.splat.store import Store
+
+Backend = Literal["cpu", "cuda"]
+
+_SLAB_CHUNKS = 128
+"""Chunks of a slab: about 33,000 Gaussians, whose records fit the caches near the core."""
+
+
+class Renderer(Protocol):
+    """Renders one store; belongs to one thread."""
+
+    def render(self, camera: Camera, pixels: Pixels = ...) -> Image:
+        """Return the image of a camera, or a pixel set of it."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stages:
+    """Thread CPU time of one frame in seconds, and what it handled.
+
+    `cull` includes clearing, `project` harmonics, `blend` the output arrays.
+    """
+
+    cull: float
+    project: float
+    sort: float
+    blend: float
+    visible_chunks: int
+    hidden_chunks: int
+    records: int
+    vectors: int
+    drawn: int
+
+    @property
+    def total(self) -> float:
+        """Seconds of all stages."""
+        return self.cull + self.project + self.sort + self.blend
+
+
+class CpuRenderer:
+    """The compiled renderer.
+
+    Semantics are gsplat's: EWA projection with clamped Jacobian, exact depth order, alpha clamp
+    and threshold, early termination, expected depth. The bits of a pixel do not depend on the
+    threads or the pixel set that it is rendered with.
+
+    Args:
+        store: what to render; shared between renderers and processes.
+        preset: which gsplat's numerical choices.
+        antialiased: compensate opacity for the blur of small splats.
+        background: colour behind everything.
+        threads: split a frame into this many windows side by side, one thread each.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        preset: PresetName = "gsplat-1.5",
+        antialiased: bool = True,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        threads: int = 1,
+    ) -> None:
+        if threads < 1:
+            raise UsageError(f"threads is {threads}", fix="give 1 or more")
+        if len(background) != 3 or not all(map(math.isfinite, background)):
+            raise UsageError(f"background is {background}", fix="give three finite numbers")
+        self.store = store
+        self._preset = get_preset(preset)
+        self._antialiased = antialiased
+        self._background = np.asarray(background, dtype=np.float32)
+        self._works = [_Workspace(store) for _ in range(threads)]
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def render(self, camera: Camera, pixels: Pixels = Pixels()) -> Image:  # noqa: B008 (frozen)
+        """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
+
+        Raises:
+            UsageError: when the pixel set takes no pixel of the image.
+        """
+        return self._render(camera, pixels, clock=-1)
+
+    def render_timed(self, camera: Camera, pixels: Pixels = Pixels()) -> tuple[Image, Stages]:  # noqa: B008
+        """Render and tell what each stage cost, summed over threads."""
+        image = self._render(camera, pixels, clock=time.CLOCK_THREAD_CPUTIME_ID)
+        total = np.sum([work.statistics for work in self._works], axis=0)
+        ns = 1e-9
+        return image, Stages(
+            cull=float(total[frame.CULL]) * ns,
+            project=float(total[frame.PROJECT]) * ns,
+            sort=float(total[frame.SORT]) * ns,
+            blend=float(total[frame.BLEND]) * ns,
+            visible_chunks=int(total[frame.VISIBLE_CHUNKS]),
+            hidden_chunks=int(total[frame.HIDDEN_CHUNKS]),
+            records=int(total[frame.RECORDS]),
+            vectors=int(total[frame.VECTORS]),
+            drawn=int(total[frame.DRAWN]),
+        )
+
+    def _render(self, camera: Camera, pixels: Pixels, *, clock: int) -> Image:
+        width, height = pixels.count(camera.width), pixels.count(camera.height)
+        if width == 0 or height == 0:
+            raise UsageError(
+                f"{pixels} takes no pixel of {camera.width}x{camera.height}",
+                fix="use a larger image or a smaller stride",
+            )
+        image = Image(
+            rgb=np.empty((height, width, 3), dtype=np.float32),
+            depth=np.empty((height, width), dtype=np.float32),
+            alpha=np.empty((height, width), dtype=np.float32),
+        )
+        jobs = [
+            (work, camera, pixels, (*columns, 0, height), image, clock)
+            for work, columns in zip(self._works, _split(width, len(self._works)), strict=False)
+        ]
+        if self._pool is None or len(jobs) == 1:
+            for job in jobs:
+                self._draw(*job)
+        else:
+            list(self._pool.map(lambda job: self._draw(*job), jobs))
+        return image
+
+    def _draw(
+        self,
+        work: _Workspace,
+        camera: Camera,
+        pixels: Pixels,
+        window: Window,
+        image: Image,
+        clock: int,
+    ) -> None:
+        layout, preset = self.store.layout, self._preset
+        columns = pixels.indices(camera.width)[window[0] : window[1]]
+        rows = pixels.indices(camera.height)[window[2] : window[3]]
+        frame.draw(
+            (layout.geometry, layout.dc, layout.sh, layout.bounds),
+            layout.sh_count,
+            view_vector(camera, pixels, window),
+            _centres(columns),
+            _centres(rows),
+            (
+                np.float32(preset.eps2d),
+                self._antialiased,
+                np.float32(preset.min_compensation**2),
+                np.float32(preset.max_alpha),
+                self._background,
+                _SLAB_CHUNKS,
+            ),
+            work.arrays(window),
+            (image.rgb, image.depth, image.alpha),
+            work.statistics,
+            clock,
+        )
+
+
+def open_renderer(store: Store, backend: Backend = "cpu", **options: Any) -> Renderer:
+    """Return a renderer for a store.
+
+    Args:
+        store: compiled Gaussians.
+        backend: "cpu", or "cuda" for gsplat on a CUDA device; neither stands in for the other.
+        options: those of the backend's class.
+
+    Raises:
+        UsageError: for an unknown backend.
+        PrerequisiteError: when the backend's packages or device are missing.
+    """
+    if backend == "cpu":
+        return CpuRenderer(store, **options)
+    if backend == "cuda":
+        from nw_eval.splat.cuda import CudaRenderer
+
+        return CudaRenderer(store, **options)
+    raise UsageError(f"unknown renderer {backend!r}", fix=nearest(backend, ("cpu", "cuda")))
+
+
+class _Workspace:
+    """Arrays that frames reuse. Untouched pages of the large ones cost no memory."""
+
+    def __init__(self, store: Store) -> None:
+        gaussians = store.chunks * CHUNK
+        chunks = max(store.chunks, 1)
+        self._keys = np.empty(max(gaussians, chunks), dtype=np.int64)
+        self._scratch = np.empty_like(self._keys)
+        self._carried = np.empty_like(self._keys)
+        self._chunk_keys = np.empty(chunks, dtype=np.int64)
+        self._nearest = np.empty(chunks, dtype=np.float32)
+        self._records = np.empty((gaussians + LANES) * RECORD, dtype=np.float32)
+        self._histogram = np.empty(HISTOGRAM, dtype=np.int64)
+        self._frame = np.empty(0, dtype=np.float32)
+        self._live = np.empty(0, dtype=np.int64)
+        self._shape = (0, 0)
+        self.statistics = np.zeros(frame.STATISTICS, dtype=np.int64)
+
+    def arrays(self, window: Window) -> tuple[NDArray[Any], ...]:
+        """Return the arrays for a window of this size, in the order that `draw` takes them."""
+        width, height = window[1] - window[0], window[3] - window[2]
+        if self._shape != (width, height):
+            self._shape = (width, height)
+            size = (height + SLACK_ROWS) * PLANES * (width + SLACK_COLUMNS)
+            self._frame = np.empty(size + LANES, dtype=np.float32)
+            self._live = np.empty(((width + 7) // 8 + 1) * ((height + 7) // 8 + 1), dtype=np.int64)
+        return (
+            self._keys,
+            self._scratch,
+            self._carried,
+            self._chunk_keys,
+            self._nearest,
+            self._records,
+            self._histogram,
+            self._frame,
+            self._live,
+        )
+
+
+def _split(width: int, parts: int) -> list[tuple[int, int]]:
+    """Cut columns into at most `parts` windows of whole 8-column blocks."""
+    blocks = -(-width // 8)
+    parts = min(parts, blocks)
+    edges = [min(width, 8 * (blocks * i // parts)) for i in range(parts + 1)]
+    return list(pairwise(edges))
+
+
+def _centres(indices: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Pixel-centre coordinates with the slack that vector loads touch."""
+    return np.concatenate([indices + 0.5, np.zeros(LANES)]).astype(np.float32)
