@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from nw_eval.scenes import Scene
     from nw_eval.suite import Suite, Trial
 
+_PAGE = 120
+"""Columns of text where there is no terminal to ask."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunReport:
@@ -360,10 +363,10 @@ def _summary(info: Any, rows: Sequence[Row], verdict: Verdict, folder: Path) -> 
     screen = Console(file=sys.stdout)
     console = Console(
         file=stream,
-        width=max(screen.width, 100),
+        width=screen.width if screen.is_terminal else _PAGE,
         force_terminal=screen.is_terminal,
         no_color=screen.no_color,
     )
     print_summary(console, info, rows, verdict, folder)
     console.print(f"report: {folder / 'report.md'}", highlight=False, soft_wrap=True)
-    return stream.getvalue().rstrip("\n")
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
