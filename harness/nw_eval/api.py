@@ -173,6 +173,8 @@ def run(
     """
     from nw_eval.engine import session
 
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers}", fix="give at least 1")
     if resume is not None:
         if out is not None:
             raise UsageError("--out and --resume exclude each other", fix="drop --out")

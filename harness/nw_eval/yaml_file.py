@@ -261,6 +261,8 @@ def _explain(detail: ErrorDetails) -> tuple[str, str | None]:
     if kind == "value_error":
         text, _, fix = str(context["error"]).partition("; ")
         return text, fix or None
+    if kind == "too_short" and not value:
+        return "is empty", "name at least one"
     if kind in {"literal_error", "enum"}:
         known = [word.strip(" '") for word in str(context["expected"]).split(" or ")]
         known = [word.strip(" '") for part in known for word in part.split(", ")]

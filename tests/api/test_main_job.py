@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 
 import pytest
 
@@ -10,6 +11,7 @@ from nw_eval import api
 from nw_eval.errors import (
     IncomparableError,
     PolicyError,
+    PrerequisiteError,
     SceneError,
     StoreError,
     SuiteError,
@@ -125,6 +127,20 @@ def test_a_place_that_cannot_be_written_is_an_error_that_names_the_fix(suite, tm
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="choose another folder with --out"):
         api.run(suite(), out=tmp_path / "file" / "run")
+
+
+@pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed here")
+def test_a_renderer_that_is_not_installed_is_told_before_anything_runs(suite, tmp_path):
+    path = suite()
+    path.write_text(path.read_text().replace("record: none", "record: all"))
+    with pytest.raises(PrerequisiteError, match="gsplat"):
+        api.run(path, render="cuda")
+    assert not (tmp_path / "reports").exists()
+
+
+def test_no_workers_are_refused(suite):
+    with pytest.raises(UsageError, match="give at least 1"):
+        api.run(suite(), workers=0)
 
 
 def test_check_says_what_would_run_and_runs_nothing(suite, tmp_path):

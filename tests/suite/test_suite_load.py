@@ -133,7 +133,7 @@ def test_a_duplicate_key_and_a_tag_hide_no_other_problem(tmp_path: Path) -> None
         ("trials: 2.0", "5:1", "got 2.0"),
         ("trials:", "5:1", "got None"),
         ("seed: -1", "6:1", "got -1"),
-        ("scenes: []", "7:1", "at least 1"),
+        ("scenes: []", "7:1", "is empty; name at least one"),
         ("scenes: hurdles/*", "7:1", "should be a list, such as [a, b], got 'hurdles/*'"),
         ("scenes: ['']", "7:10", "at least 1 character"),
         ("scenes: [3]", "7:10", "got 3"),

@@ -9,14 +9,29 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.listener import Listener
     from nw_eval.policies import Card
-    from nw_eval.rollout.job import Record
+    from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes import Scene
+
+_WORTH_SAYING = 3.0  # s
 
 
 def needs_splats(card: Card, record: Record) -> bool:
     """Return whether any trial may render: for the policy's eyes or for the log."""
     sees = any(spec.sensor == "splat_rgb" for spec in card.observations.values())
     return sees or record != "none"
+
+
+def open_backend(render: Backend, listener: Listener) -> None:
+    """Compile the renderer once for all workers, or find out that it is missing.
+
+    Raises:
+        PrerequisiteError: the backend's packages or device are missing.
+    """
+    from nw_eval.splat.warmup import warmup
+
+    seconds = warmup(render)
+    if seconds > _WORTH_SAYING:
+        listener.message(f"compiled the renderer in {seconds:.0f} s; next time it is in the cache")
 
 
 def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import plan_jobs
-from nw_eval.engine.prepare import build_splats, needs_splats
+from nw_eval.engine.prepare import build_splats, needs_splats, open_backend
 from nw_eval.engine.run import RunOutcome, default_workers, run_trials
 from nw_eval.errors import StoreError
 from nw_eval.results.journal import Journal, JournalHeader
@@ -90,8 +90,12 @@ def run(
         IncomparableError: the run to resume was made under something else.
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
+        PrerequisiteError: the renderer is not installed.
     """
     told = listener or Silence()
+    renders = needs_splats(bundle.card, suite.record)
+    if renders:
+        open_backend(render, told)
     folder = _folder(suite, bundle, out, resume)
     told.message(f"run folder: {folder.path}")
     # Workers and rows need a path that means the same everywhere.
@@ -122,7 +126,7 @@ def run(
         if earlier is not None:
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
         write_run_info(folder.run_json, info)
-        if needs_splats(bundle.card, suite.record):
+        if renders:
             build_splats(scenes, told)
         jobs = plan_jobs(
             suite,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Literal
 
 import numpy as np
 
@@ -11,13 +12,16 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
 
 
-def warmup() -> float:
+def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
     Returns:
         Seconds that it took: about 10 when compiled, 0.3 when loaded.
+
+    Raises:
+        PrerequisiteError: when the backend's packages or device are missing.
     """
-    from nw_eval.splat.render import CpuRenderer
+    from nw_eval.splat.render import open_renderer
 
     started = time.perf_counter()
     gaussians = Gaussians(
@@ -28,5 +32,5 @@ def warmup() -> float:
         sh=np.zeros((1, 4, 3), dtype=np.float32),
     )
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
-    CpuRenderer(memory_store(gaussians)).render_timed(camera)
+    open_renderer(memory_store(gaussians), backend).render(camera)
     return time.perf_counter() - started
