@@ -17,7 +17,8 @@ from nw_eval.splat.camera import Camera
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
 from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS
-from nw_eval.splat.kernels.simd import LANES, RECORD
+from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.simd import LANES
 from nw_eval.splat.kernels.sort import HISTOGRAM
 from nw_eval.splat.kernels.view import Window, view_vector
 from nw_eval.splat.layout import CHUNK

@@ -100,7 +100,7 @@ def compile_store(gaussians: Gaussians, path: Path, *, key: str = "") -> None:
         file.write(json.dumps(header).encode().ljust(_HEADER_LIMIT - 1) + b"\n")
         for name, array in arrays.items():
             file.seek(places[name][0])
-            file.write(array.tobytes())
+            file.write(array.data)
         file.seek(offset)
         file.write(_TAIL)
 
@@ -145,6 +145,8 @@ def open_store(path: Path, *, key: str | None = None) -> Store:
         raise SceneError(
             f"{path}: its header does not describe it ({error})", fix=_REBUILD
         ) from error
+    if not np.isfinite(layout.bounds).all():
+        raise SceneError(f"{path}: its bounds are damaged", fix=_REBUILD)
     return Store(
         count=layout.count,
         sh_count=layout.sh_count,
@@ -180,7 +182,7 @@ def digest(gaussians: Gaussians) -> str:
     for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
         array = getattr(gaussians, name)
         total.update(f"{name}{array.shape}".encode())
-        total.update(array.tobytes())
+        total.update(array.data)
     return total.hexdigest()
 
 

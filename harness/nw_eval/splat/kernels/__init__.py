@@ -1,13 +1,16 @@
 """The compiled half of the renderer, from the vector type up.
 
-jit.py      how kernels are compiled and cached
-simd.py     Float8 and Mask8: eight float32 lanes, their operators, loads and stores
-math8.py    exp2, log2 and the pixel-set arithmetic on eight lanes
-view.py     one camera and one window as a flat float32 vector
-cull.py     chunks that the window can see, nearest first
+jit.py        how kernels are compiled and cached
+simd.py       Float8 and Mask8: eight float32 lanes, their operators and masks
+memory.py     loads and stores of lanes, of two half rows, of single elements
+bits.py       bit patterns of floats; the clock of the stages
+records.py    one cache line for each splat on the screen
+math8.py      exp2, log2 and the pixel-set arithmetic on eight lanes
+view.py       one camera and one window as a flat float32 vector
+cull.py       chunks that the window can see, and those that are hidden
 harmonics.py  colour of eight Gaussians along their view directions
-project.py  Gaussians of a chunk to screen-space records
-sort.py     radix sort of records by depth; lists per tile
-blend.py    front-to-back compositing into a small framebuffer
-draw.py     the frame: slabs of depth through the rooms above
+project.py    Gaussians of a chunk to screen-space records
+sort.py       radix sort of records by depth
+blend.py      front-to-back compositing into a small framebuffer
+draw.py       the frame: slabs of depth through the rooms above
 """

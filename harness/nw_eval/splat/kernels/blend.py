@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 
 from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.bits import bits_of, lowest_bit, pack_range
 from nw_eval.splat.kernels.jit import inlined, kernel
 from nw_eval.splat.kernels.math8 import exp2, taken_below
+from nw_eval.splat.kernels.memory import load, load_rows, peek, poke, prefetch, store, store_rows
 from nw_eval.splat.kernels.project import (
     BLUE,
     COLUMNS,
@@ -37,29 +39,19 @@ from nw_eval.splat.kernels.project import (
     U,
     V,
 )
+from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.simd import (
-    RECORD,
     and_not,
-    bits_of,
     broadcast,
     ceil,
     floor,
     fma,
     halves,
-    load,
-    load_rows,
-    lowest_bit,
     mask_bits,
     maximum,
     minimum,
     negate,
-    pack_range,
-    peek,
-    poke,
-    prefetch,
     sqrt,
-    store,
-    store_rows,
     where,
 )
 

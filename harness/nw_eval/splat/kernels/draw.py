@@ -14,19 +14,13 @@ from typing import Any
 import numpy as np
 
 from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.bits import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
 from nw_eval.splat.kernels.jit import inlined, kernel
+from nw_eval.splat.kernels.memory import load, peek, store
 from nw_eval.splat.kernels.project import project_chunk
-from nw_eval.splat.kernels.simd import (
-    RECORD,
-    bits_of,
-    clock_nanoseconds,
-    float_of,
-    load,
-    peek,
-    store,
-)
+from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.sort import sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.

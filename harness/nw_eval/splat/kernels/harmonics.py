@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from nw_eval.splat.kernels.jit import inlined
-from nw_eval.splat.kernels.simd import fma, load_halves
+from nw_eval.splat.kernels.memory import load_halves
+from nw_eval.splat.kernels.simd import fma
 
 CHUNK, GROUP = 256, 8
 """Gaussians in a chunk and in a group of it; a group holds each value eight times in a row."""

@@ -19,23 +19,14 @@ import math
 from typing import Any
 
 from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
 from nw_eval.splat.kernels.jit import kernel
 from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.simd import (
-    append_records,
-    ceil,
-    floor,
-    fma,
-    load,
-    mask_bits,
-    maximum,
-    minimum,
-    negate,
-    pack_range,
-    sqrt,
-)
+from nw_eval.splat.kernels.memory import load
+from nw_eval.splat.kernels.records import append_records
+from nw_eval.splat.kernels.simd import ceil, floor, fma, mask_bits, maximum, minimum, negate, sqrt
 
 GEOMETRY = 10
 """Floats per Gaussian: centre (3), covariance xx xy xz yy yz zz, log2 opacity."""

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from nw_eval.splat.kernels.bits import bits_of
 from nw_eval.splat.kernels.jit import inlined, kernel
+from nw_eval.splat.kernels.memory import peek, poke
 from nw_eval.splat.kernels.project import DEPTH
-from nw_eval.splat.kernels.simd import RECORD, bits_of, peek, poke
+from nw_eval.splat.kernels.records import RECORD
 
 DIGIT = 12
 """Most bits of a digit."""

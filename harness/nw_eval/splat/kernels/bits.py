@@ -1,0 +1,91 @@
+"""Bit patterns of floats: sort keys, packed ranges, exponents; and the clock of the stages."""
+
+# ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from nw_eval.splat.kernels.simd import F8, FLOAT, I1, I32, I32X8, I64, LANES, Float8, intrinsic
+
+
+@intrinsic
+def bits_of(_typing: Any, value: Any) -> Any:
+    """Return the bit pattern of a float32 as int32; order-preserving for non-negative floats."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], I32)
+
+    return types.int32(types.float32), generate
+
+
+@intrinsic
+def float_of(_typing: Any, bits: Any) -> Any:
+    """Return the float32 whose bit pattern is the low half of an int64."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.bitcast(builder.trunc(args[0], I32), FLOAT)
+
+    return types.float32(types.int64), generate
+
+
+@intrinsic
+def lowest_bit(_typing: Any, value: Any) -> Any:
+    """Return the position of the lowest set bit of a non-zero int64."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(I64, [I64, I1]), "llvm.cttz.i64"
+        )
+        return builder.call(function, [args[0], ir.Constant(I1, 1)])
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
+def pack_range(_typing: Any, first: Any, last: Any) -> Any:
+    """Return int(first) | int(last) << 16 as bits; both whole and within 0..32767."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        low, high = (builder.fptosi(value, I32X8) for value in args)
+        shift = ir.Constant(I32X8, [16] * LANES)
+        return builder.bitcast(builder.or_(low, builder.shl(high, shift)), F8)
+
+    return Float8(Float8, Float8), generate
+
+
+def exponent_shift(builder: Any, value: Any, whole: Any) -> Any:
+    """Return value * 2**whole by adding to the exponent bits (IR; whole is integral)."""
+    shift = ir.Constant(I32X8, [23] * LANES)
+    exponent = builder.shl(builder.fptosi(whole, I32X8), shift)
+    return builder.bitcast(builder.add(builder.bitcast(value, I32X8), exponent), F8)
+
+
+def split_exponent(builder: Any, value: Any) -> tuple[Any, Any]:
+    """Return (e, m) with value = m * 2**e and m in [sqrt(1/2), sqrt(2)) (IR; value is normal)."""
+    lift = ir.Constant(I32X8, [0x3F800000 - 0x3F3504F3] * LANES)
+    bits = builder.add(builder.bitcast(value, I32X8), lift)
+    bias = ir.Constant(I32X8, [127] * LANES)
+    exponent = builder.sub(builder.ashr(bits, ir.Constant(I32X8, [23] * LANES)), bias)
+    fraction = builder.and_(bits, ir.Constant(I32X8, [0x7FFFFF] * LANES))
+    mantissa = builder.add(fraction, ir.Constant(I32X8, [0x3F3504F3] * LANES))
+    return builder.sitofp(exponent, F8), builder.bitcast(mantissa, F8)
+
+
+@intrinsic
+def clock_nanoseconds(_typing: Any, clock: Any) -> Any:
+    """Return POSIX clock_gettime(clock) in nanoseconds, for the table of stages."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        spec = cgutils.alloca_once(builder, ir.ArrayType(I64, 2))
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(I32, [I32, spec.type]), "clock_gettime"
+        )
+        builder.call(function, [builder.trunc(args[0], I32), spec])
+        seconds, nanoseconds = (builder.extract_value(builder.load(spec), i) for i in (0, 1))
+        return builder.add(builder.mul(seconds, ir.Constant(I64, 1_000_000_000)), nanoseconds)
+
+    return types.int64(types.int64), generate

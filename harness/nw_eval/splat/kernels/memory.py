@@ -1,0 +1,172 @@
+"""Loads and stores of eight lanes, of two half rows, and of single elements.
+
+Arrays are one-dimensional; loads and stores are unaligned and unchecked, and indices count
+elements. Callers leave eight elements of slack behind every array that they read in vectors.
+"""
+
+# ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+import numba.core.config
+from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
+from numba import types
+from numba.core import cgutils
+
+from nw_eval.splat.kernels.simd import (
+    F4,
+    F8,
+    HALF8,
+    I8,
+    I16X8,
+    I32,
+    I32X8,
+    LANES,
+    Float8,
+    address,
+    constant8,
+    intrinsic,
+    lane_list,
+)
+
+
+def _converts_halves() -> bool:
+    """Tell whether the target has an instruction for float16; without one LLVM calls a library."""
+    if platform.machine().lower() in {"aarch64", "arm64"}:
+        return True
+    config: Any = numba.core.config
+    features = config.CPU_FEATURES
+    if features is None:
+        features = get_host_cpu_features().flatten()
+    return "+f16c" in features.split(",")
+
+
+_CONVERTS_HALVES = _converts_halves()
+
+
+def _widen_halves(builder: Any, bits: Any) -> Any:
+    """Return finite float16 bits as Float8 by integer operations (IR).
+
+    Exponent and fraction move to their places in a float32; the exponent then is 112 too small,
+    which a multiplication mends, for denormals too.
+    """
+
+    def constant(value: int) -> Any:
+        return ir.Constant(I32X8, [value] * LANES)
+
+    magnitude = builder.shl(builder.and_(bits, constant(0x7FFF)), constant(13))
+    value = builder.fmul(builder.bitcast(magnitude, F8), constant8(2.0**112))
+    sign = builder.shl(builder.and_(bits, constant(0x8000)), constant(16))
+    return builder.bitcast(builder.or_(builder.bitcast(value, I32X8), sign), F8)
+
+
+@intrinsic
+def load(_typing: Any, array: Any, index: Any) -> Any:
+    """Return eight floats of a float32 array, the first at `index`."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(place, F8.as_pointer()), align=4)
+
+    return Float8(array, types.intp), generate
+
+
+@intrinsic
+def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write a Float8 to array[index : index + 8]."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        builder.store(args[2], builder.bitcast(place, F8.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, Float8), generate
+
+
+@intrinsic
+def load_rows(_typing: Any, array: Any, upper: Any, lower: Any) -> Any:
+    """Return array[upper : upper + 4] in lanes 0..3 and array[lower : lower + 4] in 4..7."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        halves: list[Any] = []
+        for index in args[1:]:
+            place = address(context, builder, signature.args[0], args[0], index)
+            halves.append(builder.load(builder.bitcast(place, F4.as_pointer()), align=4))
+        return builder.shuffle_vector(halves[0], halves[1], lane_list(list(range(LANES))))
+
+    return Float8(array, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_rows(_typing: Any, array: Any, upper: Any, lower: Any, value: Any) -> Any:
+    """Write lanes 0..3 to array[upper : upper + 4] and 4..7 to array[lower : lower + 4]."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        undefined = ir.Constant(F8, ir.Undefined)
+        for index, lanes in ((args[1], [0, 1, 2, 3]), (args[2], [4, 5, 6, 7])):
+            half = builder.shuffle_vector(args[3], undefined, lane_list(lanes))
+            place = address(context, builder, signature.args[0], args[0], index)
+            builder.store(half, builder.bitcast(place, F4.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, Float8), generate
+
+
+@intrinsic
+def load_halves(_typing: Any, array: Any, index: Any) -> Any:
+    """Return eight float16, held as bits in a uint16 array, as a Float8."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        if _CONVERTS_HALVES:
+            halves = builder.load(builder.bitcast(place, HALF8.as_pointer()), align=2)
+            return builder.fpext(halves, F8)
+        words = builder.load(builder.bitcast(place, I16X8.as_pointer()), align=2)
+        return _widen_halves(builder, builder.zext(words, I32X8))
+
+    return Float8(array, types.intp), generate
+
+
+@intrinsic
+def peek(_typing: Any, array: Any, index: Any) -> Any:
+    """Return array[index] without the wrap-around of negative indices."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        return context.unpack_value(builder, signature.args[0].dtype, place)
+
+    return array.dtype(array, types.intp), generate
+
+
+@intrinsic
+def poke(_typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write array[index] without the wrap-around of negative indices."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        context.pack_value(builder, signature.args[0].dtype, args[2], place)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, array.dtype), generate
+
+
+@intrinsic
+def prefetch(_typing: Any, array: Any, index: Any) -> Any:
+    """Ask for the cache line that holds array[index]; any index is harmless."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = address(context, builder, signature.args[0], args[0], args[1])
+        byte = builder.bitcast(place, I8.as_pointer())
+        function = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(ir.VoidType(), [byte.type, I32, I32, I32]),
+            "llvm.prefetch.p0",
+        )
+        read, keep, data = ir.Constant(I32, 0), ir.Constant(I32, 3), ir.Constant(I32, 1)
+        builder.call(function, [byte, read, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
