@@ -13,6 +13,7 @@ from nw_eval.engine import plan_jobs, run_trials
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.spawn import draw_start
 from nw_eval.scenes import get_scene
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
@@ -116,6 +117,30 @@ def write_bundle(folder, name):
     return folder
 
 
+def suite_with_both_sides(scene, settings):
+    """Return the suite of the first seed whose trials start with the waypoint left and right."""
+    for seed in range(1000):
+        suite = new_suite({**settings, "seed": seed})
+        starts = [
+            draw_start(
+                trial,
+                protocol="strict",
+                spawn=(*scene.spawn.position[:2], scene.spawn.yaw),
+                jitter=(scene.spawn.x_jitter, scene.spawn.y_jitter, scene.spawn.yaw_jitter),
+                trail=scene.trail,
+                waypoint_noise=scene.waypoint_noise,
+            )
+            for trial in expand(suite, [scene])
+        ]
+        sides = {
+            np.arctan2(start.trail[0][1] - start.y, start.trail[0][0] - start.x) > start.yaw
+            for start in starts
+        }
+        if sides == {True, False} or len(starts) == 1:
+            return suite
+    raise AssertionError("no panel of a thousand starts on both sides")
+
+
 class Ears:
     """A listener that remembers."""
 
@@ -168,21 +193,21 @@ def tiny_run(tmp_path):
         if not bundles.exists():
             write_bundle(bundles, model)
         bundle = load_bundle(bundles)
-        suite = new_suite(
+        scene = get_scene(SCENE)
+        suite = suite_with_both_sides(
+            scene,
             {
                 "nw-eval": 1,
                 "name": "tiny",
                 "robot": "go1",
                 "policy": str(bundles),
                 "trials": trials,
-                "seed": 7,
                 "episode": {"duration": duration},
                 "scenes": [SCENE],
                 "record": record,
-            }
+            },
         )
         folder = RunFolder(path=tmp_path / name)
-        scene = get_scene(SCENE)
         jobs = plan_jobs(suite, expand(suite, [scene]), bundle, folder, time_limit=time_limit)
         header = JournalHeader(
             suite_digest=suite.digest,
