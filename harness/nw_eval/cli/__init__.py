@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import tyro
@@ -20,6 +20,7 @@ from nw_eval.cli.report import Report
 from nw_eval.cli.run import Run
 from nw_eval.cli.scenes import Scenes
 from nw_eval.cli.schema import Schema
+from nw_eval.cli.splat import Splat
 from nw_eval.cli.warmup import Warmup
 from nw_eval.errors import NwEvalError
 
@@ -35,6 +36,7 @@ Verb = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
+    | Annotated[Splat, tyro.conf.subcommand("splat")]
     | Annotated[Schema, tyro.conf.subcommand("schema")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
@@ -58,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     sys.exit(_run(verb))
 
 
-def _run(verb: Run | Check | Report | Replay | Scenes | Schema | Warmup) -> int:
+def _run(verb: Callable[[], int]) -> int:
     try:
         return verb()
     except NwEvalError as error:

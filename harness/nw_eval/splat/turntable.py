@@ -50,7 +50,7 @@ def framing_camera(
         SceneError: when no centre is finite.
     """
     centre, radius = _bulk(gaussians)
-    upward, first, second = _axes(up)
+    upward, first, second = axes(up)
     flat = math.cos(azimuth) * first + math.sin(azimuth) * second
     direction = math.cos(elevation) * flat + math.sin(elevation) * upward
     narrow = 2 * math.atan(math.tan(_FOVY / 2) * min(1.0, width / height))
@@ -123,7 +123,7 @@ def _bulk(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
     return middle, max(float(np.percentile(distance, 98)) * 1.05, 1e-6)
 
 
-def _axes(up: Up) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def axes(up: Up) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(upward, and two axes of the horizontal plane)."""
     index = "xyz".index(up[1])
     upward = np.zeros(3)

@@ -1,0 +1,93 @@
+"""`nw-eval splat`: look into files of Gaussians, convert them, and draw them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info:
+    """Say what a file holds: counts, bounds, harmonics, sizes, opacities."""
+
+    file: tyro.conf.Positional[Path]
+    """3DGS or compressed PLY, SPZ, .splat, gsplat .pt, or a nerfstudio export's folder."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.splat_info(self.file))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Write the Gaussians of one file as another: .ply (exact), .spz or .splat (lossy)."""
+
+    file: tyro.conf.Positional[Path]
+    """What to read."""
+    out: tyro.conf.Positional[Path]
+    """What to write; its suffix says the format."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.splat_convert(self.file, self.out))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render:
+    """Draw a splat: a PNG from a pose, or a turn around it as GIF or MP4."""
+
+    source: tyro.conf.Positional[str]
+    """A file of Gaussians, or the name of a built-in scene."""
+    out: Path = Path("splat.png")
+    """What to write: .png, .gif or .mp4."""
+    width: int = 640
+    """Pixels across."""
+    height: int = 360
+    """Pixels down."""
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "-y"
+    """Upward axis of a file; built-in scenes have +z."""
+    eye: tuple[float, float, float] | None = None
+    """Where the camera stands; chosen to frame the splat when absent."""
+    target: tuple[float, float, float] | None = None
+    """What it looks at."""
+    frames: int = 48
+    """Frames of a turn."""
+    render: Literal["cpu", "cuda"] = "cpu"
+    """The renderer. There is no silent fallback."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        api.splat_render(
+            self.source,
+            self.out,
+            size=(self.width, self.height),
+            up=self.up,
+            eye=self.eye,
+            target=self.target,
+            frames=self.frames,
+            backend=self.render,
+        )
+        print(self.out)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splat:
+    """Look into files of Gaussians, convert them, and draw them."""
+
+    action: (
+        Annotated[Info, tyro.conf.subcommand("info")]
+        | Annotated[Convert, tyro.conf.subcommand("convert")]
+        | Annotated[Render, tyro.conf.subcommand("render")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
