@@ -28,7 +28,9 @@ check: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/nw-eval warmup
-	$(BIN)/python -m pytest tests/bench -s -q -p no:xdist -o python_files='bench_*.py' -o timeout=1800
+	@missed=; for script in tests/bench/bench_*.py; do \
+	  echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; \
+	done; test -z "$$missed" || { echo "targets missed in:$$missed"; exit 1; }
 
 build: $(VENV)/.installed-dev
 	rm -rf dist
