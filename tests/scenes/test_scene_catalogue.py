@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes import get_scene, match_scenes, names
-from nw_eval.scenes.catalogue import references
+from nw_eval.scenes.catalogue import _BY_NAME, references
+from nw_eval.scenes.splits import EVALUATION
 
 
 def _hurdles():
@@ -23,6 +25,46 @@ def _heights(scene):
 def test_names_are_sorted_and_each_scene_bears_its_own():
     assert list(names()) == sorted(names())
     assert [get_scene(name).name for name in names()] == list(names())
+
+
+def test_there_are_sixteen_scenes_of_each_task_and_one_empty_place():
+    tasks = Counter(name.split("/")[0] for name in names())
+    assert tasks == {"hurdles": 16, "gaps": 16, "ramps": 16, "stairs": 16, "flat": 1}
+    for name in names():
+        assert name.startswith((get_scene(name).task, "flat/"))
+
+
+def test_scenes_are_indoors_and_outdoors_by_day_at_dusk_and_at_night():
+    entries = [_BY_NAME[name] for name in names()]
+    for task in ("hurdles", "gaps", "ramps", "stairs"):
+        mine = [entry for entry in entries if entry.task == task]
+        assert {entry.setting.indoor for entry in mine} == {True, False}
+        lights = {entry.light for entry in mine}
+        assert {"dusk", "night"} <= lights, task
+        assert lights & {"noon", "morning", "afternoon"}, task
+    assert {"indoor_evening", "indoor_night"} <= {entry.light for entry in entries}
+
+
+def test_titles_are_told_once_and_fit_a_line():
+    titles = [get_scene(name).title for name in names()]
+    assert len(set(titles)) == len(titles)
+    assert max(map(len, titles)) <= 90
+
+
+def test_the_split_is_about_70_to_30_in_each_task_and_whole():
+    assert set(names("train")) | set(names("eval")) == set(names()) - {"flat/carpet_room"}
+    assert not set(names("train")) & set(names("eval"))
+    for task in ("hurdles", "gaps", "ramps", "stairs"):
+        assert sum(name.startswith(task) for name in names("eval")) == 5
+    assert set(EVALUATION) <= set(names())
+
+
+def test_suites_can_name_a_split():
+    found = [scene.name for scene in match_scenes(["split:eval", "gaps/*"])]
+    assert found[:20] == list(names("eval"))
+    assert len(found) == 20 + 11
+    with pytest.raises(SceneError, match="did you mean 'split:eval'"):
+        match_scenes(["split:evl"])
 
 
 def test_hurdle_scenes_have_one_to_three_bars_between_10_and_36_cm():
@@ -75,7 +117,7 @@ def test_globs_give_pattern_order_then_names_and_no_scene_twice():
     assert found[: len(two)] == two
     assert found[len(two)].startswith("flat/")
     assert sorted(found) == sorted(set(found))
-    assert len(found) == len(names())
+    assert len(found) == 17
 
 
 def test_hurdles_glob_leaves_the_flat_scene_out():

@@ -71,12 +71,6 @@ def test_a_splat_file_is_compiled_into_the_cache(folder, tmp_path_factory, monke
     assert open_store(get_scene(folder).splat_store()).count == 50
 
 
-def test_a_collision_mesh_says_what_is_supported(folder):
-    (folder / "scene.yaml").write_text(_SCENE.replace("boxes.json", "scan.obj"))
-    with pytest.raises(SceneError, match="height field"):
-        get_scene(folder)
-
-
 def test_the_digest_covers_the_splat_file(folder):
     (folder / "scene.yaml").write_text(_SCENE + "splat: splat.ply\n")
     (folder / "splat.ply").write_bytes(b"one")

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots.go1 import go1
+from nw_eval.robots.go2 import go2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.robots.spec import RobotSpec
 
-_BUILDERS: dict[str, Callable[[], RobotSpec]] = {"go1": go1}
+_BUILDERS: dict[str, Callable[[], RobotSpec]] = {"go1": go1, "go2": go2}
 
 
 def robot_names() -> tuple[str, ...]:

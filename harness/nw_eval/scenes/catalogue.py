@@ -10,14 +10,16 @@ from pathlib import Path
 from nw_eval.errors import SceneError, nearest
 from nw_eval.scenes.entries import ENTRIES
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
+from nw_eval.scenes.neverwhere import PREFIX, load_published, reference_path
 from nw_eval.scenes.scene import Scene
+from nw_eval.scenes.splits import SPLITS, Split, split_of
 
 _BY_NAME = {entry.name: entry for entry in ENTRIES}
 
 
-def names() -> tuple[str, ...]:
-    """Return the names of all built-in scenes, sorted."""
-    return tuple(sorted(_BY_NAME))
+def names(split: Split | None = None) -> tuple[str, ...]:
+    """Return the names of all built-in scenes, or of those of one split, sorted."""
+    return tuple(name for name in sorted(_BY_NAME) if split is None or split_of(name) == split)
 
 
 def get_scene(name_or_path: str | Path) -> Scene:
@@ -28,6 +30,8 @@ def get_scene(name_or_path: str | Path) -> Scene:
     """
     if str(name_or_path) in _BY_NAME:
         return _built_in(str(name_or_path))
+    if str(name_or_path).startswith(PREFIX):
+        return load_published(name_or_path)
     path = Path(name_or_path)
     if path.name == SCENE_FILE:
         path = path.parent
@@ -43,7 +47,8 @@ def match_scenes(patterns: Sequence[str], base: Path | None = None) -> tuple[Sce
     """Return the scenes that patterns name: by pattern, then by name, each once.
 
     Args:
-        patterns: names of built-in scenes, globs over those, or paths of scene folders.
+        patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
+            of scene folders.
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
@@ -68,11 +73,16 @@ def references(patterns: Sequence[str], base: Path | None = None) -> dict[str, s
 
 
 def _match(pattern: str, base: Path) -> list[str]:
+    for split in SPLITS:
+        if pattern == f"split:{split}":
+            return list(names(split))
     matched = [name for name in names() if fnmatchcase(name, pattern)]
     if matched:
         return matched
     if not pattern:
         raise SceneError("a scene pattern is empty", fix=f"name one of: {', '.join(names())}")
+    if pattern.startswith(PREFIX):
+        return [f"{PREFIX}{(base / reference_path(pattern)).resolve()}"]
     folder = base / pattern
     if (folder / SCENE_FILE).is_file() or folder.is_dir():
         return [str(folder.resolve())]
@@ -81,7 +91,8 @@ def _match(pattern: str, base: Path) -> list[str]:
         if folders:
             return [str(folder.resolve()) for folder in folders]
     raise SceneError(
-        f"no scene matches {pattern!r}", fix=nearest(pattern.replace("*", ""), names())
+        f"no scene matches {pattern!r}",
+        fix=nearest(pattern.replace("*", ""), [*names(), *(f"split:{split}" for split in SPLITS)]),
     )
 
 

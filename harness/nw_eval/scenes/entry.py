@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from nw_eval.scenes.mesh import TriangleMesh, merge, quad_mesh
 from nw_eval.scenes.places.crowns import crown_mesh
 from nw_eval.scenes.places.parts import Place
 from nw_eval.scenes.places.stage import Stage
-from nw_eval.scenes.scene import Scene, Spawn, Task, Vector
+from nw_eval.scenes.scene import Box, Plane, Scene, Spawn, Task, Vector
 from nw_eval.scenes.twin import BuiltInSplat
 
 # The robot's eye, metres above what it stands on.
@@ -22,7 +22,16 @@ _GROUND_REACH = 60.0
 
 
 class Course(Protocol):
-    """The obstacles of one scene and the trail over them."""
+    """The obstacles of one scene and the trail over them.
+
+    The trail is told in the world, where the spawn stands at z = 0; obstacles are built on a stage
+    whose ground is at z = 0.
+    """
+
+    @property
+    def floor(self) -> float:
+        """Height of the ground in the world, metres; below 0 where the spawn stands higher."""
+        ...
 
     def trail(self) -> tuple[Vector, ...]:
         """Return the waypoints, metres."""
@@ -56,6 +65,7 @@ class Entry:
         setting: the place round the course.
         course: obstacles and trail.
         light: a name of `LIGHTS`.
+        exposure: multiplies that light's own, where the camera's automatic would choose badly.
         task: what the trail asks of a robot.
         waypoint_noise: half widths in metres along x and y.
         spawn: where the robot starts.
@@ -66,33 +76,52 @@ class Entry:
     setting: Setting
     course: Course
     light: str
+    exposure: float = 1.0
     task: Task = "hurdles"
     waypoint_noise: tuple[float, float] = (0.0, 0.1)
     spawn: Spawn = field(default_factory=Spawn)
 
     def place(self) -> Place:
-        """Return the parts of the place, course included."""
-        trail = self.course.trail()
-        eyes = [(0.0, 0.0, EYE_HEIGHT), *((x, y, z + EYE_HEIGHT) for x, y, z in trail)]
-        stage = Stage(self.name, LIGHTS[self.light], indoor=self.setting.indoor, eyes=eyes)
+        """Return the parts of the place, course included; its ground is at z = 0."""
+        trail = self._trail()
+        up = EYE_HEIGHT - self.course.floor
+        eyes = [(0.0, 0.0, up), *((x, y, z + up) for x, y, z in trail)]
+        light = LIGHTS[self.light]
+        light = replace(light, exposure=light.exposure * self.exposure)
+        stage = Stage(self.name, light, indoor=self.setting.indoor, eyes=eyes)
         self.setting.build(stage, trail[-1][0])
         self.course.build(stage)
         return stage.place()
 
+    def _trail(self) -> tuple[Vector, ...]:
+        """Return the waypoints to a nanometre, whatever the C library makes of sines."""
+        return tuple((round(x, 9), round(y, 9), round(z, 9)) for x, y, z in self.course.trail())
+
     def scene(self) -> Scene:
         """Return the scene; its splat is not made yet."""
         place = self.place()
+        floor = self.course.floor
+        mesh = place_mesh(place)
+        T_world_place = np.eye(4)
+        T_world_place[2, 3] = floor
         return Scene(
             name=self.name,
             task=self.task,
             title=self.title,
-            solids=place.solids,
-            trail=np.array(self.course.trail(), dtype=np.float64),
-            static_mesh=place_mesh(place),
+            solids=tuple(_moved(solid, floor) for solid in place.solids),
+            ground=Plane(z=floor),
+            trail=np.array(self._trail(), dtype=np.float64),
+            static_mesh=replace(mesh, vertices=np.round(mesh.vertices + T_world_place[:3, 3], 9)),
+            T_world_splat=T_world_place,
             splat=BuiltInSplat(place=place),
             spawn=self.spawn,
             waypoint_noise=self.waypoint_noise,
         )
+
+
+def _moved(solid: Box, up: float) -> Box:
+    x, y, z = solid.center
+    return replace(solid, center=(x, y, round(z + up, 9)))
 
 
 def place_mesh(place: Place) -> TriangleMesh:

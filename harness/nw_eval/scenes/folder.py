@@ -14,7 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
-from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Spawn, Task
+from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn, Task
+from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
+from nw_eval.scenes.terrain.options import Collision, TerrainOptions
 from nw_eval.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 
 SCENE_FILE = "scene.yaml"
@@ -136,14 +138,34 @@ class FileSplat:
         return path
 
 
-def load_folder(folder: Path) -> Scene:
+def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     """Return the scene of a folder.
+
+    A collision mesh becomes terrain: height fields and boxes, or with `flex` its own triangles.
 
     Raises:
         SceneError: a file is missing or wrong; every problem found, with file and line.
     """
     text = _read(folder / SCENE_FILE, _SceneFile)
-    boxes = _solids(folder / text.collision)
+    trail = np.array(text.trail, dtype=np.float64)
+    path = folder / text.collision
+    solids: tuple[Solid, ...]
+    if path.suffix.lower() in MESH_SUFFIXES:
+        # Embree loads with it; listing scenes needs neither.
+        from nw_eval.scenes.terrain.store import compiled_terrain
+
+        static_mesh = read_mesh(path)
+        terrain = compiled_terrain(
+            static_mesh,
+            trail=trail,
+            spawn=np.array(text.spawn.position, dtype=np.float64),
+            options=TerrainOptions(collision=collision),
+        )
+        solids, ground = terrain.solids, Plane(z=terrain.floor)
+    else:
+        boxes = _boxes(path)
+        static_mesh = solids_mesh(boxes, text.ground)
+        solids, ground = boxes, Plane(z=text.ground)
     splat = None if text.splat is None else FileSplat(path=folder / text.splat)
     if splat is not None and not splat.path.is_file():
         raise SceneError(
@@ -154,10 +176,10 @@ def load_folder(folder: Path) -> Scene:
         name=text.name,
         task=text.task,
         title=text.title or text.name,
-        solids=boxes,
-        ground=Plane(z=text.ground),
-        trail=np.array(text.trail, dtype=np.float64),
-        static_mesh=solids_mesh(boxes, text.ground),
+        solids=solids,
+        ground=ground,
+        trail=trail,
+        static_mesh=static_mesh,
         splat=splat,
         spawn=Spawn(**text.spawn.model_dump()),
         waypoint_noise=text.waypoint_noise,
@@ -173,12 +195,7 @@ def solids_mesh(boxes: tuple[Box, ...], ground: float) -> TriangleMesh:
     return merge([quad, *(box_mesh(b.center, b.half_size, b.quat, b.kind) for b in boxes)])
 
 
-def _solids(path: Path) -> tuple[Box, ...]:
-    if path.suffix.lower() in _MESH_SUFFIXES:
-        raise SceneError(
-            f"{path}: collision meshes need a height field, which is not supported",
-            fix="supported are boxes: a .yaml or .json file with the key `boxes`",
-        )
+def _boxes(path: Path) -> tuple[Box, ...]:
     return tuple(Box(**box.model_dump()) for box in _read(path, _Collision).boxes)
 
 

@@ -32,6 +32,11 @@ class Hurdles:
     top: str | None = None
     finish: float = 1.6
 
+    @property
+    def floor(self) -> float:
+        """Height of the ground, metres."""
+        return 0.0
+
     def middles(self) -> tuple[float, ...]:
         """Return the bars' middles along x, metres."""
         return tuple(sum(self.gaps[: index + 1]) for index in range(len(self.heights)))

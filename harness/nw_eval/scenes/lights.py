@@ -27,7 +27,7 @@ LIGHTS: dict[str, Light] = {
         zenith=(0.20, 0.33, 0.62),
         horizon=(0.70, 0.74, 0.80),
         clouds=0.25,
-        exposure=1.05,
+        exposure=0.75,
     ),
     "forenoon": Light(
         sun=(-0.72, 0.17, 0.62),
@@ -55,6 +55,16 @@ LIGHTS: dict[str, Light] = {
         exposure=0.62,
         fog=0.12,
     ),
+    # The sun is the moon; lamps in the place do the rest.
+    "night": Light(
+        sun=(-0.4, -0.5, 0.75),
+        sun_colour=(0.012, 0.015, 0.022),
+        zenith=(0.003, 0.005, 0.012),
+        horizon=(0.012, 0.011, 0.013),
+        clouds=0.10,
+        exposure=0.30,
+        fog=0.0,
+    ),
     # Indoors: the sky and sun are what windows show and let in.
     "indoor": Light(
         sun=(-0.25, 0.85, 0.62),
@@ -72,6 +82,15 @@ LIGHTS: dict[str, Light] = {
         horizon=(0.8, 0.6, 0.5),
         clouds=0.3,
         exposure=1.05,
+        fog=0.0,
+    ),
+    "indoor_night": Light(
+        sun=(-0.4, -0.5, 0.75),
+        sun_colour=(0.02, 0.02, 0.03),
+        zenith=(0.02, 0.03, 0.06),
+        horizon=(0.07, 0.06, 0.07),
+        clouds=0.15,
+        exposure=0.92,
         fog=0.0,
     ),
 }

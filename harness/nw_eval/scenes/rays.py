@@ -25,15 +25,18 @@ class RayScene:
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
         corners = mesh.triangles
-        self._corner = corners[:, 0]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._normal = normal
         self._scene = _embree(mesh.vertices, mesh.faces)
         # Heights are asked of ground that one can stand on: a ceiling shows its underside, and
         # crowns and lamps hang overhead.
         walkable = (normal[:, 2] > 0) & (mesh.kinds != FACE_KINDS.index("overhead"))
-        self._walkable = np.flatnonzero(walkable)
-        self._ground = _embree(mesh.vertices, mesh.faces[self._walkable])
+        faces = np.flatnonzero(walkable)
+        self._ground = _embree(mesh.vertices, mesh.faces[faces])
+        # Corner and normal of each of them, a row for each coordinate. The last column is that of
+        # a miss, which has index -1: infinitely deep.
+        planes = np.concatenate([corners[faces, 0], normal[faces]], axis=1)
+        nowhere = [[0.0, 0.0, -np.inf, 0.0, 0.0, 1.0]]
+        self._planes = np.concatenate([planes, nowhere]).T.copy()
 
     def cast(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
@@ -77,7 +80,7 @@ class RayScene:
             (N,) float64 metres, -inf where there is nothing below.
         """
         count = len(xy)
-        if count == 0 or len(self._walkable) == 0:
+        if count == 0 or self._planes.shape[1] == 1:
             return np.full(count, -np.inf)
         origins = np.empty((count, 3), dtype=np.float32)
         origins[:, :2] = xy
@@ -85,12 +88,13 @@ class RayScene:
         down = np.zeros((count, 3), dtype=np.float32)
         down[:, 2] = -1.0
         hit = self._ground.run(origins, down)
-        face = self._walkable[hit]
         # The plane's own equation in float64: 50 m of float32 distance would cost micrometres.
-        normal, corner = self._normal[face], self._corner[face]
-        offset = (xy - corner[:, :2]) * normal[:, :2]
-        height = corner[:, 2] - (offset[:, 0] + offset[:, 1]) / normal[:, 2]
-        return np.where(hit < 0, -np.inf, height)
+        x, y, z, nx, ny, nz = (column.take(hit) for column in self._planes)
+        rise = (xy[:, 0] - x) * nx
+        rise += (xy[:, 1] - y) * ny
+        rise /= nz
+        z -= rise
+        return z
 
 
 def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
+from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
 
 Task = Literal["hurdles", "gaps", "ramps", "stairs"]
 TASKS: tuple[Task, ...] = get_args(Task)
@@ -40,6 +41,10 @@ class Box:
     friction: Vector = (1.25, 0.3, 0.3)
     material: str = ""
     kind: FaceKind = "obstacle"
+
+
+Solid = Box | HeightField | FlexMesh | Primitive
+"""What physics can touch, beside the ground plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +108,7 @@ class Scene:
     name: str
     task: Task
     title: str
-    solids: tuple[Box, ...]
+    solids: tuple[Solid, ...]
     trail: NDArray[np.float64]
     static_mesh: TriangleMesh
     splat: SplatSource | None

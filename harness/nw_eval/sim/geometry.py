@@ -1,13 +1,15 @@
 """Puts a scene's collision geometry into a MuJoCo specification.
 
-A scene offers `ground` (a plane) and `solids` (primitives). Another kind of solid, such as a
-height field compiled from a scanned mesh, gets its own function beside `_add_box`.
+A scene offers `ground` (a plane) and `solids`: boxes here; height fields, flexes and round
+primitives by `nw_eval.scenes.terrain.attach`.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from nw_eval.scenes.terrain.attach import add_flex, add_height_field, add_primitive
+from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
 from nw_eval.sim.binding import MjBody, MjSpec, mujoco
 
 if TYPE_CHECKING:
@@ -35,7 +37,17 @@ def add_geometry(spec: MjSpec, scene: Scene, *, friction: float | None) -> None:
         priority=priority,
     )
     for index, solid in enumerate(scene.solids):
-        _add_box(world, f"solid_{index}", solid, friction=friction, priority=priority)
+        name = f"solid_{index}"
+        rough = _with_tangential(solid.friction, friction)
+        match solid:
+            case HeightField():
+                add_height_field(spec, name, solid, friction=rough, priority=priority)
+            case FlexMesh():
+                add_flex(spec, name, solid, friction=rough, priority=priority)
+            case Primitive():
+                add_primitive(spec, name, solid, friction=rough, priority=priority)
+            case _:
+                _add_box(world, name, solid, friction=friction, priority=priority)
 
 
 def _add_box(world: MjBody, name: str, box: Box, *, friction: float | None, priority: int) -> None:

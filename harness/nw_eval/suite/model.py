@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 from nw_eval.errors import Problem
 from nw_eval.suite.digest import digest_of
 
-Robot = Literal["go1"]
+Robot = Literal["go1", "go2"]
 """As `robots.robot_names()`, which a test compares: the gate reads suites, but may know no robots.
 """
 

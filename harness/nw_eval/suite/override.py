@@ -13,6 +13,7 @@ from nw_eval.suite.model import Suite, new_suite
 def override(
     suite: Suite,
     *,
+    robot: str | None = None,
     policy: str | None = None,
     trials: int | None = None,
     scenes: tuple[str, ...] | None = None,
@@ -20,12 +21,19 @@ def override(
 ) -> Suite:
     """Return a suite with some settings replaced; None keeps a setting.
 
-    None of these is part of `Suite.digest`, so the trials of a changed suite are still the same.
+    None of these but the robot is part of `Suite.digest`, so the trials of a changed suite are
+    still the same; another robot meets trials of its own.
 
     Raises:
         UsageError: a value cannot be used, for example `trials` of 0.
     """
-    given = {"policy": policy, "trials": trials, "scenes": scenes, "record": record}
+    given = {
+        "robot": robot,
+        "policy": policy,
+        "trials": trials,
+        "scenes": scenes,
+        "record": record,
+    }
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     try:
         return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)

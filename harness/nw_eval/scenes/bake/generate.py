@@ -140,7 +140,8 @@ def _lined(patch: Patch, layer: int) -> Patch:
     """Return what is lined of a patch: an obstacle's is drawn in, so that edges stay sharp."""
     size = min(sum(part * part for part in edge) ** 0.5 for edge in (patch.u, patch.v))
     if patch.kind == "obstacle":
-        if layer > 0:
+        # The lining of a board's underside would come out above the board.
+        if layer > 0 or _looks_down(patch):
             return replace(patch, painted=False)
         share = min(_LINING_INSET / size, 0.4)
         inset = tuple(
@@ -159,6 +160,10 @@ def _lined(patch: Patch, layer: int) -> Patch:
     )
     painted = patch.painted and patch.kind != "clutter" and size > 1.0
     return replace(patch, painted=painted, decals=large)
+
+
+def _looks_down(patch: Patch) -> bool:
+    return patch.u[0] * patch.v[1] - patch.u[1] * patch.v[0] < -1e-9
 
 
 def _thin(patch: Patch) -> float:

@@ -159,6 +159,27 @@ def slabs(spots: Spots, colour: Colour) -> Coat:
     return Coat(albedo=tint(blend(albedo, _DIRT * 0.9, laid.joint * 0.9), -0.4 * gum))
 
 
+def floor_tiles(spots: Spots, colour: Colour) -> Coat:
+    """Glazed floor tiles of 30 cm with light grout."""
+    laid = tiles(spots.u, spots.v, size=(0.30, 0.30), joint=0.008, blur=spots.blur, seed=171)
+    clouds = fractal(spots.p, 0.25, 173, octaves=3, blur=spots.blur)
+    worn = fractal(spots.p[:, :2], 1.5, 175, octaves=3, blur=spots.blur)
+    shade = 0.13 * laid.shade + 0.08 * clouds + 0.08 * worn + 0.05 * grain(spots, 177)
+    return Coat(albedo=blend(tint(colour, shade), linear("#a7a196"), 0.8 * laid.joint))
+
+
+def grating(spots: Spots, colour: Colour) -> Coat:
+    """A steel grating: bright bars over dark holes, a flat bar round its rim."""
+    bars = np.maximum(
+        pulse(spots.u, 0.034, 0.010, spots.blur), pulse(spots.v, 0.068, 0.012, spots.blur)
+    )
+    edge = 1.0 - band(spots.u, 0.02, spots.w - 0.02, spots.blur) * band(
+        spots.v, 0.02, spots.h - 0.02, spots.blur
+    )
+    shine = tint(colour, 0.15 * grain(spots, 181))
+    return Coat(albedo=blend(colour * 0.22, shine, np.clip(bars + edge, 0.0, 1.0)))
+
+
 def granite(spots: Spots, colour: Colour) -> Coat:
     """Speckled stone."""
     crystals = grain(spots, 131)

@@ -55,6 +55,11 @@ def window(spots: Spots, colour: Colour) -> Coat:
     )
 
 
+def portal(spots: Spots, colour: Colour) -> Coat:
+    """The open end of a tunnel: what lies outside, without a frame."""
+    return Coat(albedo=np.broadcast_to(colour, (len(spots), 3)).copy(), glow=_outside(spots))
+
+
 def steel_window(spots: Spots, colour: Colour) -> Coat:
     """A workshop window: many panes, some of them dirty."""
     bars = steel_frame(spots.u, spots.v, spots.w, spots.h, spots.blur)

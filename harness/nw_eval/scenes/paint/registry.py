@@ -18,6 +18,10 @@ _TABLE: dict[str, tuple[Material, dict[str, str]]] = {
     "carpet": (floors.carpet, {"blue": "#3c5c96", "grey": "#6d6e72", "red": "#7c2f33"}),
     "carpet_tiles": (floors.carpet_tiles, {"grey": "#74777c", "green": "#5d6f5c"}),
     "parquet": (floors.parquet, {"oak": "#b98a55", "walnut": "#7b5435"}),
+    "tiles": (
+        floors.floor_tiles,
+        {"terracotta": "#a8664a", "white": "#cfccc4", "slate": "#62686d"},
+    ),
     "linoleum": (floors.linoleum, {"sea": "#6f9390", "grey": "#8d9194", "sand": "#b8a88c"}),
     "concrete": (
         floors.concrete,
@@ -29,6 +33,7 @@ _TABLE: dict[str, tuple[Material, dict[str, str]]] = {
     "grass": (floors.grass, {"green": "#54692c", "dry": "#8a8548"}),
     "pavers": (floors.pavers, {"red": "#8f6555", "grey": "#87847f"}),
     "slabs": (floors.slabs, {"light": "#b7b2a8", "grey": "#96948f", "sand": "#b09c7c"}),
+    "grating": (floors.grating, {"steel": "#8d9296"}),
     "granite": (floors.granite, {"black": "#3b3b40", "grey": "#85858a", "pink": "#9c7d74"}),
     "gutter": (floors.slabs, {"grey": "#85827c"}),
     "drain": (floors.drain, {"iron": "#4a4744"}),
@@ -85,13 +90,23 @@ _TABLE: dict[str, tuple[Material, dict[str, str]]] = {
     "block_wall": (masonry.block_wall, {"white": "#d9d7d0", "grey": "#8f979c"}),
     "stucco": (masonry.stucco, {"cream": "#d8c8a4", "ochre": "#c59b5f", "rose": "#c99a88"}),
     "panels": (masonry.panels, {"white": "#d6d6d2", "sand": "#c3b397", "grey": "#8e9499"}),
-    "corrugated": (masonry.corrugated, {"grey": "#b3b6b8", "blue": "#5f7f9f"}),
+    "corrugated": (
+        masonry.corrugated,
+        {
+            "grey": "#b3b6b8",
+            "blue": "#5f7f9f",
+            "red": "#9a4334",
+            "green": "#4c7a5e",
+            "yellow": "#c9a13b",
+        },
+    ),
     "ceiling_tiles": (masonry.ceiling_tiles, {"white": "#e4e2dd"}),
     "roof": (masonry.roof, {"tile": "#8d5340"}),
     "skirting": (masonry.skirting, {"white": "#dedbd2", "grey": "#6d7072", "oak": "#a87f4f"}),
     "coping": (masonry.coping, {"grey": "#a09c93"}),
     # Windows, doors, lamps.
     "window": (openings.window, {"white": "#e2e0da"}),
+    "portal": (openings.portal, {"day": "#060606"}),
     "steel_window": (openings.steel_window, {"green": "#4e625a"}),
     "house_window": (openings.house_window, {"white": "#dedbd2", "dark": "#45494c"}),
     "house_window_lit": (openings.house_window_lit, {"white": "#dedbd2"}),
@@ -109,7 +124,7 @@ _TABLE: dict[str, tuple[Material, dict[str, str]]] = {
     "exit": (openings.exit_sign, {"green": "#2aa04f"}),
     # Pictures and fittings.
     "poster": (decor.poster, {"teal": "#2f8085", "red": "#b5402f", "ochre": "#cf9436"}),
-    "mural": (decor.mural, {"teal": "#2f8f95", "pink": "#c8527c"}),
+    "mural": (decor.mural, {"teal": "#2f8f95", "pink": "#c8527c", "green": "#5f9a3f"}),
     "whiteboard": (decor.whiteboard, {"white": "#e8e9ea"}),
     "pinboard": (decor.pinboard, {"cork": "#b0834f"}),
     "books": (decor.books, {"birch": "#d8bd92"}),

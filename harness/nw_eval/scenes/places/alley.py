@@ -18,12 +18,14 @@ class Alley:
         left, right: materials of the houses.
         ground: material between the gutters.
         width: metres.
+        lit: whether windows shine, and a lantern over a door.
     """
 
     left: str = "brick/brown"
     right: str = "brick/yellow"
     ground: str = "tarmac/old"
     width: float = 3.6
+    lit: bool = False
     indoor: bool = False
 
     def build(self, stage: Stage, length: float) -> None:
@@ -42,6 +44,7 @@ class Alley:
                 Decal(rect=(x[1] + 1.0, -9.0, x[1] + 2.4, 9.0), material="slabs/grey"),
             ),
         )
+        windows = "house_window_lit" if self.lit else "house_window/white"
         left_doors = (
             Decal(rect=(span * 0.46, 0.0, span * 0.46 + 1.0, 2.15), material="door/green"),
             Decal(rect=(span * 0.72, 0.0, span * 0.72 + 2.3, 2.3), material="roller_door"),
@@ -51,9 +54,11 @@ class Alley:
             Decal(rect=(span * 0.55, 0.3, span * 0.55 + 1.6, 1.9), material="mural/teal", fine=0.6),
         )
         house(stage, x, (half, half + 1.0), 6.8, self.left, face="-y", other_faces=("+x",),
-              pitch=2.6, sill=1.3, size=(0.95, 1.25), extra=left_doors, skip=(2, 3, 4))  # fmt: skip
+              pitch=2.6, sill=1.3, size=(0.95, 1.25), extra=left_doors, skip=(2, 3, 4),
+              windows=windows)  # fmt: skip
         house(stage, x, (-half - 1.0, -half), 5.9, self.right, face="+y", other_faces=("+x",),
-              pitch=3.1, sill=1.35, size=(0.9, 1.2), extra=right_doors, skip=(1, 2, 3))  # fmt: skip
+              pitch=3.1, sill=1.35, size=(0.9, 1.2), extra=right_doors, skip=(1, 2, 3),
+              windows=windows)  # fmt: skip
         house(stage, (x[1] + 6.0, x[1] + 7.0), (-9.0, 9.0), 7.6, "stucco/cream", face="-x",
               pitch=2.4, roof="roof/tile")  # fmt: skip
         house(stage, (x[0] - 4.0, x[0] - 3.0), (-9.0, 9.0), 6.0, "stucco/ochre", face="+x",
@@ -73,6 +78,9 @@ class Alley:
                   kind="overhead", solid=False)  # fmt: skip
         stage.box((3.0, 3.8), (-half, -half + 0.35), (2.9, 3.5), "metal/grey", kind="overhead",
                   solid=False, faces=("-x", "+x", "+y", "-z", "+z"))  # fmt: skip
-        outdoors.lamp_post(stage, x[1] + 2.0, 1.5)
+        outdoors.lamp_post(stage, x[1] + 2.0, 1.5, lit=self.lit)
+        if self.lit:
+            for at, side in ((0.8, 1), (length + 0.8, -1)):
+                outdoors.wall_lamp(stage, at, side * half, side)
         outdoors.tree(stage, x[1] + 4.2, -3.4, height=5.5, radius=1.7, turn=0.4)
         outdoors.car(stage, x[1] + 4.0, 3.6, "car/red", nose=-1.0)

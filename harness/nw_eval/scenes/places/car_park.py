@@ -17,10 +17,12 @@ class CarPark:
     Attributes:
         ground: material.
         aisle: metres between the bays.
+        lit: whether the lamps burn.
     """
 
     ground: str = "tarmac/dark"
     aisle: float = 4.6
+    lit: bool = False
     indoor: bool = False
 
     def build(self, stage: Stage, length: float) -> None:
@@ -104,5 +106,5 @@ class CarPark:
                 turn=0.7 * index,
                 leaves=("leaves/lime", "leaves/oak")[index % 2],
             )
-        outdoors.lamp_post(stage, length + 5.5, half + 0.2, height=4.8)
-        outdoors.lamp_post(stage, -3.0, -half - 0.2, height=4.8)
+        outdoors.lamp_post(stage, length + 5.5, half + 0.2, height=4.8, lit=self.lit)
+        outdoors.lamp_post(stage, -3.0, -half - 0.2, height=4.8, lit=self.lit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.places.parts import Crown
@@ -39,7 +40,9 @@ def crown_mesh(crown: Crown) -> TriangleMesh:
             faces.append((low + side, high + after, high + side))
         top = 1 + (_RINGS - 2) * _SIDES
         faces.append((top + side, top + after, last))
-    vertices = np.array(points) * np.array(crown.radii) + np.array(crown.center)
+    exact: NDArray[np.float64] = np.array(points) * np.array(crown.radii) + np.array(crown.center)
+    # To a nanometre: sines end differently from one C library to the next.
+    vertices = np.round(exact, 9)
     return TriangleMesh(
         vertices=vertices,
         faces=np.array(faces, dtype=np.int32),

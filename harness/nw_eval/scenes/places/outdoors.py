@@ -169,6 +169,24 @@ def lamp_post(stage: Stage, x: float, y: float, *, height: float = 3.6, lit: boo
         )
 
 
+def wall_lamp(stage: Stage, x: float, y: float, side: int, *, height: float = 2.5) -> None:
+    """Hang a burning lantern on a wall at `y` that stands to the left (+1) or right (-1)."""
+    out = y - side * 0.12
+    stage.box(
+        (x - 0.09, x + 0.09),
+        (out - 0.09, out + 0.09),
+        (height, height + 0.26),
+        "glow/warm",
+        kind="overhead",
+        solid=False,
+        faces=("-x", "+x", "-y", "+y", "-z"),
+    )
+    stage.lamp(
+        (x - 0.12, out - 0.12, height - 0.02), (0.0, 0.24, 0.0), (0.24, 0.0, 0.0),
+        (70.0, 44.0, 20.0),
+    )  # fmt: skip
+
+
 def litter_bin(stage: Stage, x: float, y: float, material: str = "metal/green") -> None:
     """Stand a litter bin."""
     half = 0.15

@@ -17,11 +17,15 @@ class Park:
     Attributes:
         path, lawn: materials.
         width: of the path, metres.
+        leaves: materials of the trees' leaves.
+        lit: whether the lamps burn.
     """
 
     path: str = "gravel/sand"
     lawn: str = "grass/green"
     width: float = 2.8
+    leaves: tuple[str, str] = ("leaves/lime", "leaves/oak")
+    lit: bool = False
     indoor: bool = False
 
     def build(self, stage: Stage, length: float) -> None:
@@ -36,12 +40,13 @@ class Park:
         )
         stage.lawn((-8.0, length + 14.0), (half, 11.0), self.lawn)
         stage.lawn((-8.0, length + 14.0), (-11.0, -half), self.lawn)
+        light, dark = self.leaves
         near = (
-            (3.4, 3.3, 6.2, 2.0, "leaves/lime"),
-            (length + 3.5, 3.8, 7.0, 2.3, "leaves/oak"),
-            (length + 4.6, -3.4, 6.0, 1.9, "leaves/lime"),
-            (-3.5, -3.6, 6.6, 2.1, "leaves/oak"),
-            (1.2, -5.6, 7.2, 2.4, "leaves/oak"),
+            (3.4, 3.3, 6.2, 2.0, light),
+            (length + 3.5, 3.8, 7.0, 2.3, dark),
+            (length + 4.6, -3.4, 6.0, 1.9, light),
+            (-3.5, -3.6, 6.6, 2.1, dark),
+            (1.2, -5.6, 7.2, 2.4, dark),
         )
         for index, (x, y, height, radius, leaves) in enumerate(near):
             outdoors.tree(
@@ -66,7 +71,7 @@ class Park:
                 away * math.sin(angle),
                 height=8.0 + 1.2 * ((index * 3) % 4),
                 radius=3.0 + 0.4 * ((index * 2) % 3),
-                leaves=("leaves/oak", "leaves/dark", "leaves/lime")[index % 3],
+                leaves=(dark, "leaves/dark", light)[index % 3],
                 far=True,
                 trunk=0.3,
             )
@@ -84,8 +89,8 @@ class Park:
         outdoors.bench(stage, 1.6, half + 0.45, facing=-1.0)
         outdoors.bench(stage, length + 0.9, -half - 0.45, facing=1.0)
         outdoors.litter_bin(stage, 2.9, half + 0.4)
-        outdoors.lamp_post(stage, length + 2.4, half + 0.35)
-        outdoors.lamp_post(stage, -2.5, half + 0.35)
+        outdoors.lamp_post(stage, length + 2.4, half + 0.35, lit=self.lit)
+        outdoors.lamp_post(stage, -2.5, half + 0.35, lit=self.lit)
         outdoors.bush(stage, length + 6.2, 2.4, 0.7)
         outdoors.bush(stage, 4.6, -half - 1.6, 0.55, "leaves/lime")
         outdoors.hedge(stage, (length + 7.5, length + 12.0), (-half - 1.3, -half - 0.5), 0.9)

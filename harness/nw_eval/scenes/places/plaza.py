@@ -17,15 +17,18 @@ class Plaza:
     Attributes:
         ground: material of the slabs.
         building: material of the building at the far end.
+        lit: whether lamps and the windows of the houses shine.
     """
 
     ground: str = "slabs/light"
     building: str = "panels/white"
+    lit: bool = False
     indoor: bool = False
 
     def build(self, stage: Stage, length: float) -> None:
         """Put the plaza on the stage."""
         far = length + 9.0
+        windows = "house_window_lit" if self.lit else "house_window/dark"
         stage.ground(
             self.ground,
             (-16.0, far),
@@ -77,7 +80,7 @@ class Plaza:
             pitch=3.2,
             storey=3.4,
             size=(1.5, 1.7),
-            windows="house_window/dark",
+            windows=windows,
         )
         house(
             stage,
@@ -89,7 +92,7 @@ class Plaza:
             pitch=3.0,
             storey=3.4,
             size=(1.8, 1.6),
-            windows="house_window/dark",
+            windows=windows,
         )
         house(
             stage,
@@ -99,7 +102,7 @@ class Plaza:
             "panels/sand",
             face="+x",
             pitch=3.2,
-            windows="house_window/dark",
+            windows=windows,
         )
         for x in (0.6, length + 1.6):
             outdoors.planter(stage, (x, x + 2.4), (3.0, 4.0), stone="granite/grey")
@@ -119,8 +122,8 @@ class Plaza:
             )
         for x in (length + 3.2, length + 4.8):
             stage.box((x, x + 0.5), (-3.2, -1.4), (0.0, 0.45), "granite/grey")
-        outdoors.lamp_post(stage, length + 3.6, 2.6, height=4.2)
-        outdoors.lamp_post(stage, -2.0, -2.6, height=4.2)
+        outdoors.lamp_post(stage, length + 3.6, 2.6, height=4.2, lit=self.lit)
+        outdoors.lamp_post(stage, -2.0, -2.6, height=4.2, lit=self.lit)
         outdoors.litter_bin(stage, 3.4, 2.6, "metal/dark")
         for index in range(5):
             stage.prism(

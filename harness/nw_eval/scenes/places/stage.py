@@ -121,6 +121,8 @@ class Stage:
         *,
         top: str | None = None,
         yaw: float = 0.0,
+        pitch: float = 0.0,
+        roll: float = 0.0,
         solid: bool = True,
         kind: FaceKind = "clutter",
         faces: Iterable[str] = SIDES_AND_TOP,
@@ -128,7 +130,10 @@ class Stage:
         decals: Mapping[str, Iterable[Decal]] | None = None,
         texture: Pair = (0.0, 0.0),
     ) -> None:
-        """Add a box between two corners, turned by `yaw` radians about its own middle.
+        """Add a box between two corners, turned about its own middle.
+
+        It is rolled about x, then pitched about y, then yawed about z, in radians; a positive
+        pitch lowers the +x end, a positive roll lifts the +y side.
 
         Args:
             x: from and to.
@@ -137,7 +142,9 @@ class Stage:
             material: of all its faces.
             top: the material of its top, where that differs.
             solid: whether physics touches it; rays meet it either way.
-            yaw: radians about its own vertical.
+            yaw: radians about the vertical.
+            pitch: radians about the y axis.
+            roll: radians about the x axis.
             kind: what rays take it for.
             fine: multiplies the spacing of its Gaussians.
             faces: the faces that somebody can see, and that are painted.
@@ -149,7 +156,21 @@ class Stage:
         cosine, sine = math.cos(yaw), math.sin(yaw)
         painted = set(faces)
 
+        def leant(px: float, py: float, pz: float) -> Vector:
+            if roll != 0.0:
+                py, pz = (
+                    math.cos(roll) * py - math.sin(roll) * pz,
+                    math.sin(roll) * py + math.cos(roll) * pz,
+                )
+            if pitch != 0.0:
+                px, pz = (
+                    math.cos(pitch) * px + math.sin(pitch) * pz,
+                    math.cos(pitch) * pz - math.sin(pitch) * px,
+                )
+            return (px, py, pz)
+
         def world(px: float, py: float, pz: float) -> Vector:
+            px, py, pz = leant(px, py, pz)
             return (
                 center[0] + cosine * px - sine * py,
                 center[1] + sine * px + cosine * py,
@@ -157,6 +178,7 @@ class Stage:
             )
 
         def edge(px: float, py: float, pz: float) -> Vector:
+            px, py, pz = leant(px, py, pz)
             return (cosine * px - sine * py, sine * px + cosine * py, pz)
 
         hx, hy, hz = half
@@ -187,7 +209,7 @@ class Stage:
                 Box(
                     center=_floats(center),
                     half_size=_floats(half),
-                    quat=(math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)),
+                    quat=_quat(yaw, pitch, roll),
                     material=material,
                     kind=kind,
                 )
@@ -285,9 +307,23 @@ class Stage:
         )
 
 
+def _quat(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
+    """Return w x y z of a roll about x, then a pitch about y, then a yaw about z."""
+    cz, sz = math.cos(yaw / 2), math.sin(yaw / 2)
+    cy, sy = math.cos(pitch / 2), math.sin(pitch / 2)
+    cx, sx = math.cos(roll / 2), math.sin(roll / 2)
+    return (
+        round(cz * cy * cx + sz * sy * sx, 12),
+        round(cz * cy * sx - sz * sy * cx, 12),
+        round(cz * sy * cx + sz * cy * sx, 12),
+        round(sz * cy * cx - cz * sy * sx, 12),
+    )
+
+
 def _floats(values: Iterable[float]) -> Vector:
+    """Return three floats to a nanometre: sines end differently from one C library to the next."""
     x, y, z = values
-    return (float(x), float(y), float(z))
+    return (round(float(x), 9), round(float(y), 9), round(float(z), 9))
 
 
 def _mix(one: Iterable[float], two: Iterable[float], share: float) -> Vector:

@@ -21,14 +21,16 @@ def room_shell(
     walls: dict[str, str],
     ceiling: str,
     skirting: str | None = "skirting/white",
+    floor_decals: Iterable[Decal] = (),
     decals: Mapping[str, Iterable[Decal]],
 ) -> None:
     """Build floor, ceiling and four walls round a rectangle.
 
     Walls are called `left` (+y), `right` (-y), `far` (+x) and `back` (-x). A wall's decals are
-    measured from its left end as somebody in the room sees it, and from the floor.
+    measured from its left end as somebody in the room sees it, and from the floor; the floor's
+    are in world coordinates.
     """
-    stage.ground(floor, x, y)
+    stage.ground(floor, x, y, decals=floor_decals)
     stage.quad(
         (x[0], y[0], height),
         (0.0, y[1] - y[0], 0.0),

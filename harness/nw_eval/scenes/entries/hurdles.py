@@ -1,4 +1,4 @@
-"""The built-in scenes: one entry each."""
+"""Hurdles: fixed-height bars, blocks and benches, and one place with nothing in the way."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ from nw_eval.scenes.entry import Entry
 from nw_eval.scenes.hurdles import Hurdles
 from nw_eval.scenes.places.alley import Alley
 from nw_eval.scenes.places.car_park import CarPark
+from nw_eval.scenes.places.cloister import Cloister
 from nw_eval.scenes.places.corridor import Corridor
 from nw_eval.scenes.places.courtyard import Courtyard
+from nw_eval.scenes.places.garden import Garden
 from nw_eval.scenes.places.park import Park
 from nw_eval.scenes.places.plaza import Plaza
 from nw_eval.scenes.places.room import Room
+from nw_eval.scenes.places.warehouse import Warehouse
 from nw_eval.scenes.places.workshop import Workshop
+from nw_eval.scenes.places.yard import Yard
 
-ENTRIES: tuple[Entry, ...] = (
+HURDLES: tuple[Entry, ...] = (
     Entry(
         name="hurdles/one_low_carpet",
         title="one plywood box, 15 cm, on the blue carpet of a sunny seminar room",
@@ -158,6 +162,55 @@ ENTRIES: tuple[Entry, ...] = (
             length=0.42,
         ),
         light="indoor_evening",
+    ),
+    Entry(
+        name="hurdles/two_pallets_warehouse",
+        title="two boxes of pallet wood, 16 and 21 cm, in the aisle of a warehouse",
+        setting=Warehouse(),
+        course=Hurdles(
+            heights=(0.16, 0.21),
+            gaps=(1.6, 2.0),
+            width=1.6,
+            length=0.44,
+            material="planks/pallet",
+        ),
+        light="indoor",
+    ),
+    Entry(
+        name="hurdles/three_benches_cloister",
+        title="three stone benches, 18 to 22 cm, in the walk of a cloister",
+        setting=Cloister(),
+        course=Hurdles(
+            heights=(0.18, 0.22, 0.20),
+            gaps=(1.7, 1.9, 1.8),
+            width=1.7,
+            length=0.38,
+            material="granite/pink",
+        ),
+        light="morning",
+    ),
+    Entry(
+        name="hurdles/two_beams_yard_night",
+        title="two timber beams, 17 and 22 cm, under the lamps of a container yard at night",
+        setting=Yard(lit=True),
+        course=Hurdles(
+            heights=(0.17, 0.22), gaps=(1.6, 1.9), width=2.2, length=0.30, material="timber/brown"
+        ),
+        light="night",
+    ),
+    Entry(
+        name="hurdles/three_boxes_garden",
+        title="three planked boxes, 14 to 18 cm, on the path of a back garden",
+        setting=Garden(),
+        course=Hurdles(
+            heights=(0.14, 0.18, 0.16),
+            gaps=(1.6, 1.7, 1.8),
+            width=1.5,
+            length=0.36,
+            shift=(0.0, -0.06, 0.06),
+            material="planks/teak",
+        ),
+        light="overcast",
     ),
     Entry(
         name="flat/carpet_room",

@@ -1,0 +1,258 @@
+"""The Unitree Go2 as the published Neverwhere evaluation simulates it.
+
+Figures: the robot files of ziyc/neverwhere (commit 5774a18), read as data. The trunk's mass and
+inertia are those that the authors copied from the Go1 (4.801 kg); a real Go2's trunk is about
+6.9 kg. Both protocols keep the published figure, so that scores compare.
+"""
+
+from __future__ import annotations
+
+import math
+
+from nw_eval.robots.figures import Figures, FollowingCamera, Inertial, Leg, Link
+from nw_eval.robots.go2_visuals import go2_visuals
+from nw_eval.robots.mjcf import body_names, write_mjcf
+from nw_eval.robots.spec import JOINT_KINDS, LEGS, CameraMount, Quaternion, RobotSpec, Shape
+
+_EYE = (0.285, 0.0, 0.175)  # in the trunk; the release's camera stands above the head
+_HIP = (0.1934, 0.0465, 0.0)
+_THIGH_OFFSET = 0.0955  # of the thigh joint from the hip joint, outwards
+_SEGMENT = 0.213  # length of thigh and calf
+_FOOT_RADIUS = 0.022
+
+_HIP_RANGE = (-1.0472, 1.0472)
+_FRONT_THIGH_RANGE = (-1.5708, 3.4907)
+_REAR_THIGH_RANGE = (-0.5236, 4.5379)
+_CALF_RANGE = (-2.7227, -0.83776)
+
+_TRUNK = Inertial(
+    mass=4.801,
+    com=(0.0116053, 0.00442221, 0.000106692),
+    principal=(0.0447997, 0.0366257, 0.0162187),
+    quat=(0.0111438, 0.707126, -0.00935374, 0.706938),
+)
+_HIP_QUATS: dict[str, Quaternion] = {
+    "FR": (0.498237, 0.505462, 0.499245, 0.497014),
+    "FL": (0.497014, 0.499245, 0.505462, 0.498237),
+    "RR": (0.499245, 0.497014, 0.498237, 0.505462),
+    "RL": (0.505462, 0.498237, 0.497014, 0.499245),
+}
+_THIGH_QUATS: dict[str, Quaternion] = {
+    "R": (0.551623, -0.0200632, 0.0847635, 0.829533),
+    "L": (0.829533, 0.0847635, -0.0200632, 0.551623),
+}
+_CALF_QUATS: dict[str, Quaternion] = {
+    "R": (0.703508, -0.00450087, 0.00154099, 0.710672),
+    "L": (0.710672, 0.00154099, -0.00450087, 0.703508),
+}
+
+
+def _about_y(angle: float) -> Quaternion:
+    return (math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0)
+
+
+# A quarter turn about y lays the long x axis of the link boxes along z; one about x lays the z
+# axis of the hip cylinders along y.
+_QUARTER_TURN_Y = _about_y(math.pi / 2)
+_QUARTER_TURN_X: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+
+
+def _leg(name: str) -> Leg:
+    side = name[1]
+    front = 1.0 if name[0] == "F" else -1.0
+    left = 1.0 if side == "L" else -1.0
+    hip = Inertial(
+        mass=0.678,
+        com=(-0.0054 * front, 0.00194 * left, -0.000105),
+        principal=(0.00088403, 0.000596003, 0.000479967),
+        quat=_HIP_QUATS[name],
+    )
+    thigh = Inertial(
+        mass=1.152,
+        com=(-0.00374, -0.0223 * left, -0.0327),
+        principal=(0.00594973, 0.00584149, 0.000878787),
+        quat=_THIGH_QUATS[side],
+    )
+    calf = Inertial(
+        mass=0.241352,
+        com=(0.00629595, -0.000622121 * left, -0.141417),
+        principal=(0.0014901, 0.00146356, 5.31397e-05),
+        quat=_CALF_QUATS[side],
+    )
+    return Leg(
+        name=name,
+        hip=Link(
+            position=(_HIP[0] * front, _HIP[1] * left, _HIP[2]),
+            axis=(1, 0, 0),
+            range=_HIP_RANGE,
+            inertial=hip,
+        ),
+        thigh=Link(
+            position=(0.0, _THIGH_OFFSET * left, 0.0),
+            axis=(0, 1, 0),
+            range=_FRONT_THIGH_RANGE if front > 0 else _REAR_THIGH_RANGE,
+            inertial=thigh,
+        ),
+        calf=Link(position=(0.0, 0.0, -_SEGMENT), axis=(0, 1, 0), range=_CALF_RANGE, inertial=calf),
+    )
+
+
+def _collisions() -> tuple[Shape, ...]:
+    trunk = (
+        Shape(body="trunk", kind="box", name="base", size=(0.1881, 0.04675, 0.057)),
+        Shape(
+            body="trunk",
+            kind="cylinder",
+            name="face_head",
+            size=(0.05, 0.045),
+            position=(0.285, 0.0, 0.01),
+        ),
+        Shape(
+            body="trunk",
+            kind="sphere",
+            name="face_dome",
+            size=(0.047,),
+            position=(0.293, 0.0, -0.06),
+        ),
+    )
+    return (*trunk, *(shape for leg in LEGS for shape in _leg_collisions(leg)))
+
+
+def _leg_collisions(leg: str) -> tuple[Shape, ...]:
+    is_left = leg[1] == "L"
+    calf = f"{leg}_calf"
+    return (
+        Shape(
+            body=f"{leg}_hip",
+            kind="cylinder",
+            name=f"{leg}_hip",
+            size=(0.046, 0.02),
+            position=(0.0, 0.08 if is_left else -0.08, 0.0),
+            quat=_QUARTER_TURN_X,
+        ),
+        Shape(
+            body=f"{leg}_thigh",
+            kind="box",
+            name=f"{leg}_thigh",
+            size=(_SEGMENT / 2, 0.01225, 0.017),
+            position=(0.0, 0.0, -_SEGMENT / 2),
+            quat=_QUARTER_TURN_Y,
+        ),
+        # The two sides differ by a millimetre or two in the published file.
+        Shape(
+            body=calf,
+            kind="cylinder",
+            name=f"{leg}_upper_calf",
+            size=(0.012 if is_left else 0.013, 0.06),
+            position=(0.008 if is_left else 0.01, 0.0, -0.06),
+            quat=_about_y(-0.209 if is_left else -0.2),
+        ),
+        Shape(
+            body=calf,
+            kind="cylinder",
+            name=f"{leg}_lower_calf",
+            size=(0.011, 0.0325),
+            position=(0.02, 0.0, -0.148),
+            quat=_about_y(0.05),
+        ),
+        Shape(
+            body=calf,
+            kind="sphere",
+            name=leg,
+            size=(_FOOT_RADIUS,),
+            position=(-0.002, 0.0, -_SEGMENT),
+        ),
+    )
+
+
+def _down(fovy_degrees: float) -> CameraMount:
+    """Return a camera above the head that looks ahead and 18.4 degrees down."""
+    # The published image axes are x = (0, -1, 0) and y = (0.316, 0, 0.949), normalised on loading.
+    length = math.hypot(0.316, 0.949)
+    s, c = 0.316 / length, 0.949 / length
+    return CameraMount(
+        position=_EYE,
+        R_trunk_camera=((0.0, -s, c), (-1.0, 0.0, 0.0), (0.0, -c, -s)),
+        fovy=math.radians(fovy_degrees),
+    )
+
+
+# Published names: ego-rgb, ego-rgb-render, realsense, realsense-rgb, realsense-rgb-render.
+_CAMERAS = {
+    "ego": _down(90.0),
+    "ego-render": _down(92.69673787219053),
+    "realsense": _down(56.18593669466556),
+    "realsense-rgb": _down(42.61),
+    "realsense-rgb-render": _down(45.1729792),
+}
+
+_FOLLOWERS = (
+    FollowingCamera(
+        name="heightmap",
+        position=(0.0, 0.0, 25.0),
+        x_axis=(0.0, -1.0, 0.0),
+        y_axis=(1.0, 0.0, 0.0),
+        fovy=math.radians(6.0),
+    ),
+    FollowingCamera(
+        name="tracking",
+        position=(0.0, -1.0, 1.0),
+        x_axis=(1.0, 0.0, 0.0),
+        y_axis=(0.0, 1.0, 1.0),
+        fovy=math.radians(60.0),
+    ),
+    FollowingCamera(
+        name="tracking-2",
+        position=(0.0, -1.0, 0.0),
+        x_axis=(1.0, 0.0, 0.0),
+        y_axis=(0.0, 0.0, 1.0),
+        fovy=math.radians(60.0),
+    ),
+)
+
+FIGURES = Figures(
+    name="go2",
+    trunk=_TRUNK,
+    attachments=(),
+    legs=tuple(_leg(name) for name in LEGS),
+    collisions=_collisions(),
+    visuals=go2_visuals(),
+    cameras=_CAMERAS,
+    followers=_FOLLOWERS,
+    spawn_height=0.4,
+    kp=30.0,
+    joint_damping=0.6,
+    armature=0.01,
+    friction_loss=0.2,
+    torque_limit=23.7,
+    geom_friction=(1.0, 0.3, 0.3),
+    contact_margin=0.001,
+)
+
+
+def go2() -> RobotSpec:
+    """Return the Go2: 13.086 kg, 12 position servos with kp 30 and limits of 23.7 N m."""
+    figures = FIGURES
+    monitored = ("face_head", "face_dome", "base")
+    return RobotSpec(
+        name=figures.name,
+        joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
+        default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+        joint_ranges=tuple(
+            link.range for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)
+        ),
+        kp=figures.kp,
+        joint_damping=figures.joint_damping,
+        torque_limits=(figures.torque_limit,) * 12,
+        armature=figures.armature,
+        friction_loss=figures.friction_loss,
+        feet=LEGS,
+        monitored_geoms=monitored,
+        published_monitored_geoms=monitored,
+        cameras=figures.cameras,
+        height_camera_offset=(-0.00341, -0.00162, 25.03764),
+        bodies=body_names(figures),
+        visuals=figures.visuals,
+        spawn_height=figures.spawn_height,
+        mjcf=write_mjcf(figures),
+    )

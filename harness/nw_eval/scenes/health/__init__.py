@@ -1,0 +1,1 @@
+"""What is wrong with a place, said before a robot finds out."""

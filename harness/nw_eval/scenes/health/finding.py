@@ -1,0 +1,63 @@
+"""One thing that somebody should know about a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+Code = Literal[
+    "floor_offset",
+    "hole",
+    "inconsistent_meshes",
+    "inside_out",
+    "layered_sheet",
+    "no_floor_under_spawn",
+    "no_splat",
+    "overhang",
+    "spawn_blocked",
+    "splat_elsewhere",
+    "splat_empty",
+    "splat_invalid",
+    "task_guessed",
+    "terrain_error",
+    "thin_wall",
+    "unreadable",
+    "waypoint_above_surface",
+    "waypoint_below_surface",
+    "waypoint_off_mesh",
+    "xml_disagree",
+]
+Severity = Literal["error", "warning", "note"]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A fault or a peculiarity of a scene.
+
+    Attributes:
+        code: which kind; stable, for machines.
+        severity: an `error` makes results meaningless, a `warning` may change them, a `note` is
+            how the scene was understood.
+        message: what was found, with its value and place.
+        fix: what to do about it.
+        value: the number in question, in SI units.
+        place: where, metres, world.
+    """
+
+    code: Code
+    severity: Severity
+    message: str
+    fix: str | None = None
+    value: float | None = None
+    place: Vector | None = None
+
+    def __str__(self) -> str:
+        text = f"{self.severity} {self.code}: {self.message}"
+        return text if self.fix is None else f"{text}; {self.fix}"
+
+
+def has_errors(findings: Iterable[Finding]) -> bool:
+    """Return whether any finding is an error: then `nw-eval scenes check` exits with 2."""
+    return any(finding.severity == "error" for finding in findings)

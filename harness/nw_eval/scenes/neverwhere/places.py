@@ -1,0 +1,118 @@
+"""Where the files of a published scene are, and which paths its XML may name."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes.neverwhere.xml_file import Element
+
+RobotName = Literal["go1", "go2"]
+ROBOTS: tuple[RobotName, ...] = ("go1", "go2")
+_DRIVE = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """The folders of one scene.
+
+    Attributes:
+        xml: the scene's XML.
+        folder: the scene folder, which holds `geometry` and `3dgs`.
+        name: of the scene, as the published table spells it.
+    """
+
+    xml: Path
+    folder: Path
+    name: str
+
+    def resolve(self, element: Element, attribute: str, *, within: str = "") -> Path:
+        """Return the existing file that an attribute names.
+
+        Meshes are named relative to the folder of the XML, as `real_scenes/<scene>/...`; included
+        files may name theirs relative to themselves. Within the scene folder alone, without the
+        code repository round it, the leading `real_scenes/<scene>` falls away.
+
+        Args:
+            element: that names a file.
+            attribute: in which it does.
+            within: folder that the compiler section puts before it.
+
+        Raises:
+            SceneError: the path is absolute or leads upwards, or there is no such file.
+        """
+        text = element.get(attribute) or ""
+        parts = PurePosixPath(_checked(element, within), _checked(element, text)).parts
+        relative = Path(*parts)
+        candidates = [self.xml.parent / relative, element.file.parent / relative]
+        if len(parts) > 2 and parts[0] == "real_scenes":
+            candidates.append(self.folder / Path(*parts[2:]))
+        roots = [self.xml.parent.resolve(), self.folder.resolve(), element.file.parent.resolve()]
+        for candidate in candidates:
+            if not candidate.is_file():
+                continue
+            real = candidate.resolve()
+            if any(real.is_relative_to(root) for root in roots):
+                return candidate
+            raise element.error(
+                f"{attribute}={text!r} is a link out of the scene", fix="copy the file into it"
+            )
+        raise element.error(
+            f"there is no file {text!r}",
+            fix="looked at " + ", ".join(str(path) for path in dict.fromkeys(candidates)),
+        )
+
+
+def find_places(reference: Path, robot: RobotName = "go1") -> Places:
+    """Return the places of a scene.
+
+    Args:
+        reference: the scene folder, with the XML in it or two folders up (beside `real_scenes`), or
+            the XML itself.
+        robot: whose XML to take if there is one for each.
+
+    Raises:
+        SceneError: no XML is found.
+    """
+    if reference.suffix == ".xml":
+        if not reference.is_file():
+            raise SceneError(f"{reference}: there is no such file")
+        name = re.sub(r"^nw-go[12]-", "", reference.stem)
+        beside = reference.parent / "real_scenes" / name
+        folder = beside if beside.is_dir() else reference.parent
+        return Places(xml=reference, folder=folder, name=name)
+    if not reference.is_dir():
+        raise SceneError(f"{reference}: there is no such folder", fix="give a scene folder")
+    name = reference.resolve().name
+    order = (robot, *(other for other in ROBOTS if other != robot))
+    for base in (reference, reference.parent.parent, reference.absolute().parent.parent):
+        for each in order:
+            xml = base / f"nw-{each}-{name}.xml"
+            if xml.is_file():
+                return Places(xml=xml, folder=reference, name=name)
+    found = sorted(reference.glob("*.xml"))
+    for each in order:
+        named = [xml for xml in found if xml.name.startswith(f"nw-{each}-")]
+        if len(named) == 1:
+            return Places(xml=named[0], folder=reference, name=named[0].stem[len("nw-go1-") :])
+    named = [xml for xml in found if xml.stem == name]
+    if named or len(found) == 1:
+        return Places(xml=(named or found)[0], folder=reference, name=name)
+    raise SceneError(
+        f"{reference}: {len(found)} XML files and none is nw-{robot}-{name}.xml",
+        fix="put the scene's XML there, or name the XML instead of the folder",
+    )
+
+
+def _checked(element: Element, text: str) -> str:
+    unified = text.replace("\\", "/")
+    if unified.startswith("/") or _DRIVE.match(unified) or "\0" in unified:
+        raise element.error(f"the path {text!r} is absolute", fix="make it relative to the XML")
+    if ".." in unified.split("/"):
+        raise element.error(
+            f"the path {text!r} leads upwards with '..'", fix="keep it inside the scene"
+        )
+    return unified

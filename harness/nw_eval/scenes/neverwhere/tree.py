@@ -1,0 +1,251 @@
+"""An MJCF scene file as placed geoms, bodies and mesh assets; robots are left out.
+
+Of MJCF this reads what scene files use: includes, compiler angles and folders, default classes,
+bodies and frames with poses, geoms, and mesh assets.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes.neverwhere.places import Places
+from nw_eval.scenes.neverwhere.pose import Angles, Matrix, pose, product
+from nw_eval.scenes.neverwhere.xml_file import Element, read_xml
+
+_INCLUDES = 12
+_ROBOT_FILE = re.compile(r"(^|[/_-])go[12]([/_.-]|$)")
+# What the robots' own files set for every geom and angle of the model that includes them.
+_ROBOT_FRICTION = "1.0 0.3 0.3"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedGeom:
+    """A geom with its defaults filled in.
+
+    Attributes:
+        element: attributes, defaults included.
+        T_world_geom: (4, 4).
+        bodies: names of the bodies round it, outermost first.
+    """
+
+    element: Element
+    T_world_geom: Matrix
+    bodies: tuple[str, ...]
+
+    @property
+    def collides(self) -> bool:
+        """Whether anything can touch it."""
+        return (
+            self.element.get("contype", "1") != "0" or self.element.get("conaffinity", "1") != "0"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tree:
+    """What a scene file places.
+
+    Attributes:
+        bodies: name -> T_world_body (4, 4).
+        geoms: all geoms, in order.
+        meshes: name -> asset element.
+        angles: how the file writes angles.
+        mesh_folder: what mesh files are relative to, beside the XML.
+        has_robot: whether a robot's file was included.
+    """
+
+    bodies: dict[str, Matrix]
+    geoms: list[PlacedGeom]
+    meshes: dict[str, Element]
+    angles: Angles
+    mesh_folder: str
+    has_robot: bool
+
+
+def read_tree(places: Places) -> Tree:
+    """Return the tree of a scene's XML.
+
+    Raises:
+        SceneError: naming file and line.
+    """
+    root = read_xml(places.xml)
+    if root.tag != "mujoco":
+        raise root.error("this is no MJCF", fix="the outermost element must be <mujoco>")
+    sections = _Sections(places)
+    sections.expand(root, (places.xml.resolve(),))
+    angles, mesh_folder = _compiler(sections)
+    walk = _Walk(angles=angles, defaults=_Defaults(sections))
+    for section in sections.worlds:
+        walk.visit(section, np.eye(4), (), "main")
+    meshes: dict[str, Element] = {}
+    for section in sections.assets:
+        for mesh in section.all("mesh"):
+            name = mesh.get("name") or Path(mesh.get("file") or "").stem
+            meshes[name] = mesh
+    return Tree(
+        bodies=walk.bodies,
+        geoms=walk.geoms,
+        meshes=meshes,
+        angles=angles,
+        mesh_folder=mesh_folder,
+        has_robot=sections.has_robot,
+    )
+
+
+class _Sections:
+    """The sections of a file and of what it includes."""
+
+    def __init__(self, places: Places) -> None:
+        self._places = places
+        self.compilers: list[Element] = []
+        self.defaults: list[Element] = []
+        self.assets: list[Element] = []
+        self.worlds: list[Element] = []
+        self.has_robot = False
+        self.robot_is_assumed = False
+
+    def expand(self, root: Element, chain: tuple[Path, ...]) -> None:
+        for child in root.children:
+            if child.tag == "include":
+                self._include(child, chain)
+            elif child.tag == "compiler":
+                self.compilers.append(child)
+            elif child.tag == "default":
+                self.defaults.append(child)
+            elif child.tag == "asset":
+                self.assets.append(child)
+            elif child.tag == "worldbody":
+                self.worlds.append(child)
+
+    def _include(self, element: Element, chain: tuple[Path, ...]) -> None:
+        try:
+            path = self._places.resolve(element, "file")
+        except SceneError as error:
+            text = element.get("file") or ""
+            # Robots are no scene data: their files stay in the code repository.
+            if "there is no file" in str(error) and _ROBOT_FILE.search(text):
+                self.has_robot = self.robot_is_assumed = True
+                return
+            raise
+        if path.resolve() in chain or len(chain) > _INCLUDES:
+            raise element.error(f"{path} includes itself", fix="remove the circle")
+        root = read_xml(path)
+        if _is_robot(root):
+            self.has_robot = True
+            self.compilers += root.all("compiler")
+            self.defaults += root.all("default")
+            return
+        self.expand(root, (*chain, path.resolve()))
+
+
+def _is_robot(root: Element) -> bool:
+    def moves(element: Element) -> bool:
+        return any(
+            child.tag == "freejoint"
+            or (child.tag == "joint" and child.get("type") == "free")
+            or moves(child)
+            for child in element.children
+            if child.tag in {"body", "freejoint", "joint"}
+        )
+
+    return any(moves(world) for world in root.all("worldbody"))
+
+
+def _compiler(sections: _Sections) -> tuple[Angles, str]:
+    unit, sequence, folder = "degree", "xyz", ""
+    if sections.robot_is_assumed:
+        unit = "radian"
+    for element in sections.compilers:
+        unit = element.get("angle", unit) or unit
+        sequence = element.get("eulerseq", sequence) or sequence
+        # Robots keep their meshes elsewhere; only the scene's own files say where theirs are.
+        if not _ROBOT_FILE.search(element.file.name):
+            folder = element.get("meshdir") or element.get("assetdir") or folder
+        if unit not in {"degree", "radian"}:
+            raise element.error(f"angle={unit!r}", fix="give degree or radian")
+        if len(sequence) != 3 or set(sequence.lower()) - set("xyz"):
+            raise element.error(f"eulerseq={sequence!r}", fix="give three of x, y, z")
+    return Angles(unit=1.0 if unit == "radian" else math.pi / 180, sequence=sequence), folder
+
+
+class _Defaults:
+    """Default attributes of geoms and meshes, by class."""
+
+    def __init__(self, sections: _Sections) -> None:
+        start = {"friction": _ROBOT_FRICTION} if sections.robot_is_assumed else {}
+        self._classes: dict[str, dict[str, dict[str, str]]] = {"main": {"geom": start, "mesh": {}}}
+        for section in sections.defaults:
+            self._read(section, "main")
+
+    def _read(self, element: Element, name: str) -> None:
+        mine = self._classes[name]
+        for tag in ("geom", "mesh"):
+            for child in element.all(tag):
+                mine[tag] = _filled(mine[tag], child.attributes)
+        for child in element.all("default"):
+            inner = child.get("class")
+            if inner is None:
+                raise child.error("a nested default has no class", fix="name it")
+            self._classes[inner] = {tag: dict(values) for tag, values in mine.items()}
+            self._read(child, inner)
+
+    def of(self, element: Element, inherited: str) -> Element:
+        """Return an element with the defaults of its class filled in."""
+        name = element.get("class") or inherited
+        if name not in self._classes:
+            raise element.error(f"there is no default class {name!r}")
+        filled = _filled(self._classes[name].get(element.tag, {}), element.attributes)
+        return Element(tag=element.tag, attributes=filled, file=element.file, line=element.line)
+
+
+def _filled(default: dict[str, str], given: dict[str, str]) -> dict[str, str]:
+    """Return attributes over defaults; a list given in part keeps the default's end."""
+    filled = {**default, **given}
+    for name in ("friction", "size"):
+        if name in default and name in given:
+            parts = given[name].split()
+            filled[name] = " ".join([*parts, *default[name].split()[len(parts) :]])
+    return filled
+
+
+@dataclass(kw_only=True)
+class _Walk:
+    """Goes through a world body and places what it finds."""
+
+    angles: Angles
+    defaults: _Defaults
+    bodies: dict[str, Matrix] = field(default_factory=dict[str, Matrix])
+    geoms: list[PlacedGeom] = field(default_factory=list[PlacedGeom])
+
+    def visit(
+        self, element: Element, T_world_parent: Matrix, path: tuple[str, ...], inherited: str
+    ) -> None:
+        for child in self._children(element):
+            if child.tag == "geom":
+                filled = self.defaults.of(child, inherited)
+                placed = product(T_world_parent, pose(filled, self.angles))
+                self.geoms.append(PlacedGeom(element=filled, T_world_geom=placed, bodies=path))
+            elif child.tag in {"body", "frame"}:
+                placed = product(T_world_parent, pose(child, self.angles))
+                name = child.get("name") or ""
+                if child.tag == "body":
+                    if name in self.bodies:
+                        raise child.error("a second body of that name", fix="rename one")
+                    if name:
+                        self.bodies[name] = placed
+                    path_inside = (*path, name)
+                else:
+                    path_inside = path
+                self.visit(child, placed, path_inside, child.get("childclass") or inherited)
+
+    def _children(self, element: Element) -> Iterator[Element]:
+        for child in element.children:
+            if child.tag in {"replicate", "attach", "composite", "flexcomp", "include"}:
+                raise child.error(f"<{child.tag}> inside a body is not read here", fix="expand it")
+            yield child

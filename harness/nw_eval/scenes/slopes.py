@@ -1,0 +1,82 @@
+"""Inclined boards as boxes: told by where their upper surface is."""
+
+from __future__ import annotations
+
+import math
+
+from nw_eval.scenes.places.parts import Pair
+from nw_eval.scenes.places.stage import ALL_FACES, Stage
+
+THICKNESS = 0.04
+"""Of a board, metres."""
+
+
+def pitched_board(
+    stage: Stage, x: Pair, z: Pair, y: Pair, material: str, *, texture: Pair = (0.0, 0.0)
+) -> None:
+    """Lay a board whose upper surface runs from one height to another along the trail.
+
+    Args:
+        stage: what to lay it on.
+        x: where its upper surface starts and ends, metres.
+        z: the heights there.
+        y: from and to.
+        material: of all its faces.
+        texture: so that equal boards differ.
+    """
+    run, rise = x[1] - x[0], z[1] - z[0]
+    length, slope = math.hypot(run, rise), math.atan2(rise, run)
+    half = THICKNESS / 2
+    # The middle lies half a thickness below the middle of the upper surface, across the slope.
+    middle_x = (x[0] + x[1]) / 2 + half * math.sin(slope)
+    middle_z = (z[0] + z[1]) / 2 - half * math.cos(slope)
+    stage.box(
+        (middle_x - length / 2, middle_x + length / 2),
+        y,
+        (middle_z - half, middle_z + half),
+        material,
+        pitch=-slope,
+        kind="obstacle",
+        faces=ALL_FACES,
+        fine=0.7,
+        texture=texture,
+    )
+
+
+def rolled_board(
+    stage: Stage,
+    x: Pair,
+    y: float,
+    z: float,
+    width: float,
+    roll: float,
+    material: str,
+    *,
+    texture: Pair = (0.0, 0.0),
+) -> None:
+    """Lay a board along the trail that leans to one side.
+
+    Args:
+        stage: what to lay it on.
+        x: from and to.
+        y: of the middle of its upper surface, metres.
+        z: height of that middle, metres.
+        width: across the trail, measured on the slope, metres.
+        roll: radians; positive lifts its left side.
+        material: of all its faces.
+        texture: so that equal boards differ.
+    """
+    half = THICKNESS / 2
+    middle_y = y + half * math.sin(roll)
+    middle_z = z - half * math.cos(roll)
+    stage.box(
+        x,
+        (middle_y - width / 2, middle_y + width / 2),
+        (middle_z - half, middle_z + half),
+        material,
+        roll=roll,
+        kind="obstacle",
+        faces=ALL_FACES,
+        fine=0.7,
+        texture=texture,
+    )

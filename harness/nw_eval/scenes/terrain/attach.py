@@ -1,0 +1,84 @@
+"""Puts terrain into a MuJoCo specification.
+
+The only module of this package that knows MuJoCo; `nw_eval.sim.geometry` calls it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco as _mujoco
+import numpy as np
+
+from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
+
+# Its classes live in compiled modules without type information.
+mujoco: Any = _mujoco
+
+# MuJoCo wants a positive elevation range, also of flat ground.
+_LEAST_RANGE = 1e-3
+
+
+def add_height_field(
+    spec: Any, name: str, field: HeightField, *, friction: Sequence[float], priority: int
+) -> None:
+    """Add a height field to the world body of `spec` (an MjSpec).
+
+    Args:
+        spec: specification that is not compiled yet.
+        name: of the asset and of its geom; must be new.
+        field: the ground.
+        friction: three coefficients, in place of the field's own.
+        priority: of the geom's contacts.
+    """
+    rows, columns = field.heights.shape
+    low = float(field.heights.min())
+    span = max(float(field.heights.max()) - low, _LEAST_RANGE)
+    spec.add_hfield(
+        name=name,
+        nrow=rows,
+        ncol=columns,
+        size=[*field.half_size, span, max(low - field.floor, _LEAST_RANGE)],
+        userdata=((field.heights.astype(np.float64) - low) / span).ravel().tolist(),
+    )
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname=name,
+        pos=[*field.center, low],
+        friction=list(friction),
+        priority=priority,
+    )
+
+
+def add_flex(
+    spec: Any, name: str, mesh: FlexMesh, *, friction: Sequence[float], priority: int
+) -> None:
+    """Add a rigid flex of true triangles, fixed to the world. Arguments as `add_height_field`."""
+    spec.add_flex(
+        name=name,
+        dim=2,
+        radius=mesh.radius,
+        vertbody=["world"],
+        vert=mesh.vertices.astype(np.float64).ravel().tolist(),
+        elem=mesh.faces.ravel().tolist(),
+        friction=list(friction),
+        priority=priority,
+        selfcollide=int(mujoco.mjtFlexSelf.mjFLEXSELF_NONE),
+    )
+
+
+def add_primitive(
+    spec: Any, name: str, solid: Primitive, *, friction: Sequence[float], priority: int
+) -> None:
+    """Add a round primitive to the world body. Arguments as `add_height_field`."""
+    spec.worldbody.add_geom(
+        name=name,
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"),
+        size=[*solid.size, 0.0, 0.0][:3],
+        pos=list(solid.center),
+        quat=list(solid.quat),
+        friction=list(friction),
+        priority=priority,
+    )

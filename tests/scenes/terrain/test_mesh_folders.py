@@ -1,0 +1,57 @@
+"""Scene folders whose collision file is a mesh."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes import get_scene
+from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+
+TEXT = """\
+nw-scene: 1
+name: scanned
+task: hurdles
+licence: MIT
+trail: [[1.7, 0.0, 0.15], [3.0, 0.0, 0.0]]
+collision: {file}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+
+
+def folder_with(tmp_path, file):
+    floor = trimesh.creation.box((12, 8, 1))
+    floor.apply_translation((3, 0, -0.5))
+    bar = trimesh.creation.box((0.2, 1.6, 0.15))
+    bar.apply_translation((1.7, 0, 0.075))
+    trimesh.util.concatenate([floor, bar]).export(tmp_path / file)
+    (tmp_path / "scene.yaml").write_text(TEXT.format(file=file))
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply"])
+def test_a_mesh_becomes_terrain_that_one_can_walk_on(tmp_path, suffix):
+    scene = get_scene(folder_with(tmp_path, f"collision.{suffix}"))
+    field = scene.solids[0]
+    assert isinstance(field, HeightField)
+    heights = field.height(np.array([[0.0, 0.0], [1.7, 0.3], [3.0, -0.2]]))
+    assert heights == pytest.approx([0.0, 0.15, 0.0], abs=1e-4)
+    assert scene.ground.z < -0.4
+
+
+def test_flex_takes_the_triangles(tmp_path):
+    folder = folder_with(tmp_path, "collision.obj")
+    (solid,) = load_folder(folder, collision="flex").solids
+    assert isinstance(solid, FlexMesh)
+
+
+def test_a_missing_mesh_is_named(tmp_path):
+    folder = folder_with(tmp_path, "collision.obj")
+    (folder / "collision.obj").unlink()
+    with pytest.raises(SceneError, match=r"collision\.obj"):
+        load_folder(folder)

@@ -1,0 +1,56 @@
+"""The cache of compiled terrain."""
+
+import numpy as np
+import pytest
+
+from nw_eval.scenes.digest import digest
+from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
+from nw_eval.scenes.terrain import store
+from nw_eval.scenes.terrain.options import TerrainOptions
+
+MESH = merge(
+    [
+        quad_mesh((-5, -5, 0), (10, 0, 0), (0, 10, 0), "ground"),
+        box_mesh((2.0, 0, 0.1), (0.3, 0.5, 0.1), (1, 0, 0, 0), "obstacle"),
+        box_mesh((3.5, 0, 0.4), (0.2, 0.5, 0.03), (1, 0, 0, 0), "obstacle"),
+    ]
+)
+WAY = {"trail": np.array([[2.0, 0.0, 0.2]]), "spawn": np.zeros(3)}
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path))
+
+
+def test_the_second_time_comes_from_the_cache_and_is_the_same(monkeypatch):
+    first = store.compiled_terrain(MESH, **WAY)
+    monkeypatch.setattr(store, "build_terrain", lambda *_, **__: pytest.fail("compiled again"))
+    second = store.compiled_terrain(MESH, **WAY)
+    assert digest(first.solids) == digest(second.solids)
+    assert first.findings == second.findings
+    assert (first.floor, first.spawn_height) == (second.floor, second.spawn_height)
+
+
+def test_a_damaged_file_is_compiled_again(tmp_path):
+    first = store.compiled_terrain(MESH, **WAY)
+    (path,) = tmp_path.rglob("*.npz")
+    path.write_bytes(path.read_bytes()[:100])
+    assert digest(store.compiled_terrain(MESH, **WAY).solids) == digest(first.solids)
+    assert path.stat().st_size > 100
+
+
+def test_what_changes_the_terrain_changes_the_key():
+    options = TerrainOptions()
+    key = store.terrain_key(MESH, options=options, **WAY)
+    assert key != store.terrain_key(MESH, options=TerrainOptions(spacing=0.02), **WAY)
+    assert key != store.terrain_key(
+        MESH, options=options, trail=WAY["trail"] + 0.1, spawn=WAY["spawn"]
+    )
+
+
+def test_flex_comes_back_from_the_cache_as_flex():
+    flex = TerrainOptions(collision="flex")
+    first = store.compiled_terrain(MESH, options=flex, **WAY)
+    second = store.compiled_terrain(MESH, options=flex, **WAY)
+    assert digest(first.solids) == digest(second.solids)
