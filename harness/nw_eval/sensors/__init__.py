@@ -1,14 +1,17 @@
 """Sensors: what a policy observes, computed from a world at the rates that its card names."""
 
-from nw_eval.sensors.build import SensorKit, build_sensors
+from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_bundle, check_card
+from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sensors.wrappers.link import Shot
 
 __all__ = [
     "Moment",
     "ObservationSpec",
+    "Place",
     "Sensor",
-    "SensorKit",
+    "Shot",
     "build_sensors",
     "check_bundle",
     "check_card",

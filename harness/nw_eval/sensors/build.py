@@ -3,113 +3,86 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.policies import Card, JointControl
-from nw_eval.policies.observations import (
-    AnyObservation,
-    ProprioObservation,
-    ScandotsObservation,
-    SplatRgbObservation,
-)
+from nw_eval.policies import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.proprio import Proprio
-from nw_eval.sensors.published_scandots import PublishedScandots
-from nw_eval.sensors.sampled import Measurement, Sampled
-from nw_eval.sensors.scandots import Scandots
+from nw_eval.sensors.measurements import Maker
+from nw_eval.sensors.place import Place
+from nw_eval.sensors.sampled import Sampled
 from nw_eval.sensors.sensor import Sensor
 from nw_eval.sim import World
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
 
-
-class SensorKit:
-    """What sensors of one trial share: rays and renderer, made when the first of them needs it.
-
-    Args:
-        world: the robot that carries the sensors, in its scene.
-        rays: the scene's, if the caller has them already.
-        renderer: makes the renderer of the scene's splat; called at most once.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        *,
-        rays: RayScene | None = None,
-        renderer: Callable[[Scene], Renderer] | None = None,
-    ) -> None:
-        self._world = world
-        self._rays = rays
-        self._make_renderer = renderer or _cpu_renderer
-        self._renderer: Renderer | None = None
-
-    def sensor(self, name: str, observation: AnyObservation, card: Card) -> Sensor:
-        """Return one sensor.
-
-        Raises:
-            PolicyError: the observation does not fit the robot.
-            SceneError: the scene has no splat, or it cannot be made.
-        """
-        measurement = self._measurement(name, observation, card)
-        return Sampled(name, measurement, rate=observation.rate, latency=observation.latency)
-
-    def _measurement(self, name: str, observation: AnyObservation, card: Card) -> Measurement:
-        robot = self._world.robot
-        match observation:
-            case ProprioObservation():
-                control = JointControl.from_card(card, robot)
-                return Proprio(name, observation, card.command, control)
-            case ScandotsObservation():
-                rays = self._scene_rays()
-                if self._world.protocol == "neverwhere-2026":
-                    offset = robot.height_camera_offset
-                    return PublishedScandots(observation, rays, offset)
-                return Scandots(observation, rays)
-            case SplatRgbObservation():
-                from nw_eval.sensors.splat_rgb import SplatRgb
-
-                if self._renderer is None:
-                    self._renderer = self._make_renderer(self._world.scene)
-                return SplatRgb(
-                    name,
-                    observation,
-                    robot,
-                    self._world.scene,
-                    self._renderer,
-                    self._scene_rays,
-                )
-
-    def _scene_rays(self) -> RayScene:
-        if self._rays is None:
-            self._rays = RayScene(self._world.scene.mesh())
-        return self._rays
+# The published evaluation shows its policy nothing before the first control step is done.
+_PUBLISHED_FIRST_STEP = 1
 
 
 def build_sensors(
     card: Card,
     world: World,
     *,
-    rays: RayScene | None = None,
+    rays: RayScene | Callable[[], RayScene] | None = None,
     renderer: Callable[[Scene], Renderer] | None = None,
+    code_from: Path | None = None,
 ) -> dict[str, Sensor]:
     """Return the sensors of a card by name, in its order.
 
     Args:
         card: names the observations.
         world: robot and scene.
-        rays: the scene's, if the caller keeps them between trials.
+        rays: the scene's, or what gives them, if the caller keeps them between trials; asked for
+            when a sensor first casts one.
         renderer: makes the renderer of the scene's splat; the CPU renderer if None. It is called
-            only if the card names camera images.
+            at most once, and only if a sensor needs images of the splat.
+        code_from: the card's folder, if its `module:Class` plug-ins may be imported from there;
+            None = a card that names one is an error.
 
     Raises:
-        PolicyError: an observation does not fit the robot.
+        PolicyError: an observation does not fit the robot, or a plug-in cannot be used.
         SceneError: the scene has no splat but the card names camera images.
     """
-    kit = SensorKit(world, rays=rays, renderer=renderer)
-    return {name: kit.sensor(name, spec, card) for name, spec in card.observations.items()}
+    scene = world.scene
+
+    @cache
+    def shared_rays() -> RayScene:
+        if rays is None:
+            return RayScene(scene.mesh())
+        return rays if isinstance(rays, RayScene) else rays()
+
+    place = Place(
+        world=world,
+        rays=shared_rays,
+        renderer=cache(lambda: (renderer or _cpu_renderer)(scene)),
+    )
+    maker = Maker(
+        card=card,
+        robot=world.robot,
+        protocol=world.protocol,
+        rays=shared_rays,
+        code_from=code_from,
+    )
+    first_step = _PUBLISHED_FIRST_STEP if world.protocol == "neverwhere-2026" else 0
+    sensors: dict[str, Sensor] = {}
+    for name, observation in card.observations.items():
+        made = maker.pipeline(name, observation)
+        attach = getattr(made.measurement, "attach", None)
+        if attach is not None:
+            attach(place)
+        sensors[name] = Sampled(
+            name,
+            made.measurement,
+            rate=observation.rate,
+            latency=observation.latency,
+            chain=made.chain,
+            first_step=first_step,
+        )
+    return sensors
 
 
 def _cpu_renderer(scene: Scene) -> Renderer:

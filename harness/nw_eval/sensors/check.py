@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nw_eval.errors import NwEvalError, PolicyError, UsageError, nearest
+from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.policies import Bundle, Card, JointControl, actuator_values, open_policy
 from nw_eval.policies.inputs import shape_problems
 from nw_eval.policies.observations import (
     AnyObservation,
     ProprioObservation,
     ScandotsObservation,
-    SplatRgbObservation,
 )
 from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.scenes.rays import RayScene
+from nw_eval.sensors.measurements import Maker, Pipeline
 from nw_eval.sensors.proprio import Proprio
-from nw_eval.sensors.scandots import grid
-from nw_eval.sensors.splat_image import image_shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,19 +36,24 @@ class ObservationSpec:
     """How the shape comes about: `48 = 3 + 3 + 3 + ...`."""
 
 
-def check_card(card: Card, robot: RobotSpec | None = None) -> tuple[ObservationSpec, ...]:
+def check_card(
+    card: Card, robot: RobotSpec | None = None, *, code_from: Path | None = None
+) -> tuple[ObservationSpec, ...]:
     """Check everything that a card says about a robot, without its checkpoint.
+
+    Wrappers are tried on a sample of ones.
 
     Args:
         card: valid in itself.
         robot: the robot that the suite runs; None = the card's own.
+        code_from: as for `build_sensors`.
 
     Returns:
         One entry for each observation, in the order of the card.
 
     Raises:
         PolicyError: all problems, one line each: another robot, unknown joints or cameras, lists
-            of wrong lengths.
+            of wrong lengths, wrappers that do not fit, plug-ins that cannot be used.
     """
     try:
         own = get_robot(card.robot)
@@ -60,35 +65,47 @@ def check_card(card: Card, robot: RobotSpec | None = None) -> tuple[ObservationS
             fix="choose a policy for that robot, or another suite",
         )
     problems: list[str] = []
-    control: JointControl | None = None
+    can_move = True
     try:
-        control = JointControl.from_card(card, own)
+        JointControl.from_card(card, own)
         actuator_values(card, own)
     except PolicyError as error:
+        can_move = False
         problems.append(str(error))
+    # The form of what a policy sees is the same under every protocol.
+    maker = Maker(card=card, robot=own, protocol="strict", rays=_no_rays, code_from=code_from)
     specs: list[ObservationSpec] = []
     for name, observation in card.observations.items():
+        if isinstance(observation, ProprioObservation) and not can_move:
+            continue  # The joints are wrong; that has been said.
         try:
-            spec = _observation_spec(name, observation, card, own, control)
+            made = maker.pipeline(name, observation)
         except NwEvalError as error:
             problems.append(str(error))
         else:
-            specs.extend([spec] if spec is not None else [])
+            specs.append(_observation_spec(name, observation, made))
     if problems:
         raise PolicyError("\n".join(f"card {card.name!r}: {problem}" for problem in problems))
     return tuple(specs)
 
 
-def check_bundle(bundle: Bundle, robot: RobotSpec | None = None) -> tuple[ObservationSpec, ...]:
+def check_bundle(
+    bundle: Bundle, robot: RobotSpec | None = None, *, allow_code: bool = False
+) -> tuple[ObservationSpec, ...]:
     """Check a card against its robot and its checkpoint: sizes, and one action on zeros.
+
+    Args:
+        bundle: card and checkpoint.
+        robot: the robot that the suite runs; None = the card's own.
+        allow_code: whether Python code that the card names may be imported.
 
     Raises:
         PolicyError: as `check_card`; the checkpoint cannot be loaded; an input wants another
             number of values than the card makes; the checkpoint fails on an observation of zeros.
     """
-    specs = check_card(bundle.card, robot)
+    specs = check_card(bundle.card, robot, code_from=bundle.folder if allow_code else None)
     shapes = {spec.name: spec.shape for spec in specs}
-    policy = open_policy(bundle)
+    policy = open_policy(bundle, allow_code=allow_code)
     try:
         problems = shape_problems(bundle.card, policy.inputs, shapes)
         if problems:
@@ -111,41 +128,26 @@ def check_bundle(bundle: Bundle, robot: RobotSpec | None = None) -> tuple[Observ
     return specs
 
 
-def _observation_spec(
-    name: str,
-    observation: AnyObservation,
-    card: Card,
-    robot: RobotSpec,
-    control: JointControl | None,
-) -> ObservationSpec | None:
-    shape: tuple[int, ...]
-    match observation:
-        case ProprioObservation():
-            if control is None:
-                return None  # The joints are wrong; that has been said.
-            proprio = Proprio(name, observation, card.command, control)
-            shape, dtype = proprio.shape, proprio.dtype
-            sizes = " + ".join(str(size) for size in proprio.frame_sizes)
+def _observation_spec(name: str, observation: AnyObservation, made: Pipeline) -> ObservationSpec:
+    spec = made.chain.spec
+    size = f"`{name}` {' x '.join(str(side) for side in spec.shape)}"
+    sum_of = ""
+    if not observation.wrap:
+        if isinstance(observation, ScandotsObservation):
+            sum_of = f"{observation.x[2]} x {observation.y[2]}"
+        elif isinstance(observation, ProprioObservation) and isinstance(made.measurement, Proprio):
+            sum_of = " + ".join(str(part) for part in made.measurement.frame_sizes)
             if observation.history is not None:
-                sizes = f"{observation.history.steps} x ({sizes})"
-            equation = f" = {sizes}" if sizes != str(shape[0]) else ""
-            reckoning = f"`{name}` {shape[0]}{equation}"
-        case ScandotsObservation():
-            shape, dtype = (len(grid(observation)),), np.dtype(np.float32)
-            reckoning = f"`{name}` {shape[0]} = {observation.x[2]} x {observation.y[2]}"
-        case SplatRgbObservation():
-            if observation.camera not in robot.cameras:
-                raise PolicyError(
-                    f"`{name}`: {robot.name} has no camera {observation.camera!r}",
-                    fix=nearest(observation.camera, robot.cameras),
-                )
-            shape, dtype = image_shape(observation), np.dtype(observation.dtype)
-            reckoning = f"`{name}` {' x '.join(str(side) for side in shape)}"
+                sum_of = f"{observation.history.steps} x ({sum_of})"
     return ObservationSpec(
         name=name,
         sensor=observation.sensor,
-        shape=shape,
-        dtype=dtype,
+        shape=spec.shape,
+        dtype=spec.dtype,
         rate=observation.rate,
-        reckoning=reckoning,
+        reckoning=f"{size} = {sum_of}" if sum_of and sum_of != str(spec.shape[0]) else size,
     )
+
+
+def _no_rays() -> RayScene:
+    raise AssertionError("a check casts no rays")

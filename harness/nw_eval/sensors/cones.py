@@ -46,7 +46,27 @@ class Cones:
         distance, face = self._rays.cast(origins, directions)
         return distance, self._colour[face]
 
+    def distance(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return only the distances of `cast`."""
+        return self._rays.distance(np.broadcast_to(origin, directions.shape), directions)
+
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how bright surfaces are whose unit normals have these z components, 0.5 to 1."""
     return _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * upwards)
+
+
+class TrailCones:
+    """The cones of a trail that may be another one in the next trial."""
+
+    def __init__(self) -> None:
+        self._cones: Cones | None = None
+        self._trail: NDArray[np.float64] | None = None
+
+    def on(self, trail: NDArray[np.float64]) -> Cones:
+        """Return cones on waypoints (K, 3), made once for each array of them."""
+        if self._cones is None or self._trail is not trail:
+            self._cones, self._trail = Cones(trail), trail
+        return self._cones

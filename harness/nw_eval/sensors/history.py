@@ -1,4 +1,4 @@
-"""Stacks of earlier frames."""
+"""From the present frame of the body's numbers to what the policy sees: parts, and a past."""
 
 from __future__ import annotations
 
@@ -9,45 +9,120 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies.observations import History
+from nw_eval.sensors.wrappers.link import Memory, Plain, Shot
 
 Frame = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+# The published evaluation keeps ten frames, and spoils the first two observations (see below).
+_PUBLISHED_FRAMES = 10
+_SPOILT_STEPS = 1
+
+
+class Select(Plain):
+    """Some numbers of each frame.
+
+    Args:
+        keep: which; None = all.
+        spoils: whether the first observation is that of the published evaluation: each number of
+            the frame stands eleven times in a row there, so that the present frame holds only its
+            first five numbers.
+    """
+
+    def __init__(self, keep: Indices | None, *, spoils: bool) -> None:
+        self._keep = keep
+        self._spoils = spoils
+
+    def __call__(self, sample: Frame, shot: Shot) -> Frame:
+        """Return the numbers that are kept."""
+        if self._spoils and shot.step <= _SPOILT_STEPS:
+            sample = spoilt_frames(sample)[0]
+        return sample if self._keep is None else sample[self._keep]
 
 
 class HistoryStack:
-    """The last frames of an observation, flattened as its checkpoint was trained to read them."""
+    """The last frames of an observation, flattened as its checkpoint was trained to read them.
 
-    def __init__(self, history: History, sizes: Sequence[int]) -> None:
-        """Make an empty stack.
+    Args:
+        history: how many frames, in which order.
+        sizes: how many numbers each term of a whole frame has.
+        keep: which numbers of a frame the stack holds; None = all.
+        zero: which of those read 0 once they are history.
+        spoils: as in `Select`; of histories that are longer than the published one, nothing.
+    """
 
-        Args:
-            history: how many frames, in which order.
-            sizes: how many numbers each term of a frame has.
-        """
+    def __init__(
+        self,
+        history: History,
+        sizes: Sequence[int],
+        *,
+        keep: Indices | None = None,
+        zero: Indices | None = None,
+        spoils: bool = False,
+    ) -> None:
         self._history = history
         bounds = np.cumsum([0, *sizes]).tolist()
         self._terms = [slice(a, b) for a, b in pairwise(bounds)]
-        # Oldest first, whatever the order of the output.
-        self.frames: Frame = np.zeros((0, bounds[-1]), dtype=np.float32)
+        self._keep = keep
+        self._zero = zero
+        earlier = history.steps - history.current
+        self._spoils = spoils and earlier <= _PUBLISHED_FRAMES
+        # Frames before the present one, oldest first, whatever the order of the output.
+        self._frames: Frame | None = None
 
-    @property
-    def size(self) -> int:
-        """How many numbers the output has."""
-        return self._history.steps * self.frames.shape[1]
-
-    def reset(self) -> None:
-        """Forget all frames."""
-        self.frames = self.frames[:0]
-
-    def push(self, frame: Frame) -> Frame:
-        """Add the present frame and return the stack, (size,) float32."""
-        if not len(self.frames):
-            filler = frame if self._history.start == "repeat" else np.zeros_like(frame)
-            self.frames = np.repeat(filler[np.newaxis], self._history.steps, axis=0)
-        pushed = np.concatenate([self.frames[1:], frame[np.newaxis]])
-        shown = pushed if self._history.current else self.frames
-        self.frames = pushed
-        if self._history.order == "newest_first":
+    def __call__(self, sample: Frame, shot: Shot) -> Frame:
+        """Add the present frame and return the stack, (n,) float32."""
+        history = self._history
+        frame = sample if self._keep is None else sample[self._keep]
+        past = frame
+        if self._zero is not None:
+            past = frame.copy()
+            past[self._zero] = 0.0
+        frames = self._frames
+        if frames is None:
+            filler = past if history.start == "repeat" else np.zeros_like(past)
+            frames = np.repeat(filler[np.newaxis], history.steps, axis=0)
+        shown = frames
+        if history.current:
+            shown = np.concatenate([frames[1:], frame[np.newaxis]])
+        self._frames = np.concatenate([frames[1:], past[np.newaxis]])
+        if self._spoils and shot.step <= _SPOILT_STEPS:
+            shown = self._spoilt(sample)
+        if history.order == "newest_first":
             shown = shown[::-1]
-        if self._history.by == "term":
+        if history.by == "term":
             return np.concatenate([shown[:, term].ravel() for term in self._terms])
-        return shown.flatten()
+        return shown.ravel()
+
+    def reset(self, rng: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random.
+        """Forget all frames."""
+        self._frames = None
+
+    def memory(self) -> Memory:
+        """Return the earlier frames."""
+        return {} if self._frames is None else {"frames": self._frames}
+
+    def remember(self, memory: Memory) -> None:
+        """Go back to earlier frames."""
+        self._frames = memory.get("frames")
+
+    def _spoilt(self, frame: Frame) -> Frame:
+        """Return frames of the published first observation, (steps, n), oldest first."""
+        whole = spoilt_frames(frame)
+        present, past = whole[:1], whole[1:]
+        count = self._history.steps
+        if self._history.current:
+            shown = np.concatenate([past[len(past) - (count - 1) :], present])
+        else:
+            shown = past[len(past) - count :]
+        return shown if self._keep is None else shown[:, self._keep]
+
+
+def spoilt_frames(frame: Frame) -> Frame:
+    """Return the frames of the published first observation, (11, n): the present, then the past.
+
+    The published wrapper repeats every number eleven times where it means to repeat the frame:
+    flat number i is frame[i // 11].
+    """
+    count = _PUBLISHED_FRAMES + 1
+    return np.repeat(frame, count).reshape(count, len(frame))

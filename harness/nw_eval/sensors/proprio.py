@@ -1,4 +1,4 @@
-"""Proprioception: terms, scaled, joined, selected and stacked as the card says."""
+"""Proprioception: terms, scaled and joined as the card says."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from nw_eval.policies.card import Command
 from nw_eval.policies.control import JointControl
 from nw_eval.policies.observations import ProprioObservation, selected_indices
 from nw_eval.policies.terms import AnyTerm, term_size
-from nw_eval.sensors.history import HistoryStack
+from nw_eval.sensors.history import HistoryStack, Select
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.terms import reader
+from nw_eval.sensors.stateless import Stateless
+from nw_eval.sensors.terms import Reader, fixed_values, reader
 
 
-class Proprio:
-    """Numbers of the body, (n,) float32."""
+class Proprio(Stateless):
+    """Numbers of the body at this moment: one whole frame, (n,) float32.
+
+    What the card takes of a frame, and its history, are links behind it: `frame_links`.
+    """
 
     unit = "mixed"
-    is_image = False
-    coverage = None
 
     def __init__(
         self, name: str, observation: ProprioObservation, command: Command, control: JointControl
@@ -30,63 +32,81 @@ class Proprio:
         """Prepare one reader for each term.
 
         Raises:
-            PolicyError: a list of scales has another length than its term, or `select` names
-                numbers that the frame does not have.
+            PolicyError: a list of scales has another length than its term, or `select` or `zero`
+                name numbers that the frame does not have.
         """
         joints = len(control.order)
         terms = observation.frame_terms
-        sizes = [term_size(term, joints) for term in terms]
-        bounds = np.cumsum([0, *sizes]).tolist()
-        self._readers = [
-            (slice(a, b), reader(term, command, control))
-            for term, a, b in zip(terms, bounds[:-1], bounds[1:], strict=True)
-        ]
-        self._scale = np.concatenate(
-            [_scales(name, t, n) for t, n in zip(terms, sizes, strict=True)]
+        self._name = name
+        self._observation = observation
+        self._sizes = [term_size(term, joints) for term in terms]
+        bounds = np.cumsum([0, *self._sizes]).tolist()
+        # Everything that never changes is written once.
+        self._frame = np.zeros(bounds[-1])
+        self._readers: list[tuple[slice, Reader]] = []
+        for term, a, b in zip(terms, bounds[:-1], bounds[1:], strict=True):
+            fixed = fixed_values(term, command)
+            if fixed is None:
+                self._readers.append((slice(a, b), reader(term, command, control)))
+            else:
+                self._frame[a:b] = fixed
+        scale = np.concatenate(
+            [_scales(name, t, n) for t, n in zip(terms, self._sizes, strict=True)]
         )
-        self._offset = np.repeat([term.offset for term in terms], sizes)
+        self._scale = scale if (scale != 1.0).any() else None
+        offset = np.repeat([term.offset for term in terms], self._sizes)
+        self._offset = offset if offset.any() else None
         # Columns low, high; None where nothing is limited, since clipping costs more than reading.
         limits = [term.clip or (-np.inf, np.inf) for term in terms]
-        self._limits = np.repeat(limits, sizes, axis=0) if any(t.clip for t in terms) else None
+        limited = any(t.clip for t in terms)
+        self._limits = np.repeat(limits, self._sizes, axis=0) if limited else None
         self._clip = observation.clip
-        self._keep = _kept(name, observation, bounds[-1])
-        self._history = None
-        self.frame_sizes = sizes if self._keep is None else [len(self._keep)]
-        self.shape: tuple[int, ...] = (sum(self.frame_sizes),)
+        self._keep = _indices(name, observation.select, bounds[-1])
+        self.frame_sizes = self._sizes if self._keep is None else [len(self._keep)]
+        self.shape: tuple[int, ...] = (bounds[-1],)
         self.dtype = np.dtype(np.float32)
-        if observation.history is not None:
-            self._history = HistoryStack(observation.history, self.frame_sizes)
-            self.shape = (self._history.size,)
-        self._frame = np.zeros(bounds[-1])
-
-    def reset(self) -> None:
-        """Forget earlier frames."""
-        if self._history is not None:
-            self._history.reset()
+        # Observations of one card that have the same terms read them once.
+        self._key = repr((terms, observation.clip, command))
 
     def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return the present frame, or the stack that it completes."""
+        """Return the present frame."""
+        known = moment.shared.get(self._key)
+        if known is not None:
+            return known
         frame = self._frame
         for part, read in self._readers:
             frame[part] = read(moment)
         if self._limits is not None:
-            np.clip(frame, self._limits[:, 0], self._limits[:, 1], out=frame)
-        scaled = frame * self._scale + self._offset
+            frame = np.clip(frame, self._limits[:, 0], self._limits[:, 1])
+        if self._scale is not None:
+            frame = frame * self._scale
+        if self._offset is not None:
+            frame = frame + self._offset
         if self._clip is not None:
-            np.clip(scaled, *self._clip, out=scaled)
-        if self._keep is not None:
-            scaled = scaled[self._keep]
-        single = scaled.astype(np.float32)
-        return single if self._history is None else self._history.push(single)
+            frame = np.clip(frame, *self._clip)
+        single = frame.astype(np.float32)
+        moment.shared[self._key] = single
+        return single
 
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Return the earlier frames."""
-        return {} if self._history is None else {"frames": self._history.frames}
+    def frame_links(self, *, published: bool) -> list[Select | HistoryStack]:
+        """Return what a frame passes through to become the observation.
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to earlier frames."""
-        if self._history is not None:
-            self._history.frames = memory["frames"]
+        Args:
+            published: under the protocol `neverwhere-2026`, whose history wrapper spoils the first
+                observation of its own 53 numbers.
+        """
+        observation = self._observation
+        spoils = published and observation.layout == "parkour53"
+        if observation.history is not None:
+            size = len(self._keep) if self._keep is not None else self.shape[0]
+            zero = _indices(self._name, observation.history.zero, size)
+            stack = HistoryStack(
+                observation.history, self.frame_sizes, keep=self._keep, zero=zero, spoils=spoils
+            )
+            return [stack]
+        if self._keep is not None or spoils:
+            return [Select(self._keep, spoils=spoils)]
+        return []
 
 
 def _scales(name: str, term: AnyTerm, size: int) -> NDArray[np.float64]:
@@ -98,10 +118,10 @@ def _scales(name: str, term: AnyTerm, size: int) -> NDArray[np.float64]:
     return np.broadcast_to(np.asarray(term.scale, dtype=np.float64), size).copy()
 
 
-def _kept(name: str, observation: ProprioObservation, size: int) -> NDArray[np.intp] | None:
-    if observation.select is None:
+def _indices(name: str, select: list[int | str] | None, size: int) -> NDArray[np.intp] | None:
+    if select is None:
         return None
     try:
-        return np.array(selected_indices(observation.select, size), dtype=np.intp)
+        return np.array(selected_indices(select, size), dtype=np.intp)
     except ValueError as error:
         raise PolicyError(f"`{name}`: {error}") from None

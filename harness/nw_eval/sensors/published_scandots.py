@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies.observations import ScandotsObservation
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.scandots import grid
+from nw_eval.sensors.heights import Rays, grid
 from nw_eval.sensors.sensor import Moment
+from nw_eval.sensors.stateless import Stateless
 
 _ALTITUDE = 25.0  # m above the centre of mass, about
 _PIXELS = 480  # along each side of the image
-_SCALE = _PIXELS / (2.0 * _ALTITUDE * math.tan(math.radians(3.0)))  # pixels per metre at 25 m
+PIXELS_PER_METRE = _PIXELS / (2.0 * _ALTITUDE * math.tan(math.radians(3.0)))  # at 25 m
 
 # How far the camera of a Go1 stands from 25 m above the trunk in the default stance. It is part of
 # a card's `offset`, and here part of the camera's own height.
 _STANCE = 0.0143
 
 
-class PublishedScandots:
+class PublishedScandots(Stateless):
     """The heights of `Scandots`, with the published camera, its pixels and its clipping.
 
     The camera follows the centre of mass. A point falls on the pixel that truncation toward zero
@@ -32,13 +32,11 @@ class PublishedScandots:
     """
 
     unit = "m"
-    is_image = False
-    coverage = None
 
     def __init__(
         self,
         observation: ScandotsObservation,
-        rays: RayScene,
+        rays: Rays,
         camera_offset: tuple[float, float, float],
     ) -> None:
         """Prepare the grid.
@@ -48,7 +46,7 @@ class PublishedScandots:
             rays: of the scene's static geometry.
             camera_offset: the camera minus the centre of mass, m.
         """
-        self._points = grid(observation)
+        self._points = grid(observation.x, observation.y)
         self._offset = observation.offset - _STANCE
         self._low, self._high = observation.clip
         self._rays = rays
@@ -56,18 +54,15 @@ class PublishedScandots:
         self.shape: tuple[int, ...] = (len(self._points),)
         self.dtype = np.dtype(np.float32)
 
-    def reset(self) -> None:
-        """Nothing to forget."""
-
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Read the image at the points."""
         camera = moment.world.center_of_mass + self._camera_offset
-        at_altitude = (self._pixels(moment) - 0.5) / _SCALE
+        at_altitude = (self._pixels(moment) - 0.5) / PIXELS_PER_METRE
         depth = np.full(len(at_altitude), _ALTITUDE)
         # A pixel's ray is nearly vertical: where it meets the ground settles at once.
         for _ in range(2):
             points = camera[:2] + at_altitude * (depth / _ALTITUDE)[:, np.newaxis]
-            ground = self._rays.height(points)
+            ground = self._rays().height(points)
             depth = camera[2] - ground
             depth[~np.isfinite(depth)] = 2.0 * _ALTITUDE  # The image's far plane.
         values = depth - _ALTITUDE + self._offset
@@ -82,11 +77,4 @@ class PublishedScandots:
         forward, left = self._points[:, 0], self._points[:, 1]
         turned = np.stack([c * forward - s * left, s * forward + c * left], axis=1)
         half = _PIXELS // 2
-        return np.clip(np.trunc(turned * _SCALE), 1 - half, half)
-
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nothing to remember."""
-        return {}
-
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Nothing to go back to."""
+        return np.clip(np.trunc(turned * PIXELS_PER_METRE), 1 - half, half)

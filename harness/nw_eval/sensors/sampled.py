@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 from nw_eval.policies.model import CONTROL_RATE
 from nw_eval.sensors.arrays import pack, unpack
 from nw_eval.sensors.sensor import Moment
+from nw_eval.sensors.wrappers.chain import Chain
+from nw_eval.sensors.wrappers.link import Spec
 
 
 class Measurement(Protocol):
-    """What a sensor measures each time that it samples."""
+    """What a sensor measures each time that it samples, before noise and wrappers."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a sample."""
+        """Shape of a measurement."""
         ...
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of a sample."""
+        """Type of a measurement."""
         ...
 
     @property
@@ -42,15 +44,15 @@ class Measurement(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget earlier samples."""
+        """Forget earlier measurements."""
         ...
 
     def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return a new sample, in memory of its own."""
+        """Return a new measurement, which nobody will change."""
         ...
 
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Return what the next samples depend on beside the moment."""
+        """Return what the next measurements depend on beside the moment."""
         ...
 
     def remember(self, memory: dict[str, NDArray[Any]]) -> None:
@@ -59,25 +61,46 @@ class Measurement(Protocol):
 
 
 class Sampled:
-    """A sensor: a measurement taken at a rate and delivered after a latency.
+    """A sensor: a measurement taken at a rate, wrapped, and delivered after a latency.
 
     Samples are taken at steps 0, p, 2p, ... with p = 50 / rate. At a step the policy sees the
     newest sample that is at least `latency` old; until there is one, the first sample.
+
+    Args:
+        name: the observation's, on the card.
+        measurement: what is sampled.
+        rate: Hz.
+        latency: s.
+        chain: what a measurement passes through; None = nothing.
+        first_step: the control step from which on there is something to see. Whatever was read
+            before it is forgotten then.
     """
 
     def __init__(
-        self, name: str, measurement: Measurement, *, rate: int = CONTROL_RATE, latency: float = 0.0
+        self,
+        name: str,
+        measurement: Measurement,
+        *,
+        rate: int = CONTROL_RATE,
+        latency: float = 0.0,
+        chain: Chain | None = None,
+        first_step: int = 0,
     ) -> None:
+        spec = Spec(measurement.shape, measurement.dtype)
+        self._chain = Chain(name, (), spec) if chain is None else chain
+        self._is_wrapped = bool(self._chain)
         self.name = name
         self.rate = rate
-        self.shape = measurement.shape
-        self.dtype = measurement.dtype
+        self.shape = self._chain.spec.shape
+        self.dtype = self._chain.spec.dtype
         self.unit = measurement.unit
         self.is_image = measurement.is_image
         self.fresh = False
         self._measurement = measurement
         self._period = CONTROL_RATE // rate
         self._delay = round(latency * CONTROL_RATE)
+        self._first_step = first_step
+        self._seed = 0
         # Samples with their steps: the one that is shown now, then those on their way.
         self._samples: deque[tuple[int, NDArray[Any]]] = deque()
 
@@ -86,38 +109,56 @@ class Sampled:
         """Share of the newest camera image that the splat covers, 0..1; None without an image."""
         return self._measurement.coverage
 
-    def reset(self, seed: int) -> None:  # noqa: ARG002 - no sensor has noise yet.
-        """Begin a trial."""
+    def reset(self, seed: int) -> None:
+        """Begin a trial; noise and wrappers draw from `seed` alone."""
+        self._seed = seed
         self._samples.clear()
         self._measurement.reset()
+        self._chain.reset(seed)
         self.fresh = False
 
     def read(self, moment: Moment) -> NDArray[Any]:
         """Return the sample that the policy sees at this step."""
-        first = not self._samples
-        if first or moment.step % self._period == 0:
-            self._samples.append((moment.step, self._measurement.measure(moment)))
+        step = moment.step
+        if self._first_step and step == self._first_step:
+            self.reset(self._seed)
+        samples = self._samples
+        first = not samples
         self.fresh = first
-        while len(self._samples) > 1 and self._samples[1][0] + self._delay <= moment.step:
-            self._samples.popleft()
+        if first or step % self._period == 0:
+            sample = self._measurement.measure(moment)
+            if self._is_wrapped:
+                sample = self._chain(sample, moment)
+            if not self._delay:
+                samples.clear()
+                self.fresh = True
+            samples.append((step, sample))
+        while len(samples) > 1 and samples[1][0] + self._delay <= step:
+            samples.popleft()
             self.fresh = True
-        return self._samples[0][1]
+        return samples[0][1]
 
     def state(self) -> bytes:
-        """Return the samples on their way and the measurement's own memory."""
+        """Return the samples on their way, and what measurement and wrappers remember."""
         arrays = {f"memory.{key}": value for key, value in self._measurement.memory().items()}
+        arrays |= {f"chain.{key}": value for key, value in self._chain.memory().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
         if self._samples:
             arrays["samples"] = np.stack([sample for _, sample in self._samples])
         return pack(arrays)
 
     def restore(self, state: bytes) -> None:
-        """Go back to a `state`."""
+        """Go back to a `state` of the same trial, with the seed of the last `reset`."""
         arrays = unpack(state)
         steps = arrays.pop("steps").tolist()
         samples = arrays.pop("samples") if steps else ()
         self._samples = deque(zip(steps, samples, strict=True))
-        self._measurement.remember(
-            {key.removeprefix("memory."): value for key, value in arrays.items()}
-        )
+        self._measurement.remember(_under("memory.", arrays))
+        self._chain.remember(_under("chain.", arrays))
         self.fresh = False
+
+
+def _under(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {
+        key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)
+    }

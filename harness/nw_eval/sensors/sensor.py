@@ -61,6 +61,11 @@ class Moment:
         bearing = math.atan2(goal_y - y, goal_x - x)
         return (bearing - self.roll_pitch_yaw[2] + math.pi) % (2.0 * math.pi) - math.pi
 
+    @cached_property
+    def shared(self) -> dict[str, NDArray[Any]]:
+        """What one sensor has worked out and another one can use, by a key of their own."""
+        return {}
+
 
 class Sensor(Protocol):
     """One observation of a card in one trial.

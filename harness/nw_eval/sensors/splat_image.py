@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies.observations import SplatRgbObservation
+from nw_eval.sensors.wrappers.link import Memory, Shot
 
 Bytes = NDArray[np.uint8]
 
@@ -20,6 +22,34 @@ def image_shape(observation: SplatRgbObservation) -> tuple[int, ...]:
     if observation.stack > 1 and observation.stack_axis == "new":
         return (observation.stack, *frame)
     return frame
+
+
+class Arrange:
+    """Lays images out as the card says, with those before them."""
+
+    def __init__(self, observation: SplatRgbObservation) -> None:
+        self._observation = observation
+        self._frames: deque[Bytes] = deque(maxlen=observation.stack)
+
+    def __call__(self, sample: Bytes, shot: Shot) -> NDArray[Any]:  # noqa: ARG002 - as every link.
+        """Add an image (H, W, 3) and return the observation."""
+        # The first image stands for those before it.
+        self._frames.extend([sample] * (1 if self._frames else self._observation.stack))
+        return arrange(list(self._frames), self._observation)
+
+    def reset(self, rng: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random.
+        """Forget earlier images."""
+        self._frames.clear()
+
+    def memory(self) -> Memory:
+        """Return the images."""
+        return {"frames": np.stack(self._frames)} if self._frames else {}
+
+    def remember(self, memory: Memory) -> None:
+        """Go back to images."""
+        self._frames.clear()
+        if memory:
+            self._frames.extend(memory["frames"])
 
 
 def average_blocks(image: Bytes) -> Bytes:

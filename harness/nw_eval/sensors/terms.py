@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import assert_never
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nw_eval.policies import terms
 from nw_eval.policies.card import Command
@@ -20,6 +20,17 @@ Reader = Callable[[Moment], ArrayLike]
 _FEET = ("FR", "FL", "RR", "RL")
 
 
+def fixed_values(term: terms.AnyTerm, command: Command) -> ArrayLike | None:
+    """Return the numbers of a term that never changes during a trial; None for all others."""
+    match term:
+        case terms.Constant():
+            return term.values
+        case terms.Speed():
+            return commanded_speed(command)
+        case _:
+            return None
+
+
 def reader(  # noqa: C901, PLR0912 - one short case for each term.
     term: terms.AnyTerm, command: Command, control: JointControl
 ) -> Reader:
@@ -30,7 +41,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         command: the card's, for commanded speeds.
         control: joint order and default pose.
     """
-    order, pose = control.order, control.default_pose
+    pose, order = control.default_pose, _index(control.order)
     match term:
         case terms.AngularVelocity():
             return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
@@ -46,9 +57,6 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: moment.delta_yaw
         case terms.Command():
             return lambda moment: velocity_command(command, moment)
-        case terms.Speed():
-            speed = commanded_speed(command)
-            return lambda moment: speed  # noqa: ARG005 - as every reader.
         case terms.JointPosition():
             zero = pose if term.relative else np.zeros_like(pose)
             return lambda moment: moment.world.joint_positions[order] - zero
@@ -60,8 +68,8 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: moment.last_output
         case terms.FootContacts():
             return _foot_contacts(term)
-        case terms.Constant():
-            values = np.array(term.values)
+        case terms.Constant() | terms.Speed():
+            values = np.array(fixed_values(term, command))
             return lambda moment: values  # noqa: ARG005 - as every reader.
         case _:
             assert_never(term)
@@ -95,7 +103,12 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
 
 
 def _foot_contacts(term: terms.FootContacts) -> Reader:
-    order = [_FEET.index(foot) for foot in term.feet]
+    order = _index(np.array([_FEET.index(foot) for foot in term.feet]))
     if term.filter == "none":
         return lambda moment: moment.world.foot_contacts[order]
     return lambda moment: (moment.world.foot_contacts | moment.world.previous_foot_contacts)[order]
+
+
+def _index(order: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return what indexes an array in some order; a slice, which is faster, where it is its own."""
+    return slice(None) if (np.diff(order) > 0).all() else order

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +16,14 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Actuators:
-    """Position servos, one row a joint in robot order. All arrays are (12,) float64."""
+    """Motors, one row a joint in robot order. All arrays are (12,) float64."""
 
     kp: Array  # N m / rad
     kd: Array  # N m s / rad; acts as joint damping, which MuJoCo integrates implicitly
     torque_limits: Array  # N m, symmetric
     armature: Array  # kg m^2
     friction_loss: Array  # N m
+    follow: Literal["position", "torque"] = "position"  # what they are told; torques ignore kp
 
     @classmethod
     def of(cls, robot: RobotSpec) -> Self:

@@ -84,8 +84,9 @@ def _set_joints(spec: MjSpec, robot: RobotSpec, actuators: Actuators, protocol: 
         joint.armature = actuators.armature[index]
         joint.frictionloss = actuators.friction_loss[index]
         servo = spec.actuator(name)
-        servo.gainprm[0] = actuators.kp[index]
-        servo.biasprm[1] = -actuators.kp[index]
+        follows_position = actuators.follow == "position"
+        servo.gainprm[0] = actuators.kp[index] if follows_position else 1.0
+        servo.biasprm[1] = -actuators.kp[index] if follows_position else 0.0
         limit = actuators.torque_limits[index]
         servo.forcerange = [-limit, limit]
     if protocol == "neverwhere-2026":

@@ -42,7 +42,8 @@ class World:
     and contacts all belong to the same, newest instant. Under `strict` the contact forces do as
     well, since the solver runs once more without integrating. Under `neverwhere-2026` the forces
     are what the solver left behind one physics step earlier, read at the new contacts, which is
-    how the published evaluation reads them (dm_control's legacy step).
+    how the published evaluation reads them (dm_control's legacy step); a contact that has no force
+    from that solve reads 0.
 
     Use it as a context manager, or call `close`. It is not shared between threads.
 
@@ -80,12 +81,14 @@ class World:
         self.protocol: Protocol = protocol
         self.control_period = timestep * substeps
         self.steps = 0
+        motors = Actuators.of(robot) if actuators is None else actuators
+        self._holds_pose = motors.follow == "position"
         health.keep_warnings_out_of_files()
         self.model: MjModel = compile_model(
             robot,
             scene,
             protocol=protocol,
-            actuators=Actuators.of(robot) if actuators is None else actuators,
+            actuators=motors,
             friction=friction,
             payload=payload,
             timestep=timestep,
@@ -143,7 +146,8 @@ class World:
             position: (3,) of the trunk's origin in the world, m. For a start on the ground that is
                 `scene.spawn.position` plus `robot.spawn_height` upwards.
             yaw: heading, rad; roll and pitch are 0.
-            joint_positions: (12,) rad, the default pose if None. The servos hold it.
+            joint_positions: (12,) rad, the default pose if None. Servos hold it; motors that
+                follow torques are idle.
         """
         self._require_open()
         pose = self.robot.default_pose if joint_positions is None else joint_positions
@@ -152,7 +156,7 @@ class World:
         data.qpos[:3] = position
         data.qpos[3:7] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
         data.qpos[_JOINTS] = pose
-        data.ctrl[:] = pose
+        data.ctrl[:] = pose if self._holds_pose else 0.0
         self.steps = 0
         mujoco.mj_forward(self.model, data)
         # Nothing has been sensed before the first step.
@@ -164,7 +168,8 @@ class World:
         """Run one control step.
 
         Args:
-            targets: (12,) joint positions that the servos steer to, rad.
+            targets: (12,) joint positions that the servos steer to, rad; or torques, N m, for
+                motors that follow them.
 
         Raises:
             TrialError: a target is not finite, or the physics diverged.
@@ -181,12 +186,16 @@ class World:
         mujoco.mj_step2(model, data)
         for _ in range(self._substeps - 1):
             mujoco.mj_step(model, data)
+        solved: Array | None = None
         if self.protocol == "strict":
             mujoco.mj_forward(model, data)
         else:
+            # The published evaluation reads what the last solve left in memory, at the places of
+            # the new contacts. Beyond its last row that memory is anything; here it is 0.
+            solved = data.efc_force.copy()
             mujoco.mj_step1(model, data)
         self.steps += 1
-        self._read_forces()
+        self._read_forces(solved)
         health.check(data)
 
     def state(self) -> bytes:
@@ -350,8 +359,8 @@ class World:
 
     # Inside.
 
-    def _read_forces(self) -> None:
-        forces = self._contact_forces.read(self.data)
+    def _read_forces(self, solved: Array | None = None) -> None:
+        forces = self._contact_forces.read(self.data, solved)
         count = len(self.robot.feet)
         self._foot_forces = forces[:count]
         self._monitored_forces = forces[count:]

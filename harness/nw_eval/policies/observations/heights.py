@@ -1,0 +1,48 @@
+"""Heights of the ground around the robot: as the numbers of a scan, or as a map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from nw_eval.policies.model import Limits
+from nw_eval.policies.observations.base import BaseObservation
+
+Axis = tuple[float, float, Annotated[int, Field(ge=1, le=500)]]
+"""First, last and number of points, m."""
+
+
+class ScandotsObservation(BaseObservation):
+    """Heights of the ground around the robot: clip(trunk_z + offset - ground_z), m.
+
+    The points stand in a frame at the trunk origin that turns with the yaw only, x-major, both
+    axes ascending.
+    """
+
+    sensor: Literal["scandots"]
+    x: Axis = (-0.45, 1.2, 12)
+    """First, last and number of points ahead, m."""
+    y: Axis = (-0.75, 0.75, 11)
+    """First, last and number of points to the left, m."""
+    offset: float = 0.0143 - 0.3
+    """Added to the trunk's height, m. The 0.3 is extreme-parkour's; the 0.0143 is how far the
+    published virtual camera on a Go1 stands from 25 m above the trunk in the default stance (it
+    follows the centre of mass; on a Go2 it is 0.0170)."""
+    clip: Limits = (-1.0, 1.0)
+
+
+class HeightmapObservation(BaseObservation):
+    """A map of ground heights around the robot, (x, y) with x ahead and y to the left, m.
+
+    The grid turns with the yaw only. Both axes ascend, so row 0 lies behind the robot and column 0
+    to its right. `scandots` is the same grid, flattened and counted downwards from the trunk.
+    """
+
+    sensor: Literal["heightmap"]
+    x: Axis = (-1.0, 2.0, 31)
+    y: Axis = (-1.0, 1.0, 21)
+    relative_to: Literal["trunk", "ground", "world"] = "trunk"
+    """Heights are those above the trunk's origin, above the ground under it, or above z = 0."""
+    clip: Limits = (-2.0, 2.0)
+    """Where there is no ground, the map reads the lower limit."""

@@ -1,0 +1,260 @@
+"""One moment through every sensor, on one labelled sheet; and what the sensors of a card see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cache import atomic_path
+from nw_eval.errors import StoreError
+from nw_eval.policies import Bundle, Card
+from nw_eval.robots import get_robot
+from nw_eval.scenes import Scene
+from nw_eval.sensors import pictures
+from nw_eval.sensors.build import build_sensors
+from nw_eval.sensors.pictures import Bytes
+from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sim import Protocol, TrailProgress, World
+
+if TYPE_CHECKING:
+    from nw_eval.splat.render import Renderer
+
+PANEL = (400, 225)
+"""Width and height of a picture, pixels."""
+
+_ACROSS = 4
+_LABEL, _CAPTION, _GAP = 20, 17, 8  # pixels
+_SETTLING = 50  # control steps in which the robot comes to stand
+_BEFORE = 1.1  # m from the first waypoint to where it stands
+_MARGIN = 0.3  # m that it may stand behind its spawn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A picture with a name and a line about it."""
+
+    name: str
+    caption: str
+    image: Bytes
+
+
+_WIDE = {"width": PANEL[0], "height": PANEL[1]}
+_OBSERVATIONS: dict[str, dict[str, Any]] = {
+    "photo": {"sensor": "splat_rgb", **_WIDE},
+    "objects": {"sensor": "splat_rgb", "cones": True, "robot": True, **_WIDE},
+    "small": {"sensor": "splat_rgb", "sampling": "published", "cones": True},
+    "classes": {"sensor": "semantics", "cones": True, "robot": True, "values": "colors", **_WIDE},
+    "metres": {"sensor": "depth", "cones": True, **_WIDE},
+    "linear": {"sensor": "depth", "cones": True, "mode": "linear", **_WIDE},
+    "midas": {"sensor": "depth", "cones": True, "mode": "midas", **_WIDE},
+    "noisy": {
+        "sensor": "depth",
+        "noise": {"proportional": 0.03, "dropout": 0.05, "lost": 0.0},
+        "wrap": [{"wrapper": "clip", "limits": [0.0, 5.0]}, {"wrapper": "quantize", "step": 0.05}],
+    },
+    "spinning": {"sensor": "lidar", "channels": 32, "elevation": [-0.6, 0.3], "cones": True},
+    "solid": {
+        "sensor": "lidar",
+        "pattern": "solid_state",
+        "channels": 120,
+        "columns": 240,
+        "elevation": [-0.5, 0.3],
+        "cones": True,
+    },
+    "map": {"sensor": "heightmap", "x": [-0.75, 3.75, 181], "y": [-2.5, 2.5, 201]},
+    "dots": {"sensor": "scandots"},
+    "direction": {"sensor": "direction"},
+    "body": {"sensor": "proprio", "layout": "parkour53"},
+}
+
+
+def draw_gallery(
+    scene: Scene, path: Path, *, robot: str = "go1", renderer: Renderer | None = None
+) -> None:
+    """Draw what a robot's sensors make of one moment in a scene, as a PNG.
+
+    Args:
+        scene: with a splat.
+        path: of the PNG.
+        robot: its name.
+        renderer: of the scene's splat; opened if None.
+
+    Raises:
+        SceneError: the scene has no splat. StoreError: the picture cannot be written.
+    """
+    card = Card.model_validate(
+        {
+            "nw-policy": 1,
+            "name": "gallery",
+            "robot": robot,
+            "adapter": "zero",
+            "control": {"action": "joint_position_offset"},
+            "observations": _OBSERVATIONS,
+        }
+    )
+    _, seen = _observe(card, scene, "strict", renderer=renderer)
+    write_sheet(_panels(seen), path)
+
+
+def draw_card(
+    bundle: Bundle,
+    scene: Scene,
+    path: Path,
+    *,
+    protocol: Protocol = "strict",
+    allow_code: bool = False,
+) -> str:
+    """Draw those observations of a policy's card that are images, and describe all of them.
+
+    Args:
+        bundle: whose card.
+        scene: where the robot stands.
+        path: of the PNG; nothing is written if no observation is an image.
+        protocol: as in a suite.
+        allow_code: whether code that the card names may be imported.
+
+    Returns:
+        One line for each observation: shape, type, range of values.
+
+    Raises:
+        PolicyError: an observation cannot be made. StoreError: the PNG cannot be written.
+    """
+    code_from = bundle.folder if allow_code else None
+    sensors, seen = _observe(bundle.card, scene, protocol, code_from=code_from)
+    told: list[str] = []
+    panels: list[Panel] = []
+    for name, sample in seen.items():
+        kind = bundle.card.observations[name]
+        form = f"{' x '.join(map(str, sample.shape))} {sample.dtype}"
+        finite = sample[np.isfinite(sample)]
+        span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
+        told.append(f"{name}: {kind.sensor}, {form}, {span}")
+        image = pictures.picture_of(sample, sensors[name].unit)
+        if image is not None:
+            wrapped = "".join(f" > {wrap.wrapper}" for wrap in kind.wrap)
+            caption = f"{kind.sensor}{wrapped}: {form}"
+            panels.append(Panel(name=name, caption=caption, image=pictures.enlarged(image, PANEL)))
+    if panels:
+        write_sheet(panels, path)
+    return "\n".join(told)
+
+
+def write_sheet(panels: Sequence[Panel], path: Path) -> None:
+    """Write panels in rows of four as a PNG.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    from PIL import Image as PillowImage
+    from PIL import ImageDraw, ImageFont
+
+    width, height = PANEL
+    across = min(_ACROSS, len(panels))
+    down = -(-len(panels) // across)
+    cell_width, cell_height = width + _GAP, height + _LABEL + _CAPTION + _GAP
+    sheet = PillowImage.new("RGB", (across * cell_width + _GAP, down * cell_height + _GAP), "white")
+    pen = ImageDraw.Draw(sheet)
+    large, small = ImageFont.load_default(size=14), ImageFont.load_default(size=11)
+    for number, panel in enumerate(panels):
+        x = _GAP + number % across * cell_width
+        y = _GAP + number // across * cell_height
+        pen.text((x + 1, y), panel.name, fill=(20, 24, 30), font=large)
+        sheet.paste(PillowImage.fromarray(panel.image), (x, y + _LABEL))
+        pen.text((x + 1, y + _LABEL + height + 2), panel.caption, fill=(96, 102, 112), font=small)
+    try:
+        with atomic_path(path) as temporary:
+            sheet.save(temporary, format="PNG", optimize=True)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {path}: {error.strerror or error}", fix="choose another file"
+        ) from error
+
+
+def _observe(
+    card: Card,
+    scene: Scene,
+    protocol: Protocol,
+    *,
+    renderer: Renderer | None = None,
+    code_from: Path | None = None,
+) -> tuple[dict[str, Sensor], dict[str, NDArray[Any]]]:
+    """Let the robot stand before the first waypoint, and read all sensors there once."""
+    robot = get_robot(card.robot)
+    with World(robot, scene, protocol=protocol) as world:
+        start = np.array(scene.spawn.position[:2])
+        way = scene.trail[0, :2] - start
+        length = float(np.linalg.norm(way))
+        heading = way / length if length > 0.0 else np.array([1.0, 0.0])
+        x, y = start + heading * max(length - _BEFORE, -_MARGIN)
+        height = scene.spawn.position[2] + robot.spawn_height
+        # A little to the side of the way, so that the direction to go is not just ahead.
+        yaw = float(np.arctan2(heading[1], heading[0])) - 0.15
+        world.reset(position=(x, y, height), yaw=yaw)
+        for _ in range(_SETTLING):
+            world.step(robot.default_pose)
+        given = None if renderer is None else lambda _scene: renderer
+        sensors = build_sensors(card, world, renderer=given, code_from=code_from)
+        for number, sensor in enumerate(sensors.values()):
+            sensor.reset(number)
+        moment = Moment(
+            world=world,
+            progress=TrailProgress(scene.trail, protocol),
+            step=_SETTLING,
+            applied_action=np.zeros(len(robot.joints)),
+            last_output=np.zeros(len(robot.joints)),
+        )
+        return sensors, {name: sensor.read(moment) for name, sensor in sensors.items()}
+
+
+def _panels(seen: dict[str, NDArray[Any]]) -> list[Panel]:
+    grid = _OBSERVATIONS["map"]
+    third = (PANEL[0] // 3, PANEL[1])
+    numbers = [
+        pictures.dots_from_above(-seen["dots"].reshape(12, 11), third),
+        pictures.arrow(float(seen["direction"][0]), third),
+        pictures.bars(seen["body"], (PANEL[0] - 2 * third[0], PANEL[1])),
+    ]
+    shown = {
+        "splat_rgb": ("the place as a camera sees it", seen["photo"]),
+        "splat_rgb, cones and robot": ("what no splat holds, blended in by depth", seen["objects"]),
+        "splat_rgb, published": (
+            "80 x 45 from 2 x 2 blocks of 1280 x 720",
+            pictures.enlarged(seen["small"], PANEL),
+        ),
+        "semantics": ("ground, obstacle, structure, clutter, cone, robot", seen["classes"]),
+        "depth, metres": ("along the optical axis, 0 to 8 m", _depth(seen["metres"], 8.0)),
+        "depth, linear": ("clipped at 5 m", _depth(seen["linear"], 1.0, "gray")),
+        "depth, MiDaS": ("1 / depth, stretched in each frame", _depth(seen["midas"], 1.0, "magma")),
+        "depth, wrapped": (
+            "80 x 45; noise, dropout > clip > quantize",
+            pictures.enlarged(_depth(seen["noisy"], 5.0), PANEL),
+        ),
+        "lidar, spinning": (
+            "32 x 1800 rays, from behind; colour is height",
+            pictures.points_from_behind(seen["spinning"].reshape(-1, 3), PANEL),
+        ),
+        "lidar, solid state": (
+            "120 x 240 rays",
+            pictures.points_from_behind(seen["solid"].reshape(-1, 3), PANEL),
+        ),
+        "heightmap": (
+            f"{grid['x'][2]} x {grid['y'][2]} points of 2.5 cm, ahead is up",
+            pictures.map_from_above(seen["map"], PANEL),
+        ),
+        "scandots, direction, proprio": (
+            "132 heights; the way to go; the 53 numbers of the body",
+            np.concatenate(numbers, axis=1),
+        ),
+    }
+    return [
+        Panel(name=name, caption=caption, image=image) for name, (caption, image) in shown.items()
+    ]
+
+
+def _depth(values: NDArray[Any], high: float, colours: str = "turbo") -> Bytes:
+    return pictures.coloured(values, 0.0, high, colours)

@@ -1,0 +1,110 @@
+"""Sensors of somebody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.policies.observations import PluginObservation
+from nw_eval.policies.observations.plugins import SENSORS
+from nw_eval.robots import RobotSpec
+from nw_eval.sensors.place import Place
+from nw_eval.sensors.plugins import make_plugin
+from nw_eval.sensors.sensor import Moment
+
+
+class PluginSensor:
+    """A measurement by an object of a plug-in's class.
+
+    The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and
+    `measure(moment)`. Whatever else of a measurement it has is used: `attach(place)`, `reset()`,
+    `memory()` with `remember(memory)`, `unit`, `is_image`.
+
+    Raises:
+        PolicyError: the class cannot be imported or made, or is no sensor.
+    """
+
+    coverage: float | None = None
+
+    def __init__(
+        self,
+        name: str,
+        observation: PluginObservation,
+        robot: RobotSpec,
+        *,
+        code_from: Path | None,
+    ) -> None:
+        self._name = name
+        self._sensor = observation.sensor
+        made = make_plugin(
+            observation.sensor, SENSORS, (robot,), observation.parameters, code_from=code_from
+        )
+        for needed in ("shape", "dtype", "measure"):
+            if not hasattr(made, needed):
+                raise PolicyError(
+                    f"`{name}`: sensor {self._sensor} has no `{needed}`",
+                    fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
+                )
+        if hasattr(made, "memory") != hasattr(made, "remember"):
+            raise PolicyError(
+                f"`{name}`: sensor {self._sensor} has only one of `memory` and `remember`",
+                fix="write both, or neither if it remembers nothing between samples",
+            )
+        self._made = made
+        self.shape: tuple[int, ...] = tuple(int(side) for side in made.shape)
+        self.dtype = np.dtype(made.dtype)
+        self.unit = str(getattr(made, "unit", "mixed"))
+        self.is_image = bool(getattr(made, "is_image", False))
+
+    def attach(self, place: Place) -> None:
+        """Show it the place."""
+        self._call("attach", place)
+
+    def reset(self) -> None:
+        """Begin a trial."""
+        self._call("reset")
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Ask it.
+
+        Raises:
+            PolicyError: it raised, or returned another shape or type than it said.
+        """
+        sample = self._call("measure", moment)
+        if not isinstance(sample, np.ndarray):
+            told = type(sample).__name__
+        elif sample.shape != self.shape or sample.dtype != self.dtype:
+            told = f"{sample.shape} {sample.dtype}"
+        else:
+            return sample
+        raise PolicyError(
+            f"`{self._name}`: sensor {self._sensor} returned {told}",
+            fix=f"it says that it returns {self.shape} {self.dtype}",
+        )
+
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Return what it remembers."""
+        return self._call("memory") or {}
+
+    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
+        """Go back to a `memory`."""
+        self._call("remember", memory)
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Call a method if the object has it."""
+        function = getattr(self._made, method, None)
+        if function is None:
+            return None
+        try:
+            return function(*arguments)
+        except NwEvalError:
+            raise
+        except Exception as error:
+            raise PolicyError(
+                f"`{self._name}`: sensor {self._sensor}: {method} raised "
+                f"{type(error).__name__}: {error}"
+            ) from error

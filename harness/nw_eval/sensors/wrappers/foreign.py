@@ -1,0 +1,53 @@
+"""Wrappers of somebody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.observations.plugins import WRAPPERS
+from nw_eval.policies.observations.wraps import PluginWrap
+from nw_eval.sensors.plugins import make_plugin
+from nw_eval.sensors.wrappers.link import Link, Memory, Sample, Shot
+
+
+def foreign_wrapper(wrap: PluginWrap, *, code_from: Path | None) -> Link:
+    """Return an object of a plug-in's class, with whatever methods it leaves out filled in.
+
+    Raises:
+        PolicyError: the class cannot be imported or made, or is no wrapper.
+    """
+    made = make_plugin(wrap.wrapper, WRAPPERS, (), wrap.parameters, code_from=code_from)
+    if not callable(made):
+        raise PolicyError(
+            f"wrapper {wrap.wrapper} has no method `__call__`",
+            fix="write `def __call__(self, sample, shot)`",
+        )
+    if hasattr(made, "memory") != hasattr(made, "remember"):
+        raise PolicyError(
+            f"wrapper {wrap.wrapper} has only one of `memory` and `remember`",
+            fix="write both, or neither if it remembers nothing between samples",
+        )
+    return _Foreign(made)
+
+
+class _Foreign:
+    def __init__(self, wrapper: Any) -> None:
+        self._wrapper = wrapper
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:
+        return self._wrapper(sample, shot)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        if hasattr(self._wrapper, "reset"):
+            self._wrapper.reset(rng)
+
+    def memory(self) -> Memory:
+        return self._wrapper.memory() if hasattr(self._wrapper, "memory") else {}
+
+    def remember(self, memory: Memory) -> None:
+        if hasattr(self._wrapper, "remember"):
+            self._wrapper.remember(memory)
