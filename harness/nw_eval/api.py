@@ -74,32 +74,35 @@ class Message:
 def plan(
     suite: str | Path,
     *,
+    robot: str | None = None,
     policy: str | None = None,
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
     record: Record | None = None,
+    allow_code: bool = False,
 ) -> Plan:
     """Resolve a suite and a policy to the trials that they mean, and check all of it.
 
     Args:
         suite: a suite file or the name of a shipped one.
+        robot: in place of the suite's own; its trials are others then.
         policy: a bundle's name, folder or card; the suite's own if None.
         checkpoint: weights to use with the card.
         trials: per scene; the suite's own number if None.
         scenes: globs; only scenes that match one of them.
         record: whose camera images the logs keep; the suite's own choice if None.
+        allow_code: whether Python code that the card names may be imported.
 
     Raises:
         UsageError, SuiteError, SceneError, PolicyError: something cannot be used as given.
     """
     from nw_eval import scenes as places
     from nw_eval.policies import load_bundle
-    from nw_eval.robots import get_robot
-    from nw_eval.sensors import check_bundle
+    from nw_eval.rollout.vetting import vet_bundle
     from nw_eval.suite import check_scenes, check_tiers, expand, load_suite, override
 
-    told = override(load_suite(suite), policy=policy, trials=trials, record=record)
+    told = override(load_suite(suite), robot=robot, policy=policy, trials=trials, record=record)
     check_scenes(told, places.names())
     found = places.match_scenes(told.scenes, told.base)
     check_tiers(told, [scene.name for scene in found])
@@ -111,7 +114,7 @@ def plan(
             fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
         )
     bundle = load_bundle(_policy_reference(told, policy), checkpoint=checkpoint)
-    check_bundle(bundle, get_robot(told.robot))
+    vet_bundle(bundle, told.robot, protocol=told.protocol, allow_code=allow_code)
     return Plan(
         suite=told,
         bundle=bundle,
@@ -124,22 +127,33 @@ def plan(
 def check(
     suite: str | Path,
     *,
+    robot: str | None = None,
     policy: str | None = None,
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
     workers: int | None = None,
+    allow_code: bool = False,
 ) -> Message:
     """Say what a run would be, without running it: scenes, trials, digests, expected minutes."""
     from nw_eval.engine.forecast import forecast
 
-    made = plan(suite, policy=policy, checkpoint=checkpoint, trials=trials, scenes=scenes)
+    made = plan(
+        suite,
+        robot=robot,
+        policy=policy,
+        checkpoint=checkpoint,
+        trials=trials,
+        scenes=scenes,
+        allow_code=allow_code,
+    )
     return Message(text=forecast(made.suite, made.bundle, made.scenes, made.trials, workers))
 
 
 def run(
     suite: str | Path | None,
     *,
+    robot: str | None = None,
     policy: str | None = None,
     checkpoint: Path | None = None,
     trials: int | None = None,
@@ -157,6 +171,7 @@ def run(
 
     Args:
         suite: a suite file or the name of a shipped one; None only with `resume`.
+        robot: in place of the suite's own; its trials are others then.
         policy: a bundle's name, folder or card; the suite's own if None.
         checkpoint: weights to use with the card.
         trials: per scene; the suite's own number if None.
@@ -167,7 +182,7 @@ def run(
         record: whose camera images the logs keep; the suite's own choice if None.
         time_limit: wall seconds after which a trial counts as hung.
         render: the splat backend.
-        allow_code: whether `python:` adapters may import code.
+        allow_code: whether Python code that the card names may be imported.
         listener: hears of progress.
 
     Raises:
@@ -184,6 +199,7 @@ def run(
             raise UsageError("--out and --resume exclude each other", fix="drop --out")
         settings = session.settings_of(resume)
         suite = suite or settings.suite
+        robot = robot or settings.robot
         policy = policy or settings.policy
         checkpoint = checkpoint or settings.checkpoint
         trials = trials or settings.trials
@@ -192,7 +208,14 @@ def run(
     if suite is None:
         raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
     made = plan(
-        suite, policy=policy, checkpoint=checkpoint, trials=trials, scenes=scenes, record=record
+        suite,
+        robot=robot,
+        policy=policy,
+        checkpoint=checkpoint,
+        trials=trials,
+        scenes=scenes,
+        record=record,
+        allow_code=allow_code,
     )
     folder = session.run(
         made.suite,
@@ -280,6 +303,70 @@ def list_scenes(patterns: Sequence[str] = ()) -> str:
     )
 
 
+def show_scene(reference: str, *, out: Path | None = None) -> str:
+    """Return a scene's figures as lines of text, and draw it from above if asked.
+
+    Raises:
+        SceneError: there is no such scene, or it cannot be read.
+        StoreError: the picture cannot be written.
+    """
+    from nw_eval.scenes import get_scene
+    from nw_eval.scenes.plan_view import draw_plan, figures
+
+    scene = get_scene(reference)
+    if out is not None:
+        draw_plan(scene, out)
+    return "\n".join([*figures(scene), *([str(out)] if out is not None else [])])
+
+
+def check_scenes(references: Sequence[str]) -> Message:
+    """Return what is wrong with scenes, one line a finding; exit code 2 if anything is."""
+    from nw_eval.errors import SceneError
+    from nw_eval.scenes.health.finding import has_errors
+    from nw_eval.scenes.health.inspect import inspect_scene
+
+    lines: list[str] = []
+    is_bad = False
+    for reference in references:
+        findings = inspect_scene(reference)
+        is_bad |= has_errors(findings)
+        lines += [f"{reference}: {finding}" for finding in findings]
+        if not findings:
+            lines.append(f"{reference}: nothing wrong")
+    return Message(text="\n".join(lines), exit_code=SceneError.exit_code if is_bad else 0)
+
+
+def list_sensors() -> str:
+    """Return the sensors and wrappers that cards can name, with the packages of plug-ins."""
+    from nw_eval.policies.observations import BUILT_IN_SENSORS
+    from nw_eval.policies.observations.plugins import SENSORS, WRAPPERS
+    from nw_eval.policies.observations.wraps import BUILT_IN_WRAPPERS
+    from nw_eval.sensors.plugins import usable
+
+    lines: list[str] = []
+    for group, built_in in ((SENSORS, BUILT_IN_SENSORS), (WRAPPERS, BUILT_IN_WRAPPERS)):
+        lines.append(f"{group}: {', '.join(built_in)}")
+        lines += [f"  {name} of {package}" for name, package in usable(group, built_in).items()]
+    return "\n".join(lines)
+
+
+def draw_sensors(policy: str | None, *, scene: str, out: Path, allow_code: bool = False) -> str:
+    """Draw what a card's sensors see, or one frame of every sensor; return the shapes in words.
+
+    Raises:
+        SceneError, PolicyError, UsageError: scene or policy cannot be used.
+    """
+    from nw_eval.policies import load_bundle
+    from nw_eval.scenes import get_scene
+    from nw_eval.sensors.gallery import draw_card, draw_gallery
+
+    place = get_scene(scene)
+    if policy is None:
+        draw_gallery(place, out)
+        return ""
+    return draw_card(load_bundle(policy), place, out, allow_code=allow_code)
+
+
 def render_scenes(
     patterns: Sequence[str] = (), *, out: Path, width: int = 480, listener: Listener | None = None
 ) -> None:
@@ -296,6 +383,75 @@ def render_scenes(
     found = match_scenes(tuple(patterns) or ("*",))
     build_splats(found, listener or Silence())
     write_scene_sheet(found, out, width=width)
+
+
+def list_policies() -> str:
+    """Return a table of the shipped and the project's bundles, and of the example cards."""
+    from nw_eval.policies.listing import policy_table
+
+    return policy_table()
+
+
+def show_policy(policy: str, *, allow_code: bool = False) -> str:
+    """Return what a card says: each observation term, each joint, the checkpoint.
+
+    Raises:
+        PolicyError: there is no such card, or it has problems.
+    """
+    from nw_eval.policies import find_card
+    from nw_eval.rollout.probe.summary import card_summary
+
+    return card_summary(find_card(policy), allow_code=allow_code)
+
+
+def check_policy(
+    policy: str,
+    *,
+    checkpoint: Path | None = None,
+    scene: str | None = None,
+    allow_code: bool = False,
+) -> Message:
+    """Run a policy for one second and say what is odd; exit code 2 if something is wrong.
+
+    Args:
+        policy: a bundle's name, folder or card.
+        checkpoint: weights to use with the card.
+        scene: where; a flat room if None.
+        allow_code: whether Python code that the card names may be imported.
+
+    Raises:
+        PolicyError, SceneError: it cannot be run at all.
+    """
+    from nw_eval.policies import load_bundle
+    from nw_eval.rollout.probe.report import FLAT, probe_policy
+
+    bundle = load_bundle(policy, checkpoint=checkpoint)
+    told = probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
+    return Message(text=told.text, exit_code=0 if told.passed else UsageError.exit_code)
+
+
+def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Message:
+    """Inspect a checkpoint without running it, and write a first card beside it.
+
+    Args:
+        checkpoint: any format that an adapter reads.
+        robot: which robot the policy drives.
+        out: the card to write; `policy.yaml` beside the checkpoint if None.
+
+    Raises:
+        PolicyError: the file cannot be read, could run code, or holds an unknown network.
+        UsageError: there is a card already.
+    """
+    from nw_eval.policies.card import CARD_FILE
+    from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
+    from nw_eval.robots import get_robot
+
+    card = out or checkpoint.parent / CARD_FILE
+    if card.exists():
+        raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
+    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot))
+    write_text(card, text)
+    return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 
 
 def splat_info(path: Path) -> str:

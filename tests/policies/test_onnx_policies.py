@@ -109,3 +109,77 @@ def test_a_closed_policy_says_so(tmp_path):
     policy.close()
     with pytest.raises(TrialError, match="is closed"):
         policy.act({})
+
+
+def counting(source="h_in", target="h_out", shape=(1, 1, 12)):
+    """A graph h_out = h_in + obs[:12], action = 2 * h_out, as bytes."""
+    flat = numpy_helper.from_array(np.array([1, 12], np.int64), "flat")
+    deep = numpy_helper.from_array(np.array(shape, np.int64), "deep")
+    starts = numpy_helper.from_array(np.array([0], np.int64), "starts")
+    ends = numpy_helper.from_array(np.array([12], np.int64), "ends")
+    axes = numpy_helper.from_array(np.array([1], np.int64), "axes")
+    graph = helper.make_graph(
+        [
+            helper.make_node("Slice", ["obs", "starts", "ends", "axes"], ["body"]),
+            helper.make_node("Reshape", [source, "flat"], ["before"]),
+            helper.make_node("Add", ["before", "body"], ["sum"]),
+            helper.make_node("Add", ["sum", "sum"], ["actions"]),
+            helper.make_node("Reshape", ["sum", "deep"], [target]),
+        ],
+        "counting",
+        [
+            helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 16]),
+            helper.make_tensor_value_info(source, TensorProto.FLOAT, shape),
+        ],
+        [
+            helper.make_tensor_value_info(target, TensorProto.FLOAT, shape),
+            helper.make_tensor_value_info("actions", TensorProto.FLOAT, [1, 12]),
+        ],
+        [flat, deep, starts, ends, axes],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    return model.SerializeToString()
+
+
+ONES = {"body": np.ones(12, np.float32), "feet": np.zeros(4, np.float32)}
+
+
+@pytest.mark.parametrize(
+    ("names", "extra"),
+    [(("h_in", "h_out"), ""), (("left", "right"), "recurrent: {left: right}\n")],
+    ids=["by its names", "by the card"],
+)
+def test_recurrent_state_is_fed_back_saved_and_restored(tmp_path, names, extra):
+    policy = open_policy(bundle_of(tmp_path, counting(*names), extra))
+    assert [spec.name for spec in policy.inputs] == ["obs"]
+    policy.reset(0)
+    assert policy.act(ONES)[0] == 2.0
+    assert policy.act(ONES)[0] == 4.0
+    saved = policy.state()
+    assert policy.act(ONES)[0] == 6.0
+    policy.restore(saved)
+    assert policy.act(ONES)[0] == 6.0
+    policy.reset(1)
+    assert policy.act(ONES)[0] == 2.0
+
+
+def test_an_unfed_recurrent_input_is_an_error_that_names_it(tmp_path):
+    bundle = bundle_of(tmp_path, counting("left", "right"))
+    with pytest.raises(PolicyError, match="the checkpoint has 2 inputs: obs, left"):
+        open_policy(bundle)
+
+
+def test_a_recurrent_output_that_is_not_there_is_named(tmp_path):
+    bundle = bundle_of(tmp_path, counting("left", "right"), "recurrent: {left: rihgt}\n")
+    with pytest.raises(PolicyError, match=r"no output 'rihgt'; did you mean 'right'\?"):
+        open_policy(bundle)
+
+
+def test_recurrent_state_of_another_size_does_not_fit(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, counting()))
+    saved = policy.state()
+    (tmp_path / "other").mkdir()
+    other = open_policy(bundle_of(tmp_path / "other", counting(shape=(2, 1, 6))))
+    with pytest.raises(TrialError, match="does not fit policy 'mine'"):
+        other.restore(saved)

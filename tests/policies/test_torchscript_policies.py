@@ -102,7 +102,7 @@ def test_a_pickle_that_poses_as_torchscript_is_not_run(tmp_path):
             archive.writestr(member, source.read(member))
         root = source.infolist()[0].filename.split("/")[0]
         archive.writestr(f"{root}/constants.pkl", source.read(f"{root}/data.pkl"))
-    with pytest.raises(PolicyError, match="not a usable TorchScript file"):
+    with pytest.raises(PolicyError, match=r"asks to call 'posix\.mkdir'"):
         open_policy(bundle_of(tmp_path, buffer.getvalue()))
     assert not mark.exists()
 
@@ -134,3 +134,70 @@ def test_an_archive_with_members_outside_is_refused(tmp_path):
 def test_bytes_that_are_no_archive_are_refused(tmp_path):
     with pytest.raises(PolicyError, match="it is no archive"):
         open_policy(bundle_of(tmp_path, b"nothing"))
+
+
+class Counting(torch.nn.Module):
+    """Remembers in a buffer, in a plain tensor, in a number, and in a part of its own."""
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("hidden", torch.zeros(1, 12))
+        self.plain = torch.zeros(12)
+        self.steps = 0
+        self.part = Adding()
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        self.hidden = self.hidden + x
+        self.plain = self.plain + 1.0
+        self.steps += 1
+        return self.hidden + 10.0 * self.plain + 100.0 * self.steps + self.part(x)
+
+
+class Adding(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("total", torch.zeros(1, 12))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        self.total += 1000.0 * x
+        return self.total
+
+
+class Collecting(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.seen = [torch.zeros(1)]
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        self.seen = [x]
+        return x
+
+
+def test_a_recurrent_script_is_reset_saved_and_restored(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, scripted(Counting())))
+    observation = {"body": np.ones(12, np.float32)}
+    fresh = policy.state()
+    first, second = policy.act(observation), policy.act(observation)
+    assert first[0] == 1 + 10 + 100 + 1000
+    assert second[0] == 2 * first[0]
+    saved = policy.state()
+    third = policy.act(observation)
+    policy.restore(saved)
+    np.testing.assert_array_equal(policy.act(observation), third)
+    policy.reset(0)
+    assert policy.state() == fresh == b""
+    np.testing.assert_array_equal(policy.act(observation), first)
+
+
+def test_a_script_whose_memory_cannot_be_saved_is_refused(tmp_path):
+    with pytest.raises(PolicyError, match="its code changes `seen`, a list"):
+        open_policy(bundle_of(tmp_path, scripted(Collecting())))
+
+
+def test_the_state_of_another_script_does_not_fit(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, scripted(Counting())))
+    policy.act({"body": np.ones(12, np.float32)})
+    saved = policy.state()
+    other = open_policy(bundle_of(tmp_path, scripted(Doubling())))
+    with pytest.raises(TrialError, match="does not fit policy 'mine'"):
+        other.restore(saved)

@@ -15,11 +15,13 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.check import Check
+from nw_eval.cli.policies import Policies
 from nw_eval.cli.replay import Replay
 from nw_eval.cli.report import Report
 from nw_eval.cli.run import Run
 from nw_eval.cli.scenes import Scenes
 from nw_eval.cli.schema import Schema
+from nw_eval.cli.sensors import Sensors
 from nw_eval.cli.splat import Splat
 from nw_eval.cli.warmup import Warmup
 from nw_eval.errors import NwEvalError
@@ -35,7 +37,9 @@ Verb = (
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
+    | Annotated[Sensors, tyro.conf.subcommand("sensors")]
     | Annotated[Splat, tyro.conf.subcommand("splat")]
     | Annotated[Schema, tyro.conf.subcommand("schema")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]

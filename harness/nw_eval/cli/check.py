@@ -14,6 +14,8 @@ class Check:
 
     suite: tyro.conf.Positional[str]
     """A suite file, or the name of a shipped suite."""
+    robot: str | None = None
+    """go1 or go2; the suite's own when absent."""
     policy: str | None = None
     """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
     checkpoint: Path | None = None
@@ -24,17 +26,21 @@ class Check:
     """Only scenes that match one of these globs."""
     workers: int | None = None
     """Worker processes to reckon with; the number of cores when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
         told = api.check(
             self.suite,
+            robot=self.robot,
             policy=self.policy,
             checkpoint=self.checkpoint,
             trials=self.trials,
             scenes=self.scenes,
             workers=self.workers,
+            allow_code=self.allow_code,
         )
         print(told.text)
         return told.exit_code

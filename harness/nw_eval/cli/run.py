@@ -15,6 +15,8 @@ class Run:
 
     suite: tyro.conf.Positional[str | None] = None
     """A suite file, or the name of a shipped suite; only --resume can do without."""
+    robot: str | None = None
+    """go1 or go2; the suite's own when absent."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
     checkpoint: Path | None = None
@@ -36,7 +38,7 @@ class Run:
     render: Literal["cpu", "cuda"] = "cpu"
     """The splat renderer. There is no silent fallback."""
     allow_code: bool = False
-    """Let `python:` adapters import code."""
+    """Let the policy's card import Python code."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -45,6 +47,7 @@ class Run:
         with RunProgress() as progress:
             outcome = api.run(
                 self.suite,
+                robot=self.robot,
                 policy=self.policy,
                 checkpoint=self.checkpoint,
                 trials=self.trials,

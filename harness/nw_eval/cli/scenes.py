@@ -24,6 +24,37 @@ class List:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say everything about one scene, and draw it from above with its trail and heights."""
+
+    scene: tyro.conf.Positional[str]
+    """A built-in name, a scene folder, or neverwhere:<folder>."""
+    out: Path | None = None
+    """A PNG of the view from above."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.show_scene(self.scene, out=self.out))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Find what is wrong with scenes: files, scale, holes, trail, spawn. Exit code 2 if any is."""
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """Built-in names, scene folders, or neverwhere:<folder>."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        told = api.check_scenes(self.scenes)
+        print(told.text)
+        return told.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
 class Render:
     """Draw scenes from the robot's eye and from outside, one contact sheet for all."""
 
@@ -46,10 +77,12 @@ class Render:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenes:
-    """List the places that suites can name, or draw them."""
+    """List the places that suites can name, show, check or draw them."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Render, tyro.conf.subcommand("render")]
     )
 

@@ -42,6 +42,7 @@ class Settings:
     """What an interrupted run was started with."""
 
     suite: str
+    robot: str
     policy: str
     checkpoint: Path | None
     trials: int
@@ -59,6 +60,7 @@ def settings_of(run: Path) -> Settings:
     info = read_run_info(folder.run_json)
     return Settings(
         suite=info.suite_file,
+        robot=info.suite["robot"],
         policy=info.policy.card,
         checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
         trials=info.suite["trials"],

@@ -5,9 +5,9 @@ observations into raw actions; `JointControl` turns those into joint targets.
 """
 
 from nw_eval.policies.adapters import open_policy
-from nw_eval.policies.bundle import Bundle, load_bundle
+from nw_eval.policies.bundle import Bundle, find_card, load_bundle
 from nw_eval.policies.card import Card, load_card
-from nw_eval.policies.control import ActionDelay, JointControl, actuator_values
+from nw_eval.policies.control import ActionDelay, JointControl, actuator_values, physics_steps
 from nw_eval.policies.policy import Action, InputSpec, Observation, Policy
 
 __all__ = [
@@ -20,7 +20,9 @@ __all__ = [
     "Observation",
     "Policy",
     "actuator_values",
+    "find_card",
     "load_bundle",
     "load_card",
     "open_policy",
+    "physics_steps",
 ]

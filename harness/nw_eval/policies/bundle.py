@@ -15,6 +15,10 @@ SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""
 
 
+_WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
+"""Options of remote policies that say where they run and how long to wait."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bundle:
     """A valid card and a checkpoint whose digest has been verified."""
@@ -42,6 +46,10 @@ class Bundle:
         fields = self.card.model_dump(
             mode="json", by_alias=True, exclude={"title", "licence", "checkpoint"}
         )
+        if self.card.adapter == "remote":
+            # Where the same policy is served changes nothing; which one it is, `digest` says.
+            options = fields["options"].items()
+            fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
         text = json.dumps([fields, self.checkpoint_sha256], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -78,7 +86,7 @@ def load_bundle(
         PolicyError: there is no such bundle; the card has problems; the checkpoint is missing,
             too large, outside the card's folder, or has another digest than the card says.
     """
-    card_path = _find_card(name_or_path, search)
+    card_path = find_card(name_or_path, search=search)
     card = load_card(card_path)
     if card.checkpoint is None:
         if checkpoint is not None:
@@ -104,7 +112,16 @@ def load_bundle(
     return Bundle(card=card, card_path=card_path, checkpoint=path, checkpoint_sha256=actual)
 
 
-def _find_card(name_or_path: str | Path, search: Path | None) -> Path:
+def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
+    """Return the path of a bundle's card.
+
+    Args:
+        name_or_path: as for `load_bundle`.
+        search: likewise.
+
+    Raises:
+        PolicyError: there is no such bundle.
+    """
     known = available("policies", search)
     if str(name_or_path) in known:
         return known[str(name_or_path)] / CARD_FILE

@@ -6,19 +6,46 @@ holds its weights. It contains no code.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.policies.joints import PerJoint
-from nw_eval.policies.model import CardModel, Limits
+from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits
 from nw_eval.policies.observations import Observation, ProprioObservation
 from nw_eval.policies.terms import Command as CommandTerm
 from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
 
 CARD_FILE = "policy.yaml"
+
+
+PHYSICS_RATE = 200
+"""Physics steps per second of every protocol, unless a card says otherwise, Hz."""
+
+
+def _control_rate(rate: int) -> int:
+    if rate < 1 or CONTROL_RATE % rate:
+        message = f"{rate} actions a second do not fit the {CONTROL_RATE} Hz of every trial"
+        raise ValueError(f"{message}, in which waypoints, sensors and logs count; {_SLOWER}")
+    return rate
+
+
+_SLOWER = "use 50, 25, 10, 5, 2 or 1, or export a policy of one of these rates"
+
+ControlRate = Annotated[int, AfterValidator(_control_rate)]
+
+
+def _physics_rate(rate: int) -> int:
+    if rate % CONTROL_RATE or not 2 * CONTROL_RATE <= rate <= 2000:
+        message = f"{rate} physics steps a second are no multiple of {CONTROL_RATE} up to 2000"
+        raise ValueError(f"{message}; use 200 (the default), 250, 500 or 1000")
+    return rate
+
+
+PhysicsRate = Annotated[int, AfterValidator(_physics_rate)]
 
 
 def _plain_file(name: str) -> str:
@@ -43,16 +70,19 @@ class Checkpoint(CardModel):
 class Control(CardModel):
     """What a raw action means, and the motors that it drives."""
 
-    rate: Literal[50] = 50
-    """Actions per second, Hz."""
-    action: Literal["joint_position_offset", "joint_position"]
-    """Target = default pose + scale * action, or scale * action."""
+    rate: ControlRate = CONTROL_RATE
+    """Actions per second, Hz. Below 50 each action is held for 50 / rate control steps."""
+    physics_rate: PhysicsRate = PHYSICS_RATE
+    """Physics steps per second, Hz: a multiple of 50."""
+    action: Literal["joint_position_offset", "joint_position", "joint_torque"]
+    """Joint target = default pose + scale * action, or scale * action; or torque = scale * action.
+    """
     scale: PerJoint = 1.0
-    """rad for each unit of action."""
+    """rad, or N m, for each unit of action."""
     clip: Limits | None = None
     """Limits of the raw action, before scaling."""
     delay_steps: int = Field(default=0, ge=0, le=10)
-    """Control steps that an action waits before it is applied."""
+    """Actions that are applied before a new one is: its latency, in periods of `rate`."""
     joints: list[str] | None = None
     """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
     default_pose: PerJoint | None = None
@@ -60,13 +90,24 @@ class Control(CardModel):
     kp: PerJoint | None = None
     """Position gain, N m/rad; None = the robot's, here and below."""
     kd: PerJoint | None = None
-    """Joint damping, N m s/rad."""
+    """Joint damping, N m s/rad; None = none where actions are torques."""
     torque_limits: PerJoint | None = None
     """N m."""
     armature: PerJoint | None = None
     """kg m^2."""
     friction_loss: PerJoint | None = None
     """N m."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Control:
+        if self.action == "joint_torque" and self.kp is not None:
+            raise ValueError("kp has no meaning for torques; remove it, or choose another `action`")
+        return self
+
+    @property
+    def hold(self) -> int:
+        """Control steps of 0.02 s from one action to the next."""
+        return CONTROL_RATE // self.rate
 
 
 class WaypointCommand(CardModel):
@@ -106,6 +147,28 @@ Command = Annotated[
 ]
 
 
+ADAPTERS = (
+    "onnx",
+    "torchscript",
+    "torch-export",
+    "lucidsim",
+    "extreme-parkour",
+    "act",
+    "remote",
+    "zero",
+)
+
+
+def _known_adapter(name: str) -> str:
+    if name in ADAPTERS or re.fullmatch(r"python:[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
+        return name
+    if name.startswith("python:"):
+        message = f"{name!r} names no class; write python:package.module:Class"
+        raise ValueError(message)
+    message = f"unknown adapter {name!r}; {nearest(name, ADAPTERS)}"
+    raise ValueError(message)
+
+
 class Card(CardModel):
     """A policy card, valid in itself. `sensors.check_card` checks it against a robot."""
 
@@ -115,9 +178,12 @@ class Card(CardModel):
     """One line for people."""
     licence: str = ""
     robot: str
-    adapter: Literal["onnx", "torchscript", "zero"]
-    """How the checkpoint is run; `zero` has none and answers every observation with zeros."""
+    adapter: Annotated[str, AfterValidator(_known_adapter)]
+    """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
+    has it on a server, `python:package.module:Class` is code and needs --allow-code."""
     checkpoint: Checkpoint | None = None
+    options: dict[str, Any] = Field(default_factory=dict[str, Any])
+    """What only this adapter understands; each adapter says what that is."""
     control: Control
     command: Command = WaypointCommand()
     observations: dict[str, Observation] = Field(default_factory=dict[str, Observation])
@@ -128,23 +194,57 @@ class Card(CardModel):
     None = the checkpoint has one input, made of all observations."""
     output: str | None = None
     """Which output of the checkpoint is the action; None = its only or first one."""
+    recurrent: dict[str, str] | None = None
+    """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:
+    h_out}`. None = the pairs that its names show. Only `onnx` needs to be told."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _slow_observations(cls, data: Any) -> Any:
+        """Let a slow policy's observations default to its own rate, in place of 50 Hz."""
+        try:
+            rate = data["control"].get("rate", CONTROL_RATE)
+            if rate == CONTROL_RATE or not isinstance(rate, int):
+                return data
+            slowed = {
+                name: {"rate": rate, **observation}
+                for name, observation in data["observations"].items()
+            }
+        except (KeyError, TypeError, AttributeError):
+            return data  # What is wrong with it, its own model says.
+        return {**data, "observations": slowed}
 
     @model_validator(mode="after")
     def _consistent(self) -> Card:
-        if self.adapter == "zero":
+        if self.adapter in {"zero", "remote"}:
             if self.checkpoint is not None:
-                raise ValueError("adapter `zero` has no checkpoint; remove `checkpoint`")
-        elif self.checkpoint is None:
+                message = f"adapter `{self.adapter}` has no checkpoint; remove `checkpoint`"
+                raise ValueError(message)
+        elif self.checkpoint is None and not self.adapter.startswith("python:"):
             raise ValueError("`checkpoint` is missing; add `checkpoint: {file: ..., sha256: ...}`")
-        elif not self.observations:
+        if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
         self._check_inputs()
         self._check_command()
+        self._check_rates()
+        if self.recurrent and self.adapter != "onnx":
+            message = f"`recurrent` is for adapter onnx; `{self.adapter}` keeps its state itself"
+            raise ValueError(f"{message}; remove it")
         return self
+
+    def _check_rates(self) -> None:
+        for name, observation in self.observations.items():
+            if self.control.rate % observation.rate:
+                raise ValueError(
+                    f"{name!r} is sampled at {observation.rate} Hz, the policy acts at "
+                    f"{self.control.rate} Hz; give a rate that divides it"
+                )
 
     def _check_inputs(self) -> None:
         used: list[str] = []
         for name, parts in (self.inputs or {}).items():
+            if name in (self.recurrent or {}):
+                raise ValueError(f"inputs: {name!r} is in `recurrent` too; name it in one of them")
             if not parts:
                 raise ValueError(f"inputs: {name!r} has no observations; name at least one")
             for part in parts:

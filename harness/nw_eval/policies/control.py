@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.card import Card
+from nw_eval.policies.card import PHYSICS_RATE, Card
 from nw_eval.policies.joints import PerJoint, joint_order, joint_values
+from nw_eval.policies.model import CONTROL_RATE
 from nw_eval.policies.policy import Action
 from nw_eval.robots import RobotSpec
 
@@ -27,7 +28,7 @@ class JointControl:
     base: NDArray[np.float64]
     """(12,) rad, the target of action 0: the default pose, or zeros for absolute actions."""
     scale: NDArray[np.float64]
-    """(12,) rad for each unit of action."""
+    """(12,) rad, or N m, for each unit of action."""
     low: float
     high: float
     """Limits of the raw action."""
@@ -58,7 +59,7 @@ class JointControl:
         )
 
     def targets(self, action: Action) -> NDArray[np.float64]:
-        """Return joint targets in the robot's order, rad.
+        """Return what the motors are told, in the robot's order: joint targets in rad, or N m.
 
         Args:
             action: raw action in the policy's order, (12,).
@@ -104,20 +105,22 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
 
     Returns:
         kp, kd, torque_limits, armature, friction_loss: (12,) each in the robot's joint order, the
-        keyword arguments of `sim.Actuators`.
+        keyword arguments of `sim.Actuators`. Motors of torques have no damping of their own.
 
     Raises:
         PolicyError: a joint is unknown, a list has another length, or a value is negative.
     """
     control = card.control
+    damping = 0.0 if control.action == "joint_torque" else robot.joint_damping
     overrides: dict[str, tuple[PerJoint | None, tuple[float, ...]]] = {
         "kp": (control.kp, (robot.kp,) * len(robot.joints)),
-        "kd": (control.kd, (robot.joint_damping,) * len(robot.joints)),
+        "kd": (control.kd, (damping,) * len(robot.joints)),
         "torque_limits": (control.torque_limits, robot.torque_limits),
         "armature": (control.armature, (robot.armature,) * len(robot.joints)),
         "friction_loss": (control.friction_loss, (robot.friction_loss,) * len(robot.joints)),
     }
-    if all(value is None for value, _ in overrides.values()):
+    torques = control.action == "joint_torque"
+    if not torques and all(value is None for value, _ in overrides.values()):
         return None
     order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
     names = [robot.joints[i] for i in order]
@@ -132,6 +135,22 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
             raise PolicyError(f"control.{key}: {values.min():g} is negative", fix="give 0 or more")
         result[key] = values
     return result
+
+
+def physics_steps(card: Card, protocol: str) -> tuple[float, int]:
+    """Return the physics step, s, and how many of them make a control step.
+
+    Raises:
+        PolicyError: the published protocol has a physics rate of its own.
+    """
+    rate = card.control.physics_rate
+    if protocol != "strict" and rate != PHYSICS_RATE:
+        raise PolicyError(
+            f"card {card.name!r}: control.physics_rate is {rate}, the protocol {protocol!r} has "
+            f"{PHYSICS_RATE}",
+            fix="remove it from the card, or use `protocol: strict` in the suite",
+        )
+    return 1.0 / rate, rate // CONTROL_RATE
 
 
 def _named(key: str, resolve: Callable[[], NDArray]) -> NDArray:

@@ -143,7 +143,8 @@ def newest_frame(array: NDArray[Any], spec: SplatRgbObservation) -> Bytes:
 def _seen(card: Card) -> tuple[_Seen, ...]:
     found: list[_Seen] = []
     for name, spec in card.observations.items():
-        if isinstance(spec, SplatRgbObservation):
+        # What a wrapper makes of an image need not be one any more.
+        if isinstance(spec, SplatRgbObservation) and not spec.wrap:
             taken = {seen.camera for seen in found}
             camera = spec.camera if spec.camera not in taken else f"{spec.camera}/{name}"
             found.append(_Seen(observation=name, spec=spec, camera=camera))

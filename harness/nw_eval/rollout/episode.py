@@ -3,6 +3,7 @@
     reset -> [ observe -> policy -> delay queue -> physics -> trail -> termination ] x 50 per second
 
 The action computed at step k is applied at step k + delay_steps of the card; before that, zeros.
+A policy that acts at less than 50 Hz is asked at every `hold`-th step, and its delay counts those.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Decision:
     observation: Mapping[str, NDArray[Any]]
     action: Array  # (12,) raw output
     applied: Array  # (12,) raw action that this step applies
-    targets: Array  # (12,) joint targets of this step, rad
+    targets: Array  # (12,) joint targets of this step, rad; or torques, N m
 
 
 class Episode:
@@ -79,7 +80,8 @@ class Episode:
         sensors: by observation name, already reset.
         policy: already reset.
         control: what actions mean.
-        delay_steps: control steps that an action waits.
+        delay_steps: actions that are applied before a new one is.
+        hold: control steps for which an action is applied.
         progress: along the trial's own waypoints.
         termination: for the same waypoints.
         clock: where the time goes.
@@ -93,6 +95,7 @@ class Episode:
         policy: Policy,
         control: JointControl,
         delay_steps: int,
+        hold: int = 1,
         progress: TrailProgress,
         termination: Termination,
         clock: StageClock,
@@ -107,6 +110,7 @@ class Episode:
         self.coverage = Coverage()
         self._control = control
         self._delay = ActionDelay(delay_steps)
+        self._hold = hold
         self._termination = termination
         self._clock = clock
         self._applied = np.zeros(len(world.robot.joints))
@@ -115,9 +119,21 @@ class Episode:
     def decide(self) -> Decision:
         """Observe, and ask the policy.
 
+        The published evaluation shows its policy nothing before the first control step is done,
+        and applies zeros in that step.
+
         Raises:
             PolicyFailedError: the policy raised, or its action is not twelve finite numbers.
         """
+        if self.step == 0 and self.world.protocol == "neverwhere-2026":
+            nothing = np.zeros_like(self._output)
+            applied = self._delay.push(nothing)
+            return Decision(
+                observation={},
+                action=nothing,
+                applied=applied,
+                targets=self._control.targets(applied),
+            )
         moment = Moment(
             world=self.world,
             progress=self.progress,
@@ -131,9 +147,12 @@ class Episode:
                 observation[name] = sensor.read(moment)
             if sensor.is_image and sensor.fresh and sensor.coverage is not None:
                 self.coverage.add(sensor.coverage)
-        with self._clock("policy"):
-            action = self._ask(observation)
-        applied = self._delay.push(action)
+        if self.step % self._hold:
+            action, applied = self._output, self._applied
+        else:
+            with self._clock("policy"):
+                action = self._ask(observation)
+            applied = self._delay.push(action)
         return Decision(
             observation=observation,
             action=action,

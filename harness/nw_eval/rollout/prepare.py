@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from nw_eval.errors import PolicyError, UsageError, nearest
-from nw_eval.policies import Bundle, JointControl, Policy, actuator_values, open_policy
+from nw_eval.policies import (
+    Bundle,
+    JointControl,
+    Policy,
+    actuator_values,
+    open_policy,
+    physics_steps,
+)
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode, policy_at_fault
 from nw_eval.rollout.spawn import draw_start
@@ -79,12 +86,12 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             policy.reset(_seed(trial.seed_sequence("policy")))
         height = scene.spawn.position[2] + robot.spawn_height
         world.reset(position=(start.x, start.y, height), yaw=start.yaw)
-        casts = any(spec.sensor == "scandots" for spec in bundle.card.observations.values())
         sensors = build_sensors(
             bundle.card,
             world,
-            rays=library.rays(job.scene) if casts else None,
+            rays=lambda: library.rays(job.scene),
             renderer=lambda _scene: renderer(),
+            code_from=bundle.folder if job.allow_code else None,
         )
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
@@ -95,6 +102,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             policy=policy,
             control=JointControl.from_card(bundle.card, robot),
             delay_steps=bundle.card.control.delay_steps,
+            hold=bundle.card.control.hold,
             progress=TrailProgress(start.trail, job.protocol, control_period=period),
             termination=Termination(
                 start.trail,
@@ -139,12 +147,17 @@ def _open_world(job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle) -
         if axis not in PERTURBATIONS:
             raise UsageError(f"unknown perturbation {axis!r}", fix=nearest(axis, PERTURBATIONS))
     motors = actuator_values(bundle.card, robot)
+    follow = "torque" if bundle.card.control.action == "joint_torque" else "position"
+    actuators = None if motors is None else Actuators(follow=follow, **motors)
+    timestep, substeps = physics_steps(bundle.card, job.protocol)
     return World(
         robot,
         scene,
         protocol=job.protocol,
-        actuators=None if motors is None else Actuators(**motors),
+        actuators=actuators,
         friction=cell.get("friction"),
+        timestep=timestep,
+        substeps=substeps,
     )
 
 

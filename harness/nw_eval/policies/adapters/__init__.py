@@ -7,13 +7,12 @@ from nw_eval.policies.policy import Policy
 from nw_eval.robots import get_robot
 
 
-def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:  # noqa: ARG001
+def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     """Load a bundle's checkpoint. Loading runs no code that the checkpoint contains.
 
     Args:
         bundle: from `load_bundle`.
-        allow_code: whether adapters that import the user's Python code may do so; none of the
-            adapters here does.
+        allow_code: whether `python:` adapters may import the user's code.
 
     Raises:
         PolicyError: the file is not what the card's adapter reads, or its inputs and outputs do
@@ -29,7 +28,31 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:  # noqa:
             from nw_eval.policies.adapters.torchscript import TorchScriptPolicy
 
             return TorchScriptPolicy(bundle, joints=joints)
+        case "torch-export":
+            from nw_eval.policies.adapters.torch_export import TorchExportPolicy
+
+            return TorchExportPolicy(bundle, joints=joints)
+        case "lucidsim":
+            from nw_eval.policies.adapters.lucidsim import LucidSimPolicy
+
+            return LucidSimPolicy(bundle, joints=joints)
+        case "extreme-parkour":
+            from nw_eval.policies.adapters.extreme_parkour import open_extreme_parkour
+
+            return open_extreme_parkour(bundle, joints=joints)
+        case "act":
+            from nw_eval.policies.adapters.act import ActPolicy
+
+            return ActPolicy(bundle, joints=joints)
+        case "remote":
+            from nw_eval.policies.adapters.remote import RemotePolicy
+
+            return RemotePolicy(bundle, joints=joints)
         case "zero":
             from nw_eval.policies.adapters.zero import ZeroPolicy
 
             return ZeroPolicy(joints=joints)
+        case _:
+            from nw_eval.policies.adapters.python_code import PythonPolicy
+
+            return PythonPolicy(bundle, joints=joints, allow_code=allow_code)

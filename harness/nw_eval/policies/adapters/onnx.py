@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import onnxruntime as ort
+from numpy.typing import NDArray
 
 from nw_eval.errors import PolicyError, TrialError, nearest
-from nw_eval.policies.adapters.stateless import Stateless
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
+from nw_eval.policies.networks.memory import pack, unfitting, unpack
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.recurrence import state_pairs
+from nw_eval.policies.safety import check_onnx
 
 _DTYPES: dict[str, Any] = {
     "tensor(float)": np.float32,
@@ -23,35 +27,105 @@ _DTYPES: dict[str, Any] = {
 }
 
 
-class OnnxPolicy(Stateless):
-    """A feed-forward ONNX graph.
+class OnnxPolicy:
+    """An ONNX graph, with the recurrent state that it passes from step to step.
 
     The graph is loaded from bytes that were verified, without external data files and without
-    custom operators, so it can do arithmetic and nothing else.
+    custom operators, so it can do arithmetic and nothing else. Inputs that an output feeds (`h_in`
+    and `h_out`, or what the card's `recurrent` says) begin a trial as zeros.
     """
 
     def __init__(self, bundle: Bundle, *, joints: int) -> None:
         self._name = bundle.name
         self._joints = joints
-        self._session: ort.InferenceSession | None = _open(bundle)
-        self.inputs = tuple(_spec(bundle, node) for node in self._session.get_inputs())
-        self._assemble = InputAssembler(bundle.card, self.inputs)
-        self._outputs = [_output(bundle, self._session.get_outputs(), joints)]
+        session = _open(bundle)
+        self._session: ort.InferenceSession | None = session
+        specs = tuple(_spec(bundle, node) for node in session.get_inputs())
+        outputs = session.get_outputs()
+        self._fed_by = _recurrent(bundle, specs, outputs)
+        self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
+        self._memory: dict[str, NDArray[Any]] = {}
+        self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
+        try:
+            self._assemble = InputAssembler(bundle.card, self.inputs)
+        except PolicyError as error:
+            raise PolicyError(f"{bundle.card_path}: {error}") from None
+        feeding = [self._fed_by[spec.name] for spec in self._recurrent]
+        actions = [node for node in outputs if node.name not in feeding]
+        self._outputs = [_output(bundle, actions, joints), *feeding]
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
+        """Begin a trial: the recurrent state is zeros."""
+        self._memory = {
+            spec.name: np.zeros([1 if size is None else size for size in spec.shape], spec.dtype)
+            for spec in self._recurrent
+        }
 
     def act(self, observation: Observation) -> Action:
         """Run the graph once."""
         if self._session is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
         feeds = self._assemble(observation)
+        feeds.update(self._memory)
         try:
-            (raw,) = self._session.run(self._outputs, feeds)
+            raw, *states = self._session.run(self._outputs, feeds)
         except Exception as error:
             raise TrialError(f"policy {self._name!r} failed: {_reason(error)}") from error
+        for spec, state in zip(self._recurrent, states, strict=True):
+            self._memory[spec.name] = np.asarray(state)
         return checked_action(raw, joints=self._joints, policy=self._name)
+
+    def state(self) -> bytes:
+        """Return the recurrent state."""
+        return pack(self._memory)
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        memory = unpack(state, self._name)
+        have = {name: (array.shape, array.dtype) for name, array in memory.items()}
+        if have != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
+            raise unfitting(self._name, f"it has {have}")
+        self._memory = memory
 
     def close(self) -> None:
         """Free the graph."""
         self._session = None
+
+
+def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict[str, str]:
+    """Return the inputs that an output feeds: those that the card says, or the names show.
+
+    Raises:
+        PolicyError: the card names an input or output that the file has not.
+    """
+    inputs = {spec.name: spec.shape for spec in specs}
+    targets = {
+        node.name: tuple(s if isinstance(s, int) else None for s in node.shape) for node in outputs
+    }
+    said = bundle.card.recurrent
+    if said is None:
+        observed = bundle.card.inputs or {}
+        pairs = state_pairs(inputs, targets)
+        return {source: target for source, target in pairs.items() if source not in observed}
+    for source, target in said.items():
+        for kind, name, known in (("input", source, inputs), ("output", target, targets)):
+            if name not in known:
+                raise PolicyError(
+                    f"{bundle.card_path}: recurrent: the checkpoint has no {kind} {name!r}",
+                    fix=nearest(name, known),
+                )
+        if len(inputs[source]) != len(targets[target]):
+            raise PolicyError(
+                f"{bundle.card_path}: recurrent: input {source!r} has shape {inputs[source]}, "
+                f"output {target!r} {targets[target]}",
+                fix="name the output that is the input's next value",
+            )
+    return dict(said)
 
 
 def _open(bundle: Bundle) -> ort.InferenceSession:
@@ -61,6 +135,7 @@ def _open(bundle: Bundle) -> ort.InferenceSession:
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 4  # What is wrong is raised; a warning would only be noise.
     data = bundle.read_checkpoint()
+    check_onnx(data, str(bundle.checkpoint))
     try:
         return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
@@ -87,6 +162,11 @@ def _output(bundle: Bundle, nodes: Any, joints: int) -> str:
         raise PolicyError(
             f"{bundle.card_path}: the checkpoint has no output {wanted!r}",
             fix=nearest(wanted, by_name),
+        )
+    if not nodes:
+        raise PolicyError(
+            f"{bundle.card_path}: every output of the checkpoint feeds an input, none is an action",
+            fix="say on the card which ones do: `recurrent: {input: output}`",
         )
     node = by_name[wanted] if wanted is not None else nodes[0]
     size = node.shape[-1] if node.shape else None

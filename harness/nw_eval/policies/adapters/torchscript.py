@@ -12,17 +12,27 @@ from typing import Any
 import torch
 
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies.adapters.stateless import Stateless
+from nw_eval.policies.adapters.script_state import (
+    read_state,
+    same,
+    state_slots,
+    write_state,
+)
 from nw_eval.policies.bundle import SIZE_LIMIT, Bundle
 from nw_eval.policies.inputs import InputAssembler
+from nw_eval.policies.networks.memory import pack, unfitting, unpack
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.safety import check_torchscript
 
 # All operators of TorchScript that read or write files; a script may run while it is loaded.
 _FILE_OPERATORS = re.compile(rb"\b(save|from_file|load_tensor)\b")
 
 
-class TorchScriptPolicy(Stateless):
+class TorchScriptPolicy:
     """A scripted or traced module that takes observations and returns an action.
+
+    Buffers, and whatever else its code writes to, are its recurrent state, as rsl_rl exports it:
+    a trial begins with what the file holds of them.
 
     `torch.jit.load` reads TorchScript only: no Python pickle of the file is executed, and files
     whose script names one of the few operators that touch the disk are refused unread. Inputs are
@@ -39,6 +49,13 @@ class TorchScriptPolicy(Stateless):
         torch.set_num_threads(1)
         self._module: Any = _open(bundle)
         self._assemble = InputAssembler(bundle.card, self.inputs)
+        self._slots = state_slots(self._module, str(bundle.checkpoint))
+        self._first = read_state(self._module, self._slots)
+
+    def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
+        """Begin a trial with the state that the file holds."""
+        if self._module is not None:
+            write_state(self._module, self._slots, self._first)
 
     def act(self, observation: Observation) -> Action:
         """Run the module once."""
@@ -57,6 +74,28 @@ class TorchScriptPolicy(Stateless):
             raise TrialError(f"policy {self._name!r} returned a {type(raw).__name__}, no tensor")
         return checked_action(raw.numpy(), joints=self._joints, policy=self._name)
 
+    def state(self) -> bytes:
+        """Return the state where it differs from the file's, as bytes."""
+        if self._module is None:
+            return b""
+        now = read_state(self._module, self._slots)
+        return pack(
+            {path: array for path, array in now.items() if not same(array, self._first[path])}
+        )
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        arrays = unpack(state, self._name)
+        for path, array in arrays.items():
+            if path not in self._first or self._first[path].dtype != array.dtype:
+                raise unfitting(self._name, f"it has {path!r} of {array.dtype}")
+        if self._module is not None:
+            write_state(self._module, self._slots, self._first | arrays)
+
     def close(self) -> None:
         """Free the module."""
         self._module = None
@@ -65,6 +104,7 @@ class TorchScriptPolicy(Stateless):
 def _open(bundle: Bundle) -> Any:
     data = bundle.read_checkpoint()
     _check_archive(data, bundle)
+    check_torchscript(data, str(bundle.checkpoint))
     try:
         with warnings.catch_warnings():
             # torch recommends torch.export for new files; the ones that people have are these.

@@ -1,0 +1,99 @@
+"""`nw-eval policies`: which there are, what a card says, whether it is right, and a first one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the policies that can be asked for by name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.list_policies())
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say what a card says: every observation term, every joint, the checkpoint."""
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, or a card."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.show_policy(self.policy, allow_code=self.allow_code))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Run a policy for one second: range of every term, dead inputs, NaN, wrong signs and orders.
+
+    Says PASS, or what is wrong (exit code 2).
+    """
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, or a card."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
+    scene: str | None = None
+    """Where; a flat room when absent."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        told = api.check_policy(
+            self.policy,
+            checkpoint=self.checkpoint,
+            scene=self.scene,
+            allow_code=self.allow_code,
+        )
+        print(told.text)
+        return told.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Init:
+    """Inspect a checkpoint, without running it, and write a first card beside it."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """An ONNX, TorchScript, torch.export, safetensors or state-dict file."""
+    robot: str
+    """The robot that the policy drives: go1 or go2."""
+    out: Path | None = None
+    """The card to write; `policy.yaml` beside the checkpoint when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out)
+        print(told.text)
+        return told.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Policies:
+    """List policies, show their cards, check them in a second of physics, or draft a card."""
+
+    action: (
+        Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Init, tyro.conf.subcommand("init")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()

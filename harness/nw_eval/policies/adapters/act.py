@@ -1,0 +1,94 @@
+"""ACT policies from a state dict: chunks of actions from images, blended over time.
+
+Inputs on the card:
+    proprio    a vector of the size that the network was trained with
+    images     (channels, rows, columns), or a stack of such images: one for each camera or frame;
+               none for a network without an image encoder
+
+The layout of the state dict is that of `nw_eval.policies.networks.act`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import Tensor
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.model import CardModel
+from nw_eval.policies.networks.act import Act
+from nw_eval.policies.networks.chunks import ChunkQueue
+from nw_eval.policies.networks.policy import NetworkPolicy, checkpoint_tensors, input_spec
+from nw_eval.policies.options import read_options
+from nw_eval.policies.policy import InputSpec
+
+
+class ActOptions(CardModel):
+    """What is not in the weights of an ACT network."""
+
+    heads: int = Field(default=8, ge=1, le=64)
+    """Attention heads."""
+    ensemble: float | None = Field(default=0.01, ge=0.0)
+    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first; null = the
+    newest chunk alone."""
+    query_every: int = Field(default=1, ge=1)
+    """Control steps between two forward passes."""
+
+
+class ActPolicy(NetworkPolicy):
+    """Predicts a chunk of actions every `query_every` steps, and blends those that overlap."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        self._options = read_options(bundle, ActOptions)
+        where = str(bundle.checkpoint)
+        self._network = Act.from_tensors(
+            checkpoint_tensors(bundle), where, heads=self._options.heads
+        )
+        sizes = self._network.sizes
+        if sizes.actions != joints:
+            raise PolicyError(
+                f"{where}: the network has {sizes.actions} actions, the robot "
+                f"{bundle.card.robot!r} has {joints} joints",
+                fix="name the right robot on the card",
+            )
+        if self._options.query_every > sizes.chunk:
+            raise PolicyError(
+                f"{bundle.card_path}: query_every is {self._options.query_every}, but a chunk has "
+                f"only {sizes.chunk} actions",
+                fix=f"use {sizes.chunk} or less",
+            )
+        self._queue = ChunkQueue(ensemble=self._options.ensemble)
+        inputs: tuple[InputSpec, ...] = (input_spec("proprio", sizes.proprio),)
+        if sizes.backbone:
+            channels = next(shape[1] for shape in sizes.backbone.values() if len(shape) == 4)
+            shape = (None, channels, None, None)
+            inputs += (InputSpec(name="images", shape=shape, dtype=np.dtype(np.float32)),)
+        super().__init__(bundle, inputs, joints=joints)
+
+    def forget(self) -> None:
+        """Begin without predictions."""
+        self._queue.clear()
+        self._step = 0
+
+    def infer(self, given: dict[str, Tensor]) -> Tensor:
+        """Predict if it is time to, and return the blend for this step."""
+        if self._step % self._options.query_every == 0:
+            chunk = self._network(given["proprio"], given.get("images"))
+            self._queue.add(chunk.numpy().astype(np.float64))
+        self._step += 1
+        return torch.from_numpy(self._queue.take())
+
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Return the predictions that reach beyond this step."""
+        arrays: dict[str, NDArray[Any]] = {"step": np.array(self._step)}
+        return arrays | {f"chunk{i}": chunk for i, chunk in enumerate(self._queue.chunks)}
+
+    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
+        """Go back to a `memory`."""
+        self._step = int(memory["step"])
+        self._queue.chunks = [memory[f"chunk{i}"] for i in range(len(memory) - 1)]

@@ -1,0 +1,213 @@
+"""Policies in another process, over a websocket: for stacks that cannot share this environment.
+
+The card has no checkpoint; its `options` say where the server is. Observations travel by the names
+that the card gives them, and the action comes back bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from nw_eval.errors import PolicyError, PrerequisiteError, TrialError
+from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.model import CardModel
+from nw_eval.policies.options import read_options
+from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, decode, encode
+
+try:
+    from websockets.exceptions import InvalidHandshake, InvalidURI, WebSocketException
+    from websockets.sync.client import ClientConnection, connect
+except ImportError:
+    raise PrerequisiteError(
+        "remote policies need msgpack and websockets, which are not installed",
+        fix="pip install 'nw-eval[remote]'",
+    ) from None
+
+_START = "start it: python -m nw_eval.policies.serve BUNDLE"
+
+
+class RemoteOptions(CardModel):
+    """Where the policy runs."""
+
+    url: Annotated[str, Field(pattern=r"^wss?://[^\s/]+")]
+    """ws://host:port"""
+    timeout: float = Field(default=5.0, gt=0.0, le=600.0)
+    """Longest wait for one answer, s."""
+    connect_timeout: float = Field(default=10.0, gt=0.0, le=600.0)
+    """Longest wait for the connection and its greeting, s."""
+    digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    """What the server must say that it serves; it makes runs comparable. null = anything."""
+
+
+class RemotePolicy:
+    """A connection to a policy of its own on a server."""
+
+    inputs: tuple[InputSpec, ...] = ()
+    """The server checks shapes, on its first observation."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        """Connect.
+
+        Raises:
+            PolicyError: there is no server, it speaks another protocol, serves another policy, or
+                wants observations that the card does not name.
+        """
+        self._name = bundle.name
+        self._joints = joints
+        self._options = read_options(bundle, RemoteOptions)
+        self._connection: ClientConnection | None = _connect(bundle, self._options)
+        try:
+            hello = self._receive(self._options.connect_timeout)
+            _check(hello, bundle, self._options, joints)
+        except TrialError as error:
+            self.close()
+            raise PolicyError(f"{bundle.card_path}: {error}", fix=_START) from None
+        except PolicyError:
+            self.close()
+            raise
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial on the server."""
+        self._ask({"call": "reset", "seed": seed})
+
+    def act(self, observation: Observation) -> Action:
+        """Ask the server for an action.
+
+        Raises:
+            TrialError: no answer in time, the connection is gone, or the policy failed there.
+        """
+        arrays = {name: np.ascontiguousarray(array) for name, array in observation.items()}
+        answer = self._ask({"call": "act", "observation": arrays})
+        return checked_action(answer.get("action"), joints=self._joints, policy=self._name)
+
+    def state(self) -> bytes:
+        """Return the server's state of this policy."""
+        state = self._ask({"call": "state"}).get("state")
+        if not isinstance(state, bytes):
+            raise TrialError(
+                f"policy {self._name!r}: the server at {self._options.url} has no state",
+                fix="answer `state` with bytes, empty for a policy without memory",
+            )
+        return state
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` on the server."""
+        self._ask({"call": "restore", "state": state})
+
+    def close(self) -> None:
+        """End the connection, and with it the policy on the server."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _ask(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a message and return its answer."""
+        if self._connection is None:
+            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
+        try:
+            self._connection.send(encode(dict(message)))
+        except (WebSocketException, OSError) as error:
+            raise self._lost(error) from error
+        answer = self._receive(self._options.timeout)
+        if "error" in answer:
+            raise TrialError(
+                f"policy {self._name!r} failed on the server at {self._options.url}: "
+                f"{str(answer['error'])[:300]}"
+            )
+        return answer
+
+    def _receive(self, timeout: float) -> dict[str, Any]:
+        if self._connection is None:
+            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
+        try:
+            return decode(self._connection.recv(timeout=timeout))
+        except TimeoutError:
+            # A late answer would be taken for that of the next question.
+            self.close()
+            raise TrialError(
+                f"policy {self._name!r}: no answer from {self._options.url} within {timeout:g} s",
+                fix="look at the server, or raise `options.timeout` on the card",
+            ) from None
+        except ValueError as error:
+            self.close()
+            raise TrialError(
+                f"policy {self._name!r}: cannot read what {self._options.url} sends: {error}",
+                fix="speak the protocol of nw_eval.policies.wire",
+            ) from None
+        except (WebSocketException, OSError) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: Exception) -> TrialError:
+        self.close()
+        return TrialError(
+            f"policy {self._name!r}: the connection to {self._options.url} is lost: {error}",
+            fix="look at the server: its policy may have crashed",
+        )
+
+
+def _connect(bundle: Bundle, options: RemoteOptions) -> ClientConnection:
+    try:
+        return connect(
+            options.url,
+            open_timeout=options.connect_timeout,
+            compression=None,
+            max_size=MESSAGE_LIMIT,
+            proxy=None,
+        )
+    except (InvalidURI, ValueError) as error:
+        raise PolicyError(
+            f"{bundle.card_path}: {options.url} is no address: {error}",
+            fix="write `options: {url: ws://host:port}`",
+        ) from None
+    except TimeoutError:
+        raise PolicyError(
+            f"{bundle.card_path}: no policy server answers at {options.url} within "
+            f"{options.connect_timeout:g} s",
+            fix=_START,
+        ) from None
+    except InvalidHandshake as error:
+        raise PolicyError(
+            f"{bundle.card_path}: what answers at {options.url} is no websocket: {error}",
+            fix=_START,
+        ) from None
+    except OSError as error:
+        raise PolicyError(
+            f"{bundle.card_path}: no policy server at {options.url}: {error.strerror or error}",
+            fix=_START,
+        ) from None
+
+
+def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joints: int) -> None:
+    """Compare what the server says of itself with the card."""
+    where = f"{bundle.card_path}: the server at {options.url}"
+    if "error" in hello:
+        raise PolicyError(f"{where} says: {str(hello['error'])[:300]}", fix=_START)
+    if hello.get("protocol") != PROTOCOL:
+        raise PolicyError(
+            f"{where} speaks protocol {hello.get('protocol')!r}, not {PROTOCOL}",
+            fix="run the same nw-eval version on both sides",
+        )
+    if hello.get("joints") != joints:
+        raise PolicyError(
+            f"{where} serves a policy of {hello.get('joints')!r} joints, the robot "
+            f"{bundle.card.robot!r} has {joints}",
+            fix="serve a policy for this robot",
+        )
+    if options.digest is not None and hello.get("digest") != options.digest:
+        raise PolicyError(
+            f"{where} serves the digest {str(hello.get('digest'))[:64]}, the card says "
+            f"{options.digest}",
+            fix="serve the policy that is meant, or correct `options.digest`",
+        )
+    wanted = [str(name) for name in hello.get("observations") or ()]
+    absent = [name for name in wanted if name not in bundle.card.observations]
+    if absent:
+        raise PolicyError(
+            f"{where} wants the observation {', '.join(absent)}, which the card does not name",
+            fix="copy `observations` from the served card",
+        )

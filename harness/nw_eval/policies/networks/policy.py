@@ -1,0 +1,113 @@
+"""What policies around our own networks have in common."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nw_eval.errors import PolicyError, TrialError
+from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.inputs import InputAssembler
+from nw_eval.policies.networks.memory import pack, unfitting, unpack
+from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.safety import read_tensors
+
+
+class NetworkPolicy:
+    """A policy whose network runs here, on one thread. Subclasses say how.
+
+    `infer` computes an action from the inputs; `forget`, `memory` and `remember` are for those
+    whose next action depends on more than the next observation.
+    """
+
+    def __init__(self, bundle: Bundle, inputs: tuple[InputSpec, ...], *, joints: int) -> None:
+        """Resolve the card's inputs against those of the network.
+
+        Raises:
+            PolicyError: the card names other inputs.
+        """
+        # More threads change the order of sums, and with it the last bits of an action.
+        torch.set_num_threads(1)
+        self.inputs = inputs
+        self._name = bundle.name
+        self._joints = joints
+        self._open = True
+        try:
+            self._assemble = InputAssembler(bundle.card, inputs)
+        except PolicyError as error:
+            raise PolicyError(f"{bundle.card_path}: {error}") from None
+        self.forget()
+
+    def infer(self, given: dict[str, Tensor]) -> Tensor:
+        """Return the raw action for inputs by name, each with a leading axis of 1."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Begin without memory."""
+
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Return what the next actions depend on beside the observations."""
+        return {}
+
+    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
+        """Go back to a `memory`."""
+
+    def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
+        """Begin a trial."""
+        self.forget()
+
+    def act(self, observation: Observation) -> Action:
+        """Run the network once.
+
+        Raises:
+            TrialError: it failed, or the action is not finite.
+        """
+        if not self._open:
+            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
+        given = {name: torch.from_numpy(x) for name, x in self._assemble(observation).items()}
+        try:
+            with torch.inference_mode():
+                raw = self.infer(given)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())[:200]
+            raise TrialError(f"policy {self._name!r} failed: {reason}") from error
+        return checked_action(raw.numpy(), joints=self._joints, policy=self._name)
+
+    def state(self) -> bytes:
+        """Return the memory as bytes."""
+        return pack(self.memory())
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        arrays = unpack(state, self._name)
+        have = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+        try:
+            self.remember(arrays)
+        except (KeyError, ValueError, RuntimeError) as error:
+            raise unfitting(self._name, f"{error!r}, it has {have}") from None
+
+    def close(self) -> None:
+        """End; a later `act` is an error."""
+        self._open = False
+
+
+def input_spec(name: str, *shape: int | None) -> InputSpec:
+    """Return the spec of a float32 input; a leading batch axis of 1 is added."""
+    return InputSpec(name=name, shape=(1, *shape), dtype=np.dtype(np.float32))
+
+
+def checkpoint_tensors(bundle: Bundle) -> dict[str, Tensor]:
+    """Read the state dict that a card names.
+
+    Raises:
+        PolicyError: it cannot be read, or could run code.
+    """
+    return read_tensors(bundle.read_checkpoint(), str(bundle.checkpoint))

@@ -1,0 +1,38 @@
+"""Reading checkpoints that nobody vouches for.
+
+Nothing here unpickles, imports or runs what a file contains. Archives, their pickled index and
+every tensor's place and size are checked against `Limits` before memory is taken for them; what
+fails is a `PolicyError` that says what the file is and how to export it.
+
+    kind        what a file is, by its first bytes and its members
+    archive     members of a zip file: names, numbers, sizes, compression
+    objects     the index of a torch file, read without pickle
+    tensors     the tensors of a torch or safetensors file
+    onnx_file   the tensors of an ONNX file
+"""
+
+from nw_eval.policies.safety.archive import Archive, open_archive
+from nw_eval.policies.safety.kind import FileKind, file_kind
+from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.onnx_file import check_onnx
+from nw_eval.policies.safety.tensors import (
+    TensorFacts,
+    check_torchscript,
+    read_tensors,
+    tensor_facts,
+    tensors_below,
+)
+
+__all__ = [
+    "Archive",
+    "FileKind",
+    "Limits",
+    "TensorFacts",
+    "check_onnx",
+    "check_torchscript",
+    "file_kind",
+    "open_archive",
+    "read_tensors",
+    "tensor_facts",
+    "tensors_below",
+]

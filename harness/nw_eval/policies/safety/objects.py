@@ -1,0 +1,334 @@
+"""The index of a torch file, read without pickle.
+
+`torch.save` and `torch.jit.save` describe the objects of a file in the language of pickle, whose
+programs can call any function of Python. This reads the few instructions that a description of
+tensors needs, and calls nothing: a tensor becomes a `TensorRef`, an object of a scripted module a
+`Record`, and any other call is refused by its name. It is stricter than `weights_only`.
+"""
+
+from __future__ import annotations
+
+import pickletools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.safety.limits import Limits
+
+STORAGES = {
+    "DoubleStorage": "float64",
+    "FloatStorage": "float32",
+    "HalfStorage": "float16",
+    "BFloat16Storage": "bfloat16",
+    "LongStorage": "int64",
+    "IntStorage": "int32",
+    "ShortStorage": "int16",
+    "CharStorage": "int8",
+    "ByteStorage": "uint8",
+    "BoolStorage": "bool",
+}
+ITEM_BYTES = {
+    "float64": 8,
+    "float32": 4,
+    "float16": 2,
+    "bfloat16": 2,
+    "int64": 8,
+    "int32": 4,
+    "int16": 2,
+    "int8": 1,
+    "uint8": 1,
+    "bool": 1,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StorageRef:
+    """A run of numbers in a member of the archive."""
+
+    key: str
+    dtype: str
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TensorRef:
+    """A tensor as the index describes it; its numbers have not been read."""
+
+    storage: StorageRef
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Global:
+    """A class or function that the index names."""
+
+    name: str
+
+
+@dataclass(kw_only=True)
+class Record:
+    """An object of a scripted module: its class and its attributes."""
+
+    name: str
+    state: Any = field(default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opaque:
+    """A harmless value that is of no use here, such as a NumPy scalar."""
+
+    name: str
+
+
+_OPAQUE = {
+    "_codecs.encode",
+    "numpy.core.multiarray.scalar",
+    "numpy._core.multiarray.scalar",
+    "numpy.dtype",
+    "torch.device",
+}
+# How TorchScript writes lists with the type of their elements: the list is the first argument.
+_SCRIPT_LISTS = {
+    "torch.jit._pickle.restore_type_tag",
+    *(f"torch.jit._pickle.build_{kind}list" for kind in ("int", "double", "bool", "tensor")),
+}
+_MARK = object()
+
+
+class _RefusedError(Exception):
+    """The index asks for something that no description of tensors needs."""
+
+
+def read_objects(index: bytes, where: str, limits: Limits | None = None) -> Any:
+    """Return the objects that an index describes.
+
+    Args:
+        index: contents of a member `data.pkl` or `constants.pkl`.
+        where: path of the file, for errors.
+        limits: bounds; the index is at most `index_bytes` long.
+
+    Returns:
+        dicts, lists, tuples, strings, numbers, None, `TensorRef`, `Record`, `Opaque`.
+
+    Raises:
+        PolicyError: the index is damaged, or asks to call a function.
+    """
+    limits = limits or Limits()
+    machine = _Machine()
+    try:
+        for opcode, argument, _ in pickletools.genops(index):
+            _instruction(opcode.name)(machine, argument)
+        return machine.result()
+    except _RefusedError as error:
+        raise PolicyError(
+            f"{where}: the file {error}; weights do not need that, so it is not opened",
+            fix="do not use this file, or save the plain state dict where you trust it",
+        ) from None
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        raise PolicyError(
+            f"{where}: the index of the file is damaged: {error}",
+            fix="copy or download the file again",
+        ) from None
+
+
+class _Machine:
+    """The stack of a pickle program."""
+
+    def __init__(self) -> None:
+        self.stack: list[Any] = []
+        self.memo: dict[int, Any] = {}
+        self.done = False
+
+    def push(self, value: Any) -> None:
+        self.stack.append(value)
+
+    def pop(self) -> Any:
+        value = self.stack.pop()
+        if value is _MARK:
+            raise ValueError("a mark in place of a value")
+        return value
+
+    def to_mark(self) -> list[Any]:
+        """Remove and return everything above the last mark."""
+        for place in range(len(self.stack) - 1, -1, -1):
+            if self.stack[place] is _MARK:
+                values = self.stack[place + 1 :]
+                del self.stack[place:]
+                return values
+        raise ValueError("no mark")
+
+    def result(self) -> Any:
+        if not self.done or len(self.stack) != 1:
+            raise ValueError("it ends early")
+        return self.pop()
+
+    def tuple_of(self, count: int) -> None:
+        values = [self.pop() for _ in range(count)]
+        self.push(tuple(reversed(values)))
+
+    def global_named(self, module: str, name: str) -> None:
+        self.push(Global(name=f"{module}.{name}"))
+
+    def stack_global(self) -> None:
+        name, module = self.pop(), self.pop()
+        self.global_named(str(module), str(name))
+
+    def set_items(self, values: list[Any]) -> None:
+        target = self.stack[-1]
+        if not isinstance(target, dict):
+            raise TypeError("items for something that is no dict")
+        for key, value in zip(values[::2], values[1::2], strict=True):
+            if not isinstance(key, str | int | float | bool | tuple | None):
+                raise _RefusedError(f"has a {type(key).__name__} as a key")
+            target[key] = value
+
+    def append(self, values: list[Any]) -> None:
+        target = self.stack[-1]
+        if not isinstance(target, list):
+            raise TypeError("elements for something that is no list")
+        target.extend(values)
+
+    def reduce(self) -> None:
+        arguments, function = self.pop(), self.pop()
+        if not isinstance(function, Global) or not isinstance(arguments, tuple):
+            raise _RefusedError("calls a computed value")
+        self.push(_call(function.name, arguments))
+
+    def new_object(self) -> None:
+        self.pop()
+        cls = self.pop()
+        if not isinstance(cls, Global) or not cls.name.startswith("__torch__."):
+            raise _RefusedError(f"makes an object of {getattr(cls, 'name', 'a computed class')}")
+        self.push(Record(name=cls.name))
+
+    def build(self) -> None:
+        state = self.pop()
+        target = self.stack[-1]
+        if isinstance(target, Record):
+            target.state = state
+        # The only other state in torch files is `_metadata` of a state dict, which is of no use,
+        # and that of opaque values.
+        elif not isinstance(target, dict | Opaque):
+            raise _RefusedError(f"sets the state of a {type(target).__name__}")
+
+    def storage(self) -> None:
+        match self.pop():
+            case ("storage", Global(name=name), key, _, int() as count) if count >= 0:
+                dtype = STORAGES.get(name.removeprefix("torch."))
+                if dtype is None:
+                    raise _RefusedError(f"has numbers of the type {name}")
+                self.push(StorageRef(key=str(key), dtype=dtype, count=count))
+            case other:
+                raise _RefusedError(f"refers to {str(other)[:80]} outside itself")
+
+
+def _call(name: str, arguments: tuple[Any, ...]) -> Any:
+    match name, arguments:
+        case "collections.OrderedDict", ():
+            return {}
+        case "collections.OrderedDict", ([*pairs],):
+            return dict(pairs)
+        case "torch._utils._rebuild_tensor_v2", (StorageRef() as storage, offset, size, stride, *_):
+            shape, strides = _integers(size), _integers(stride)
+            if not isinstance(offset, int) or len(shape) != len(strides):
+                raise ValueError("a tensor with a malformed shape")
+            return TensorRef(storage=storage, offset=offset, shape=shape, strides=strides)
+        case "torch._utils._rebuild_parameter", (TensorRef() as tensor, *_):
+            return tensor
+        case "torch.Size", ((*size,),):
+            return tuple(size)
+        case _ if name in _SCRIPT_LISTS and arguments:
+            return arguments[0]
+        case _ if name in _OPAQUE:
+            return Opaque(name=name)
+        case _:
+            raise _RefusedError(f"asks to call {name[:80]!r}")
+
+
+def _integers(values: Any) -> tuple[int, ...]:
+    if not isinstance(values, tuple) or not all(type(value) is int for value in values):
+        raise ValueError("a tensor with a malformed shape")
+    return values
+
+
+def _put(machine: _Machine, argument: Any) -> None:
+    machine.memo[int(argument)] = machine.stack[-1]
+
+
+def _memoize(machine: _Machine, _: Any) -> None:
+    machine.memo[len(machine.memo)] = machine.stack[-1]
+
+
+def _get(machine: _Machine, argument: Any) -> None:
+    machine.push(machine.memo[int(argument)])
+
+
+def _global(machine: _Machine, argument: Any) -> None:
+    module, _, name = str(argument).partition(" ")
+    machine.global_named(module, name)
+
+
+def _set_item(machine: _Machine, _: Any) -> None:
+    value, key = machine.pop(), machine.pop()
+    machine.set_items([key, value])
+
+
+def _stop(machine: _Machine, _: Any) -> None:
+    machine.done = True
+
+
+_Instruction = Callable[[_Machine, Any], None]
+
+
+def _pushes(value: Any) -> _Instruction:
+    return lambda machine, _: machine.push(value)
+
+
+def _literal(machine: _Machine, argument: Any) -> None:
+    machine.push(argument)
+
+
+def _nothing(machine: _Machine, argument: Any) -> None:
+    """Protocol and frame marks carry no meaning."""
+
+
+_INSTRUCTIONS: dict[str, _Instruction] = {
+    "PROTO": _nothing,
+    "FRAME": _nothing,
+    "STOP": _stop,
+    "MARK": _pushes(_MARK),
+    "NONE": _pushes(None),
+    "NEWTRUE": _pushes(True),
+    "NEWFALSE": _pushes(False),
+    "EMPTY_TUPLE": _pushes(()),
+    "EMPTY_DICT": lambda machine, _: machine.push({}),
+    "EMPTY_LIST": lambda machine, _: machine.push([]),
+    **dict.fromkeys(("BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"), _literal),
+    **dict.fromkeys(("BINUNICODE", "SHORT_BINUNICODE"), _literal),
+    **dict.fromkeys(("BINPUT", "LONG_BINPUT"), _put),
+    "MEMOIZE": _memoize,
+    **dict.fromkeys(("BINGET", "LONG_BINGET"), _get),
+    "GLOBAL": _global,
+    "STACK_GLOBAL": lambda machine, _: machine.stack_global(),
+    "BINPERSID": lambda machine, _: machine.storage(),
+    "TUPLE1": lambda machine, _: machine.tuple_of(1),
+    "TUPLE2": lambda machine, _: machine.tuple_of(2),
+    "TUPLE3": lambda machine, _: machine.tuple_of(3),
+    "TUPLE": lambda machine, _: machine.push(tuple(machine.to_mark())),
+    "SETITEM": _set_item,
+    "SETITEMS": lambda machine, _: machine.set_items(machine.to_mark()),
+    "APPEND": lambda machine, _: machine.append([machine.pop()]),
+    "APPENDS": lambda machine, _: machine.append(machine.to_mark()),
+    "REDUCE": lambda machine, _: machine.reduce(),
+    "NEWOBJ": lambda machine, _: machine.new_object(),
+    "BUILD": lambda machine, _: machine.build(),
+}
+
+
+def _instruction(name: str) -> _Instruction:
+    if name not in _INSTRUCTIONS:
+        raise _RefusedError(f"has the instruction {name}")
+    return _INSTRUCTIONS[name]

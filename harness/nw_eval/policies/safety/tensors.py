@@ -1,0 +1,230 @@
+"""The tensors of a torch or safetensors file: described without memory, then read within limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.safety.archive import Archive, open_archive
+from nw_eval.policies.safety.kind import file_kind
+from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.objects import ITEM_BYTES, Record, TensorRef, read_objects
+from nw_eval.policies.safety.safetensors import read_header
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True, kw_only=True)
+class TensorFacts:
+    """What a file says of a tensor."""
+
+    name: str
+    """Keys on the way to it, joined by dots."""
+    shape: tuple[int, ...]
+    dtype: str
+
+
+def tensor_facts(data: bytes, where: str, limits: Limits | None = None) -> tuple[TensorFacts, ...]:
+    """Describe all tensors of a state dict, safetensors or TorchScript file.
+
+    Nothing is executed and no tensor is read, so this needs neither torch nor memory.
+
+    Raises:
+        PolicyError: as `read_tensors`.
+    """
+    limits = limits or Limits()
+    if file_kind(data, where) == "safetensors":
+        entries = read_header(data, where, limits)
+        return tuple(TensorFacts(name=e.name, shape=e.shape, dtype=e.dtype) for e in entries)
+    _, tree = _checked_tree(data, where, limits)
+    return tuple(
+        TensorFacts(name=name, shape=ref.shape, dtype=ref.storage.dtype)
+        for name, ref in _leaves(tree, where, limits)
+    )
+
+
+def read_tensors(data: bytes, where: str, limits: Limits | None = None) -> dict[str, torch.Tensor]:
+    """Read a state dict, or several of them in one file.
+
+    Args:
+        data: a file of `torch.save` (1.6 or newer) or of safetensors.
+        where: its path, for errors.
+        limits: bounds that are checked before a tensor is allocated.
+
+    Returns:
+        Tensors of their own memory, in the order of the file. The name of a tensor in a nested
+        dict is that of all keys, joined by dots: `model_state_dict.actor.0.weight`.
+
+    Raises:
+        PolicyError: the file is something else, damaged, too large, or asks to run code; a tensor
+            is larger than the memory that the file holds for it.
+    """
+    import torch
+
+    limits = limits or Limits()
+    kind = file_kind(data, where)
+    if kind == "safetensors":
+        return {
+            entry.name: _tensor(data[entry.start : entry.stop], entry.dtype).reshape(entry.shape)
+            for entry in read_header(data, where, limits)
+        }
+    if kind != "state-dict":
+        raise PolicyError(
+            f"{where}: not a state dict: {_called(kind)}",
+            fix="save one with torch.save(module.state_dict(), file), or change `adapter`",
+        )
+    archive, tree = _checked_tree(data, where, limits)
+    storages: dict[str, torch.Tensor] = {}
+    result: dict[str, torch.Tensor] = {}
+    for name, ref in _leaves(tree, where, limits):
+        storage = ref.storage
+        if storage.key not in storages:
+            storages[storage.key] = _tensor(archive.read(f"data/{storage.key}"), storage.dtype)
+        view = storages[storage.key].as_strided(ref.shape, ref.strides, ref.offset)
+        result[name] = view.clone(memory_format=torch.contiguous_format)
+    return result
+
+
+def tensors_below(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """Return the tensors below a prefix, without it."""
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+
+
+def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> None:
+    """Check a TorchScript file as far as it can be without running it.
+
+    Its members, their sizes, and that every tensor lies inside the numbers that the file holds:
+    `torch.jit.load` itself would allocate whatever a tensor's header asks for.
+
+    Raises:
+        PolicyError: it is no TorchScript file, or fails a check.
+    """
+    limits = limits or Limits()
+    kind = file_kind(data, where)
+    if kind != "torchscript":
+        raise PolicyError(
+            f"{where}: not a TorchScript file: {_called(kind)}",
+            fix="save the module with torch.jit.save, or change `adapter`",
+        )
+    archive, tree = _checked_tree(data, where, limits)
+    for _ in _leaves(tree, where, limits):
+        pass  # Walking them checks their number and their total size.
+    constants = read_objects(
+        archive.read("constants.pkl", at_most=limits.index_bytes), where, limits
+    )
+    for ref in _references(constants, where, limits):
+        _check_reference(ref[0], ref[1], archive, "constants")
+
+
+def _checked_tree(data: bytes, where: str, limits: Limits) -> tuple[Archive, Any]:
+    archive = open_archive(data, where, limits)
+    if archive.size("byteorder") is not None and archive.read("byteorder", at_most=64) != b"little":
+        raise PolicyError(
+            f"{where}: the numbers are big-endian", fix="save it on a little-endian machine"
+        )
+    tree = read_objects(archive.read("data.pkl", at_most=limits.index_bytes), where, limits)
+    for name, ref in _references(tree, where, limits):
+        _check_reference(name, ref, archive, "data")
+    return archive, tree
+
+
+def _leaves(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
+    """Give every tensor with its name, and stop where they are too many or too large."""
+    total = 0
+    for name, ref in _references(tree, where, limits):
+        total += _bytes(ref)
+        if total > limits.tensor_bytes:
+            raise PolicyError(
+                f"{where}: the tensors up to {name!r} have {total / 2**30:.1f} GiB, over the limit "
+                f"of {limits.tensor_bytes / 2**30:.1f}",
+                fix="save the actor alone, without optimiser state",
+            )
+        yield name, ref
+
+
+def _references(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
+    """Walk dicts, lists and scripted objects; an index can repeat parts, so steps are counted."""
+    left = [limits.tensors * 4]
+
+    def walk(value: Any, name: str, depth: int) -> Iterator[tuple[str, TensorRef]]:
+        left[0] -= 1
+        if left[0] < 0 or depth > limits.depth:
+            raise PolicyError(
+                f"{where}: the file nests or repeats too many objects (at {name[:80]!r})",
+                fix="save the plain state dict",
+            )
+        if isinstance(value, TensorRef):
+            yield name, value
+            return
+        for key, item in _items(value):
+            yield from walk(item, f"{name}.{key}" if name else str(key), depth + 1)
+
+    yield from walk(tree, "", 0)
+
+
+def _items(value: Any) -> Iterator[tuple[Any, Any]]:
+    if isinstance(value, Record):
+        yield from _items(value.state)
+    elif isinstance(value, dict):
+        yield from value.items()
+    elif isinstance(value, list | tuple):
+        yield from enumerate(value)
+
+
+def _check_reference(name: str, ref: TensorRef, archive: Archive, folder: str) -> None:
+    """Check that a tensor lies inside its storage and the storage inside the file."""
+    where, storage = archive.where, ref.storage
+    stored = archive.size(f"{folder}/{storage.key}")
+    if folder == "data" and stored is None:  # TorchScript keeps shared constants elsewhere.
+        stored = archive.size(f"constants/{storage.key}")
+    claimed = storage.count * ITEM_BYTES[storage.dtype]
+    if stored is None or stored != claimed:
+        have = "nothing" if stored is None else f"{stored} bytes"
+        raise PolicyError(
+            f"{where}: tensor {name!r} claims {_size(claimed)}, the file holds {have} for it",
+            fix="the file is damaged or forged: export the policy again",
+        )
+    negative = min((*ref.shape, *ref.strides, ref.offset), default=0) < 0
+    last = ref.offset + sum((n - 1) * s for n, s in zip(ref.shape, ref.strides, strict=True))
+    if negative or (0 not in ref.shape and last >= storage.count):
+        raise PolicyError(
+            f"{where}: tensor {name!r} of shape {ref.shape} reaches outside the "
+            f"{storage.count} numbers that the file holds for it",
+            fix="the file is damaged or forged: export the policy again",
+        )
+
+
+def _bytes(ref: TensorRef) -> int:
+    # A stride of 0 makes a large tensor of one number, so sizes count, not storages.
+    return math.prod(ref.shape) * ITEM_BYTES[ref.storage.dtype]
+
+
+def _size(count: int) -> str:
+    return f"{count} bytes" if count < 2**20 else f"{count / 2**30:.1f} GiB"
+
+
+def _tensor(raw: bytes, dtype: str) -> torch.Tensor:
+    import torch
+
+    if not raw:
+        return torch.empty(0, dtype=getattr(torch, dtype))
+    return torch.frombuffer(bytearray(raw), dtype=getattr(torch, dtype))
+
+
+def _called(kind: str) -> str:
+    names = {
+        "onnx": "it is an ONNX graph",
+        "state-dict": "it holds a state dict or other plain objects",
+        "torchscript": "it is a TorchScript file",
+        "torch-export": "it is a torch.export file",
+        "safetensors": "it is a safetensors file",
+    }
+    return names.get(kind, "its format is unknown")

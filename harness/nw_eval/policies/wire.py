@@ -1,0 +1,94 @@
+"""Messages between a remote policy and its server: msgpack, with arrays as plain maps.
+
+An array is `{"__ndarray__": true, "dtype": "<f4", "shape": [1, 3], "data": bytes}`, C order. Only
+numbers and booleans travel; nothing is unpickled.
+
+    server, on connection   {"protocol": 1, "policy": name, "digest": hex, "joints": 12,
+                             "observations": [names]}
+    client                  server
+    {"call": "reset", "seed": n}                    {"done": true}
+    {"call": "act", "observation": {name: array}}   {"action": array of 12 float64}
+    {"call": "state"}                               {"state": bytes}
+    {"call": "restore", "state": bytes}             {"done": true}
+    any                                             {"error": text}
+
+Each connection has a policy of its own; closing the connection closes it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nw_eval.errors import PrerequisiteError
+
+try:
+    import msgpack
+except ImportError:
+    raise PrerequisiteError(
+        "remote policies need msgpack and websockets, which are not installed",
+        fix="pip install 'nw-eval[remote]'",
+    ) from None
+
+PROTOCOL = 1
+MESSAGE_LIMIT = 2**26
+"""Bytes of one message: 64 MiB, some 16 full camera images."""
+_MARK = "__ndarray__"
+
+
+def encode(message: dict[str, Any]) -> bytes:
+    """Return a message as bytes.
+
+    Raises:
+        TypeError: it holds something that does not travel.
+    """
+    packed = msgpack.packb(message, default=_as_map, use_bin_type=True)
+    if packed is None:
+        raise TypeError("the message is empty")
+    return packed
+
+
+def decode(data: bytes | str) -> dict[str, Any]:
+    """Return the message in `data`.
+
+    Raises:
+        ValueError: it is no message of this protocol.
+    """
+    if isinstance(data, str):
+        raise ValueError("it is text, not bytes")  # noqa: TRY004 - one error for all faults.
+    try:
+        message = msgpack.unpackb(data, object_hook=_from_map, strict_map_key=True)
+    except (msgpack.exceptions.UnpackException, TypeError, KeyError) as error:
+        raise ValueError(f"it is no msgpack: {error or type(error).__name__}") from None
+    if not isinstance(message, dict):
+        raise ValueError(f"it is a {type(message).__name__}, not a map")  # noqa: TRY004 - as above.
+    return message
+
+
+def _as_map(value: Any) -> dict[str, Any]:
+    if isinstance(value, np.ndarray | np.generic):
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf":
+            raise TypeError(f"an array of {array.dtype} does not travel")
+        return {
+            _MARK: True,
+            "dtype": array.dtype.newbyteorder("<").str,
+            "shape": list(array.shape),
+            "data": array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes(),
+        }
+    raise TypeError(f"a {type(value).__name__} does not travel")
+
+
+def _from_map(value: dict[str, Any]) -> Any:
+    if _MARK not in value:
+        return value
+    dtype = np.dtype(str(value["dtype"]))
+    shape = tuple(int(size) for size in value["shape"])
+    data = value["data"]
+    if dtype.kind not in "biuf" or not isinstance(data, bytes):
+        raise ValueError(f"it holds an array of {dtype}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):
+        raise ValueError(f"it holds an array of shape {shape} in {len(data)} bytes")
+    return np.frombuffer(data, dtype=dtype).reshape(shape).copy()

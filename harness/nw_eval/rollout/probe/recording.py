@@ -1,0 +1,130 @@
+"""A second of a policy in a scene, through the same parts as every trial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.policies import Bundle, Card
+from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import Outcome
+from nw_eval.suite.trials import Trial
+
+Array = NDArray[np.float64]
+
+_IDENTITY = "0" * 64  # The suite digest of a trial that is part of no suite.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What happened, by control step: T steps, joints in the robot's order."""
+
+    observations: dict[str, NDArray[Any]]
+    """(T, ...) by name."""
+    actions: Array
+    """(T, 12) raw, in the policy's order."""
+    targets: Array
+    """(T, 12) what the motors were told, rad or N m."""
+    positions: Array
+    """(T + 1, 12) rad, before the first step and after each."""
+    torques: Array
+    """(T, 12) N m."""
+    torque_limits: Array
+    """(12,) N m."""
+    tilt: Array
+    """(T,) larger one of roll and pitch, rad."""
+    travelled: float
+    """Metres over ground from start to end."""
+    seconds: float
+    outcome: Outcome | None
+    """How the trial ended before its time; None if it did not."""
+
+
+class ThisBundle(Library):
+    """A library whose every bundle is the one that is looked at."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        super().__init__(scenes=1)
+        self._bundle = bundle
+
+    def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:  # noqa: ARG002 - see above.
+        """Return it."""
+        return self._bundle
+
+    def with_card(self, card: Card) -> None:
+        """Go on with the same checkpoint under another card."""
+        self._bundle = replace(self._bundle, card=card)
+
+
+def record(
+    bundle: Bundle,
+    *,
+    scene: str,
+    seconds: float = 1.0,
+    allow_code: bool = False,
+    library: ThisBundle | None = None,
+) -> Recording:
+    """Run a policy for a while, from the first start of a scene.
+
+    Raises:
+        NwEvalError: it cannot be run.
+    """
+    library = library or ThisBundle(bundle)
+    place = library.scene(scene)
+    trial = Trial(
+        suite="check",
+        suite_digest=_IDENTITY,
+        suite_seed=0,
+        scene=scene,
+        scene_digest=place.digest,
+        task=place.task,
+        index=0,
+    )
+    job = TrialJob(
+        trial=trial,
+        robot=bundle.card.robot,
+        duration=seconds,
+        scene=scene,
+        policy=str(bundle.card_path),
+        checkpoint=bundle.checkpoint,
+        checkpoint_digest=bundle.checkpoint_sha256,
+        allow_code=allow_code,
+    )
+    rows: list[tuple[Array, Array, Array, Array, float]] = []
+    seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
+    outcome: Outcome | None = None
+    with open_trial(job, library, StageClock()) as opened:
+        episode = opened.episode
+        world = episode.world
+        first, start = world.joint_positions, world.trunk_position
+        while outcome is None:
+            decision = episode.decide()
+            outcome, _ = episode.advance(decision)
+            for name, value in decision.observation.items():
+                seen[name].append(np.array(value))
+            tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
+            rows.append(
+                (decision.action, decision.targets, world.joint_positions, world.torques, tilt)
+            )
+        travelled = float(np.linalg.norm((world.trunk_position - start)[:2]))
+        limits = world.model.actuator_forcerange[:, 1].copy()
+    actions, targets, positions, torques, tilts = zip(*rows, strict=True)
+    return Recording(
+        observations={name: np.stack(values) for name, values in seen.items()},
+        actions=np.stack(actions),
+        targets=np.stack(targets),
+        positions=np.stack([first, *positions]),
+        torques=np.stack(torques),
+        torque_limits=limits,
+        tilt=np.array(tilts),
+        travelled=travelled,
+        seconds=world.time,
+        outcome=None if outcome in {"timeout", "completed"} else outcome,
+    )

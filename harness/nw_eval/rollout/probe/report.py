@@ -1,0 +1,145 @@
+"""The second and its findings as lines of text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies import Bundle, Card, JointControl, load_bundle
+from nw_eval.policies.joints import short_name
+from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.rollout.isolated import call_isolated
+from nw_eval.rollout.probe.findings import (
+    Finding,
+    Range,
+    action_findings,
+    body_findings,
+    measure,
+    observation_findings,
+)
+from nw_eval.rollout.probe.hypotheses import better_card, stumbles
+from nw_eval.rollout.probe.parts import parts_of
+from nw_eval.rollout.probe.recording import Recording, ThisBundle, record
+from nw_eval.sensors import check_bundle
+
+FLAT = "flat/carpet_room"
+SECONDS = 1.0
+_TIME_LIMIT = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeReport:
+    """What a second of a policy showed."""
+
+    text: str
+    passed: bool
+
+
+def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -> ProbeReport:
+    """Run a policy for one second in a process of its own, and say what is odd.
+
+    Raises:
+        PolicyError, SceneError: it cannot be run at all.
+    """
+    answer = call_isolated(
+        _probe,
+        subject=str(bundle.card_path),
+        time_limit=_TIME_LIMIT,
+        card=str(bundle.card_path.resolve()),
+        checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        scene=scene,
+        allow_code=allow_code,
+    )
+    return ProbeReport(text=str(answer["text"]), passed=bool(answer["passed"]))
+
+
+def _probe(
+    *, card: str, checkpoint: str | None, scene: str, allow_code: bool
+) -> dict[str, str | bool]:
+    bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
+    robot = get_robot(bundle.card.robot)
+    specs = check_bundle(bundle, robot, allow_code=allow_code)
+    library = ThisBundle(bundle)
+    recording = record(bundle, scene=scene, seconds=SECONDS, allow_code=allow_code, library=library)
+    ranges = [measure(part, recording) for part in parts_of(bundle.card, robot, specs)]
+    findings = [
+        *observation_findings(ranges, recording),
+        *action_findings(bundle.card, robot, recording),
+        *body_findings(recording),
+    ]
+    if stumbles(recording) and scene == FLAT:
+        better = better_card(bundle, robot, scene=scene, allow_code=allow_code, library=library)
+        if better is not None:
+            text = f"it walks with {better.words}: compare the card with the training"
+            findings.append(Finding(kind="fault", text=text))
+    faults = sum(finding.kind == "fault" for finding in findings)
+    lines = [
+        f"{bundle.name}: {recording.seconds:.2f} s in {scene}, {recording.travelled:.2f} m",
+        "",
+        *observation_table(ranges),
+        "",
+        *action_table(bundle.card, robot, recording),
+        "",
+        *(f"{finding.kind}: {finding.text}" for finding in findings),
+        "PASS" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
+    ]
+    return {"text": "\n".join(lines), "passed": not faults}
+
+
+def observation_table(ranges: list[Range]) -> list[str]:
+    """Return a line for each term, with a heading."""
+    rows = [("observation", "term", "numbers", "as", "min", "mean", "max", "constant")]
+    for value in ranges:
+        part = value.part
+        frames = f" ({part.steps} frames)" if part.steps > 1 else ""
+        rows.append(
+            (
+                part.observation,
+                part.kind,
+                f"{value.size}{frames}",
+                part.form,
+                f"{value.low:.3f}",
+                f"{value.mean:.3f}",
+                f"{value.high:.3f}",
+                f"{value.constant} of {value.size}" if value.constant else "",
+            )
+        )
+    return aligned(rows, right={4, 5, 6})
+
+
+def action_table(card: Card, robot: RobotSpec, recording: Recording) -> list[str]:
+    """Return a line for each joint, in the policy's order, with a heading."""
+    torque = card.control.action == "joint_torque"
+    unit = "N m" if torque else "rad"
+    rows = [("joint", "action min", "mean", "max", f"target min, {unit}", "max", "torque max, N m")]
+    try:
+        order = JointControl.from_card(card, robot).order
+    except PolicyError:
+        return []
+    for place, index in enumerate(order.tolist()):
+        action, target = recording.actions[:, place], recording.targets[:, index]
+        rows.append(
+            (
+                short_name(robot.joints[index]),
+                f"{action.min():.3f}",
+                f"{action.mean():.3f}",
+                f"{action.max():.3f}",
+                f"{target.min():.3f}",
+                f"{target.max():.3f}",
+                f"{abs(recording.torques[:, index]).max():.1f}",
+            )
+        )
+    return aligned(rows, right={1, 2, 3, 4, 5, 6})
+
+
+def aligned(rows: list[tuple[str, ...]], *, right: set[int]) -> list[str]:
+    """Return rows as lines whose columns are aligned."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.rjust(width) if column in right else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
