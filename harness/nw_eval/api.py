@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes import Scene
+    from nw_eval.scenes.terrain.options import Collision
     from nw_eval.splat.turntable import Up
     from nw_eval.suite import Suite, Trial
 
@@ -81,6 +82,7 @@ def plan(
     scenes: Sequence[str] = (),
     record: Record | None = None,
     allow_code: bool = False,
+    collision: Collision = "terrain",
 ) -> Plan:
     """Resolve a suite and a policy to the trials that they mean, and check all of it.
 
@@ -93,6 +95,7 @@ def plan(
         scenes: globs; only scenes that match one of them.
         record: whose camera images the logs keep; the suite's own choice if None.
         allow_code: whether Python code that the card names may be imported.
+        collision: how scan meshes collide: as compiled terrain, or by their own triangles.
 
     Raises:
         UsageError, SuiteError, SceneError, PolicyError: something cannot be used as given.
@@ -104,7 +107,7 @@ def plan(
 
     told = override(load_suite(suite), robot=robot, policy=policy, trials=trials, record=record)
     check_scenes(told, places.names())
-    found = places.match_scenes(told.scenes, told.base)
+    found = places.match_scenes(told.scenes, told.base, collision=collision)
     check_tiers(told, [scene.name for scene in found])
     chosen = tuple(s for s in found if not scenes or any(fnmatchcase(s.name, p) for p in scenes))
     if not chosen:
@@ -119,7 +122,7 @@ def plan(
         suite=told,
         bundle=bundle,
         scenes=chosen,
-        references=places.references(told.scenes, told.base),
+        references=places.references(told.scenes, told.base, collision=collision),
         trials=expand(told, chosen),
     )
 
@@ -134,6 +137,7 @@ def check(
     scenes: Sequence[str] = (),
     workers: int | None = None,
     allow_code: bool = False,
+    collision: Collision = "terrain",
 ) -> Message:
     """Say what a run would be, without running it: scenes, trials, digests, expected minutes."""
     from nw_eval.engine.forecast import forecast
@@ -146,6 +150,7 @@ def check(
         trials=trials,
         scenes=scenes,
         allow_code=allow_code,
+        collision=collision,
     )
     return Message(text=forecast(made.suite, made.bundle, made.scenes, made.trials, workers))
 
@@ -165,6 +170,7 @@ def run(
     time_limit: float | None = None,
     render: Backend = "cpu",
     allow_code: bool = False,
+    collision: Collision = "terrain",
     listener: Listener | None = None,
 ) -> RunReport:
     """Roll a checkpoint out through a suite, write the evidence, and judge it.
@@ -183,6 +189,7 @@ def run(
         time_limit: wall seconds after which a trial counts as hung.
         render: the splat backend.
         allow_code: whether Python code that the card names may be imported.
+        collision: how scan meshes collide: as compiled terrain, or by their own triangles.
         listener: hears of progress.
 
     Raises:
@@ -205,6 +212,7 @@ def run(
         trials = trials or settings.trials
         scenes = scenes or settings.scenes
         record = record or settings.record
+        collision = settings.collision
     if suite is None:
         raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
     made = plan(
@@ -216,6 +224,7 @@ def run(
         scenes=scenes,
         record=record,
         allow_code=allow_code,
+        collision=collision,
     )
     folder = session.run(
         made.suite,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -28,6 +29,8 @@ class Check:
     """Worker processes to reckon with; the number of cores when absent."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
+    collision: Literal["terrain", "flex"] = "terrain"
+    """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -41,6 +44,7 @@ class Check:
             scenes=self.scenes,
             workers=self.workers,
             allow_code=self.allow_code,
+            collision=self.collision,
         )
         print(told.text)
         return told.exit_code

@@ -39,6 +39,8 @@ class Run:
     """The splat renderer. There is no silent fallback."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
+    collision: Literal["terrain", "flex"] = "terrain"
+    """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -59,6 +61,7 @@ class Run:
                 time_limit=self.time_limit,
                 render=self.render,
                 allow_code=self.allow_code,
+                collision=self.collision,
                 listener=progress,
             )
         print(outcome.summary)

@@ -24,6 +24,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes import Scene
+    from nw_eval.scenes.terrain.options import Collision
     from nw_eval.suite import Suite, Trial
 
 _REPORTS = "reports"
@@ -48,6 +50,7 @@ class Settings:
     trials: int
     scenes: tuple[str, ...]
     record: Record
+    collision: Collision
 
 
 def settings_of(run: Path) -> Settings:
@@ -66,6 +69,7 @@ def settings_of(run: Path) -> Settings:
         trials=info.suite["trials"],
         scenes=tuple(info.scenes),
         record=info.suite["record"],
+        collision="flex" if info.collision == "flex" else "terrain",
     )
 
 
@@ -121,6 +125,7 @@ def run(
             scenes,
             trials,
             checkpoint=checkpoint,
+            collision=_collision(references),
             workers=workers,
             renderer=engine["renderer"],
             command=command,
@@ -184,6 +189,7 @@ def _info(
     trials: Sequence[Trial],
     *,
     checkpoint: Path | None,
+    collision: Collision,
     workers: int | None,
     renderer: str,
     command: tuple[str, ...],
@@ -205,6 +211,7 @@ def _info(
             checkpoint="" if checkpoint is None else str(checkpoint.resolve()),
         ),
         scenes=_scene_infos(scenes, trials),
+        collision=collision,
         workers=workers or default_workers(),
         renderer=renderer,
         command=command,
@@ -242,6 +249,10 @@ def _finish(
             }
         ),
     )
+
+
+def _collision(references: Mapping[str, str]) -> Collision:
+    return "flex" if any(text.startswith(FLEX) for text in references.values()) else "terrain"
 
 
 def _scene_infos(scenes: Sequence[Scene], trials: Sequence[Trial]) -> dict[str, SceneInfo]:

@@ -67,6 +67,7 @@ class RunInfo(_Model):
     suite_digest: str
     policy: PolicyInfo
     scenes: dict[str, SceneInfo]
+    collision: str = "terrain"  # How scan meshes collided, for --resume.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
     command: tuple[str, ...] = ()

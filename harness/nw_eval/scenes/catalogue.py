@@ -13,6 +13,10 @@ from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, load_published, reference_path
 from nw_eval.scenes.scene import Scene
 from nw_eval.scenes.splits import SPLITS, Split, split_of
+from nw_eval.scenes.terrain.options import Collision
+
+FLEX = "flex:"
+"""Before a reference: collide by the mesh's own triangles."""
 
 _BY_NAME = {entry.name: entry for entry in ENTRIES}
 
@@ -25,51 +29,68 @@ def names(split: Split | None = None) -> tuple[str, ...]:
 def get_scene(name_or_path: str | Path) -> Scene:
     """Return a built-in scene by its name, or the scene of a folder by its path.
 
+    Args:
+        name_or_path: a name, a folder, or `neverwhere:<folder>`; `flex:` before a folder makes its
+            mesh collide by its own triangles, slow and exact, to check the terrain with.
+
     Raises:
         SceneError: no such scene (with the nearest name), or the folder cannot be read.
     """
-    if str(name_or_path) in _BY_NAME:
-        return _built_in(str(name_or_path))
-    if str(name_or_path).startswith(PREFIX):
-        return load_published(name_or_path)
-    path = Path(name_or_path)
+    reference = str(name_or_path)
+    collision: Collision = "flex" if reference.startswith(FLEX) else "terrain"
+    reference = reference.removeprefix(FLEX)
+    if reference in _BY_NAME:
+        return _built_in(reference)  # Boxes collide exactly as they are.
+    if reference.startswith(PREFIX):
+        return load_published(reference, collision=collision)
+    path = Path(reference)
     if path.name == SCENE_FILE:
         path = path.parent
     if path.is_dir():
-        return load_folder(path)
+        return load_folder(path, collision=collision)
     raise SceneError(
-        f"no built-in scene and no folder is called {str(name_or_path)!r}",
-        fix=nearest(str(name_or_path), _BY_NAME),
+        f"no built-in scene and no folder is called {reference!r}",
+        fix=nearest(reference, _BY_NAME),
     )
 
 
-def match_scenes(patterns: Sequence[str], base: Path | None = None) -> tuple[Scene, ...]:
+def match_scenes(
+    patterns: Sequence[str], base: Path | None = None, *, collision: Collision = "terrain"
+) -> tuple[Scene, ...]:
     """Return the scenes that patterns name: by pattern, then by name, each once.
 
     Args:
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
             of scene folders.
         base: folder that relative paths start from; the working folder by default.
+        collision: how scan meshes collide; `flex` is as `flex:` before each.
 
     Raises:
         SceneError: a pattern matches nothing, with the nearest name.
     """
-    found: dict[str, Scene] = {}
-    for pattern in patterns:
-        for key in _match(pattern, Path() if base is None else base):
-            if key not in found:
-                found[key] = get_scene(key)
-    return tuple(found.values())
+    return tuple(get_scene(key) for key in _keys(patterns, base, collision))
 
 
-def references(patterns: Sequence[str], base: Path | None = None) -> dict[str, str]:
+def references(
+    patterns: Sequence[str], base: Path | None = None, *, collision: Collision = "terrain"
+) -> dict[str, str]:
     """Return, by name, what `get_scene` understands for the scenes that patterns name.
 
     Raises:
         SceneError: as `match_scenes`.
     """
-    keys = [key for p in patterns for key in _match(p, Path() if base is None else base)]
-    return {get_scene(key).name: key for key in keys}
+    return {get_scene(key).name: key for key in _keys(patterns, base, collision)}
+
+
+def _keys(patterns: Sequence[str], base: Path | None, collision: Collision) -> list[str]:
+    """Return what patterns match, each once."""
+    keys: dict[str, None] = {}
+    for pattern in patterns:
+        plain = pattern.removeprefix(FLEX)
+        exact = FLEX if collision == "flex" or plain != pattern else ""
+        for key in _match(plain, Path() if base is None else base):
+            keys[key if key in _BY_NAME else f"{exact}{key}"] = None
+    return list(keys)
 
 
 def _match(pattern: str, base: Path) -> list[str]:

@@ -17,7 +17,7 @@ def is_path(pattern: str, base: Path) -> bool:
         pattern: a name, a glob, or a path.
         base: folder that relative paths start from.
     """
-    if pattern.startswith(("neverwhere:", ".", "/", "~")):
+    if pattern.startswith(("neverwhere:", "flex:", "split:", ".", "/", "~")):
         return True
     try:
         return (base / pattern).exists() or any(base.glob(pattern))

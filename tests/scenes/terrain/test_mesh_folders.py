@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from nw_eval.errors import SceneError
-from nw_eval.scenes import get_scene
+from nw_eval.scenes import get_scene, match_scenes, references
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
 
@@ -55,3 +55,18 @@ def test_a_missing_mesh_is_named(tmp_path):
     (folder / "collision.obj").unlink()
     with pytest.raises(SceneError, match=r"collision\.obj"):
         load_folder(folder)
+
+
+def test_a_reference_and_an_option_choose_the_triangles_and_the_digest_tells(tmp_path):
+    folder = folder_with(tmp_path, "collision.obj")
+    terrain = get_scene(folder)
+    assert isinstance(get_scene(f"flex:{folder}").solids[0], FlexMesh)
+    (exact,) = match_scenes([str(folder)], collision="flex")
+    assert isinstance(exact.solids[0], FlexMesh)
+    assert exact.digest != terrain.digest
+    assert references([str(folder)], collision="flex") == {"scanned": f"flex:{folder.resolve()}"}
+
+
+def test_boxes_of_built_in_scenes_are_exact_already():
+    (scene,) = match_scenes(["hurdles/three_low"], collision="flex")
+    assert scene.digest == get_scene("hurdles/three_low").digest
