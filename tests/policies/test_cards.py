@@ -114,3 +114,46 @@ def test_a_clip_of_one_number_limits_both_sides(tmp_path):
 
 def test_parkour53_has_53_numbers():
     assert sum(term_size(term) for term in LAYOUTS["parkour53"]) == 53
+
+
+def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_path):
+    text = MINIMAL.replace("scale: 0.25}", "scale: 0.25, rate: 25}")
+    text += "  rgb: {sensor: splat_rgb, camera: ego, width: 8, height: 8, rate: 5}\n"
+    card = load_card(written(tmp_path, text))
+    assert card.control.hold == 2
+    assert card.observations["obs"].rate == 25
+    assert card.observations["rgb"].rate == 5
+
+
+@pytest.mark.parametrize(
+    ("control", "words"),
+    [
+        ("rate: 100", "100 actions a second do not fit the 50 Hz of every trial"),
+        ("rate: 30", "use 50, 25, 10, 5, 2 or 1"),
+        ("physics_rate: 240", "240 physics steps a second are no multiple of 50"),
+        ("action: joint_torque, kp: 20", "kp has no meaning for torques"),
+    ],
+)
+def test_rates_and_gains_that_mean_nothing_are_refused_with_the_reason(tmp_path, control, words):
+    text = MINIMAL.replace(
+        "action: joint_position_offset, ",
+        "" if "action" in control else "action: joint_position_offset, ",
+    )
+    text = text.replace("scale: 0.25}", f"scale: 0.25, {control}}}")
+    assert words in problems_of(tmp_path, text)[0]
+
+
+def test_an_observation_faster_than_its_policy_is_refused(tmp_path):
+    text = MINIMAL.replace("scale: 0.25}", "scale: 0.25, rate: 25}")
+    text = text.replace("layout: parkour53}", "layout: parkour53, rate: 50}")
+    assert "'obs' is sampled at 50 Hz, the policy acts at 25 Hz" in problems_of(tmp_path, text)[0]
+
+
+def test_an_input_is_either_observed_or_recurrent(tmp_path):
+    text = MINIMAL + "inputs: {obs: [obs]}\nrecurrent: {obs: out}\n"
+    assert "'obs' is in `recurrent` too" in problems_of(tmp_path, text)[0]
+
+
+def test_recurrent_pairs_are_for_graphs_that_pass_their_state_along(tmp_path):
+    text = MINIMAL.replace("adapter: onnx", "adapter: torchscript") + "recurrent: {h: h_out}\n"
+    assert "`torchscript` keeps its state itself" in problems_of(tmp_path, text)[0]

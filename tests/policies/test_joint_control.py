@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies import ActionDelay, Card, JointControl, actuator_values
+from nw_eval.policies import ActionDelay, Card, JointControl, actuator_values, physics_steps
 from nw_eval.policies.joints import joint_values
 from nw_eval.robots import get_robot
 
@@ -106,3 +106,29 @@ def test_a_queued_action_does_not_change_with_the_callers_array():
     delay.push(action)
     action[:] = 5.0
     assert delay.push(action)[0] == 1.0
+
+
+def test_torques_need_no_gain_and_bring_no_damping():
+    torque = card(action="joint_torque", scale=20.0, torque_limits=15.0)
+    np.testing.assert_array_equal(
+        JointControl.from_card(torque, GO1).targets(np.ones(12)), np.full(12, 20.0)
+    )
+    motors = actuator_values(torque, GO1)
+    assert motors["kd"].tolist() == [0.0] * 12
+    assert motors["torque_limits"].tolist() == [15.0] * 12
+
+
+def test_a_physics_rate_is_steps_of_a_control_step():
+    assert physics_steps(card(physics_rate=250), "strict") == (0.004, 5)
+    assert physics_steps(card(), "neverwhere-2026") == (0.005, 4)
+    with pytest.raises(PolicyError, match=r"physics_rate is 250, the protocol 'neverwhere-2026'"):
+        physics_steps(card(physics_rate=250), "neverwhere-2026")
+
+
+def test_targets_of_another_order_with_limits_are_those_of_numpy():
+    control = JointControl.from_card(card(joints=ISAAC, clip=0.5), GO1)
+    action = np.random.default_rng(0).normal(size=12)
+    expected = np.empty(12)
+    expected[ISAAC_TO_ROBOT] = action.clip(-0.5, 0.5)
+    expected = np.array(GO1.default_pose) + 0.25 * expected
+    np.testing.assert_array_equal(control.targets(action), expected)

@@ -15,7 +15,7 @@ from typing import Any
 
 import tyro
 
-from nw_eval.errors import NwEvalError, UsageError
+from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
 from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.bundle import Bundle, load_bundle
 from nw_eval.policies.policy import Policy
@@ -51,8 +51,15 @@ def serving(
     Raises:
         PolicyError: the bundle cannot be opened.
         UsageError: the address is taken or is not this machine's.
+        PrerequisiteError: websockets is not installed.
     """
-    from websockets.sync.server import ServerConnection, serve
+    try:
+        from websockets.sync.server import ServerConnection, serve
+    except ImportError:
+        raise PrerequisiteError(
+            "serving a policy needs websockets, which is not installed",
+            fix="pip install 'nw-eval[remote]'",
+        ) from None
 
     def opened() -> Policy:
         return open_policy(bundle, allow_code=allow_code)

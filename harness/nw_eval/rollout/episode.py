@@ -9,7 +9,6 @@ A policy that acts at less than 50 Hz is asked at every `hold`-th step, and its 
 from __future__ import annotations
 
 import json
-from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError, PolicyError, TrialError
 from nw_eval.policies import ActionDelay
+from nw_eval.policies.policy import all_finite
 from nw_eval.rollout.digest import ChainDigest
 from nw_eval.rollout.mcap.messages import Part, SimState
 from nw_eval.sensors.sensor import Moment
@@ -27,7 +27,7 @@ from nw_eval.sim.termination import TerminationSnapshot
 from nw_eval.sim.trail import TrailSnapshot
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping
+    from collections.abc import Mapping
 
     from nw_eval.policies import JointControl, Policy
     from nw_eval.rollout.clock import StageClock
@@ -42,20 +42,23 @@ class PolicyFailedError(TrialError):
     """The policy failed, not the physics."""
 
 
-@contextmanager
-def policy_at_fault() -> Generator[None]:
+class policy_at_fault:  # noqa: N801 - it reads like a function, and costs less than one.
     """Turn whatever a checkpoint or an adapter throws into a fault of the policy.
 
     Raises:
         PolicyFailedError: anything was raised inside but a PolicyError, which says it already.
     """
-    try:
-        yield
-    except (PolicyError, PolicyFailedError):
-        raise
-    except NwEvalError as error:
-        raise PolicyFailedError(str(error)) from error
-    except Exception as error:
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> None:
+        if not isinstance(error, Exception) or isinstance(error, PolicyError | PolicyFailedError):
+            return
+        if isinstance(error, NwEvalError):
+            raise PolicyFailedError(str(error)) from error
         raise PolicyFailedError(
             f"the policy raised {type(error).__name__}: {error}",
             fix="run the checkpoint on its own with an observation of the card's shapes",
@@ -142,11 +145,15 @@ class Episode:
             last_output=self._output,
         )
         observation: dict[str, NDArray[Any]] = {}
-        for name, sensor in self.sensors.items():
-            with self._clock("render" if sensor.is_image else "sense"):
-                observation[name] = sensor.read(moment)
-            if sensor.is_image and sensor.fresh and sensor.coverage is not None:
-                self.coverage.add(sensor.coverage)
+        with self._clock("sense"):
+            for name, sensor in self.sensors.items():
+                if not sensor.is_image:
+                    observation[name] = sensor.read(moment)
+                    continue
+                with self._clock("render"):
+                    observation[name] = sensor.read(moment)
+                if sensor.fresh and sensor.coverage is not None:
+                    self.coverage.add(sensor.coverage)
         if self.step % self._hold:
             action, applied = self._output, self._applied
         else:
@@ -252,7 +259,7 @@ class Episode:
     def _ask(self, observation: Mapping[str, NDArray[Any]]) -> Array:
         with policy_at_fault():
             action = self.policy.act(observation)
-        if action.shape != self._applied.shape or not np.isfinite(action).all():
+        if action.shape != self._applied.shape or not all_finite(action):
             raise PolicyFailedError(
                 f"the policy's action is not {self._applied.size} finite numbers: {action}",
                 fix="check the checkpoint, and the observations' scales on its card",

@@ -7,6 +7,7 @@ that the card gives them, and the action comes back bit for bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from typing import Annotated, Any
 
 import numpy as np
@@ -60,7 +61,8 @@ class RemotePolicy:
         self._name = bundle.name
         self._joints = joints
         self._options = read_options(bundle, RemoteOptions)
-        self._connection: ClientConnection | None = _connect(bundle, self._options)
+        self._cleanup = ExitStack()
+        self._connection: ClientConnection | None = _connect(bundle, self._options, self._cleanup)
         try:
             hello = self._receive(self._options.connect_timeout)
             _check(hello, bundle, self._options, joints)
@@ -101,9 +103,8 @@ class RemotePolicy:
 
     def close(self) -> None:
         """End the connection, and with it the policy on the server."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        self._connection = None
+        self._cleanup.close()
 
     def _ask(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """Send a message and return its answer."""
@@ -150,14 +151,16 @@ class RemotePolicy:
         )
 
 
-def _connect(bundle: Bundle, options: RemoteOptions) -> ClientConnection:
+def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> ClientConnection:
     try:
-        return connect(
-            options.url,
-            open_timeout=options.connect_timeout,
-            compression=None,
-            max_size=MESSAGE_LIMIT,
-            proxy=None,
+        return cleanup.enter_context(
+            connect(
+                options.url,
+                open_timeout=options.connect_timeout,
+                compression=None,
+                max_size=MESSAGE_LIMIT,
+                proxy=None,
+            )
         )
     except (InvalidURI, ValueError) as error:
         raise PolicyError(

@@ -61,10 +61,10 @@ class TorchScriptPolicy:
         """Run the module once."""
         if self._module is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        arrays = self._assemble(observation).values()
+        tensors = [torch.from_numpy(array) for array in self._assemble(observation).values()]
         try:
             with torch.inference_mode():
-                raw = self._module(*(torch.from_numpy(array) for array in arrays))
+                raw = self._module.forward(*tensors)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
             raise TrialError(f"policy {self._name!r} failed: {reason}") from error

@@ -1,0 +1,168 @@
+"""`nw-eval policies`: list, show, check, init, and what `check` finds in wrong cards."""
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from nw_eval import api
+from nw_eval.errors import PolicyError, UsageError
+from nw_eval.policies import load_bundle, load_card
+from nw_eval.rollout.probe.recording import record
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))
+HIMLOCO = ASSETS / "policies" / "himloco-go2" / "himloco.pt"
+PLAYGROUND = ASSETS / "policies" / "playground-go1" / "go1_policy.onnx"
+needs_assets = pytest.mark.skipif(not HIMLOCO.is_file(), reason=f"no weights at {ASSETS}")
+CARD = (REPOSITORY / "policies" / "examples" / "himloco-go2" / "policy.yaml").read_text()
+
+
+def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_path, monkeypatch):
+    folder = tmp_path / "policies" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "policy.yaml").write_text("nw-policy: 1\nname: mine\n")
+    monkeypatch.chdir(tmp_path)
+    lines = api.list_policies().splitlines()
+    assert [line.split()[0] for line in lines] == [
+        "examples/himloco-go2",
+        "examples/playground-go1",
+        "go1-parkour",
+        "mine",
+        "stand",
+    ]
+    assert "is missing" in lines[3]
+
+
+def test_a_card_is_shown_without_its_weights():
+    shown = api.show_policy("examples/himloco-go2")
+    assert "the checkpoint is missing" in shown
+    assert re.search(r"command +18 \(6 frames\) +x \[2, 2, 0\.25\] +50 Hz", shown)
+    assert "`obs` 270 = 6 x (3 + 3 + 3 + 12 + 12 + 12)" in shown
+    assert re.search(r"RL_thigh +1 +0\.25 +40 +1 +33\.5", shown)
+
+
+def test_the_terms_of_a_frame_with_parts_left_out_are_counted_right():
+    shown = api.show_policy("go1-parkour")
+    assert re.search(r"history +joint_pos +36 \(3 frames\)", shown)
+    assert not re.search(r"history +delta_yaw", shown)
+    assert re.search(r"scandots +scandots +132", shown)
+
+
+def test_the_shipped_policy_passes_its_check():
+    told = api.check_policy("go1-parkour")
+    assert told.exit_code == 0
+    assert told.text.endswith("PASS")
+    assert re.search(r"proprio +speed +1 +0\.800 +0\.800 +0\.800 +1 of 1", told.text)
+
+
+def test_a_policy_that_stands_still_passes_without_observations():
+    assert api.check_policy("stand").exit_code == 0
+
+
+class Deaf(torch.nn.Module):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(1, 12) * x.sum()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_checkpoint_that_does_not_hear_its_inputs_is_found_out(tmp_path):
+    torch.jit.save(torch.jit.script(Deaf()), str(tmp_path / "deaf.pt"))
+    (tmp_path / "policy.yaml").write_text(
+        "nw-policy: 1\nname: deaf\nrobot: go1\nadapter: torchscript\n"
+        "checkpoint: {file: deaf.pt}\n"
+        "control: {action: joint_position_offset, scale: 0.25}\n"
+        "observations: {body: {sensor: proprio, clip: 0.01, terms: [joint_vel, gravity]}}\n"
+    )
+    told = api.check_policy(str(tmp_path), checkpoint=tmp_path / "deaf.pt")
+    assert told.exit_code == UsageError.exit_code
+    assert "the action is the same at every step" in told.text
+    assert "`body`, joint_vel: its limits -0.01..0.01 cut it off in most steps" in told.text
+
+
+def himloco(folder, *changes):
+    text = CARD
+    for pattern, replacement in changes:
+        text, count = re.subn(pattern, replacement, text, flags=re.DOTALL)
+        assert count == 1
+    (folder / "policy.yaml").write_text(text)
+    return api.check_policy(str(folder), checkpoint=HIMLOCO)
+
+
+@needs_assets
+@pytest.mark.parametrize("name", ["himloco-go2", "playground-go1"])
+def test_other_peoples_policies_pass_with_their_cards(name):
+    weights = HIMLOCO if name == "himloco-go2" else PLAYGROUND
+    told = api.check_policy(f"examples/{name}", checkpoint=weights)
+    assert told.exit_code == 0, told.text
+
+
+@needs_assets
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ((r"  joints: \[.*?\]\n", ""), "it walks with the joints in the order FL FR RL RR, leg by"),
+        (("order: newest_first", "order: oldest_first"), "it walks with `obs` with order: newest"),
+        (("- gravity", "- {term: gravity, scale: -1.0}"), "with the sign of `gravity` turned"),
+    ],
+    ids=["joint order", "history order", "sign"],
+)
+def test_a_wrong_card_is_told_what_would_be_right(tmp_path, change, words):
+    told = himloco(tmp_path, change)
+    assert told.exit_code == UsageError.exit_code
+    assert words in told.text
+
+
+@needs_assets
+def test_missing_scales_are_suspected(tmp_path):
+    told = himloco(tmp_path, (r"\{term: joint_vel, scale: 0\.05\}", "joint_vel"))
+    assert "joint_vel: reaches" in told.text
+    assert "a scale may be missing" in told.text
+
+
+@needs_assets
+def test_a_missing_term_is_said_in_the_terms_of_the_card(tmp_path):
+    with pytest.raises(PolicyError, match=r"`obs` 252 = 6 x \(3 \+ 3 \+ 12 \+ 12 \+ 12\)"):
+        himloco(tmp_path, (r"      - gravity\n", ""))
+
+
+@needs_assets
+@pytest.mark.parametrize(
+    ("weights", "robot"), [(HIMLOCO, "go2"), (PLAYGROUND, "go1")], ids=["himloco", "playground"]
+)
+def test_init_writes_a_valid_card_of_the_right_sizes(tmp_path, weights, robot):
+    copy = tmp_path / weights.name
+    copy.write_bytes(weights.read_bytes())
+    told = api.init_policy(copy, robot=robot)
+    card = load_card(tmp_path / "policy.yaml")
+    assert card.adapter == ("torchscript" if robot == "go2" else "onnx")
+    assert "lines to check" in told.text
+    numbers = "270 = 6 x" if robot == "go2" else "48 = 3 +"
+    assert numbers in api.show_policy(str(tmp_path))
+
+
+def test_init_of_a_shipped_bundle_finds_its_size_and_keeps_existing_cards(tmp_path):
+    weights = tmp_path / "policy.onnx"
+    weights.write_bytes((REPOSITORY / "policies" / "go1-parkour" / "policy.onnx").read_bytes())
+    api.init_policy(weights, robot="go1")
+    assert "332" in api.show_policy(str(tmp_path))
+    with pytest.raises(UsageError, match="exists already"):
+        api.init_policy(weights, robot="go1")
+    api.init_policy(weights, robot="go1", out=tmp_path / "other.yaml")
+    assert load_card(tmp_path / "other.yaml").adapter == "onnx"
+
+
+@needs_assets
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_himlocos_own_estimator_of_its_speed_agrees_with_the_simulation():
+    # The network estimates its velocity from the observations, times 2 as its training scaled it.
+    # A card with other terms, scales, orders or gains makes it read something else.
+    bundle = load_bundle("examples/himloco-go2", checkpoint=HIMLOCO)
+    made = record(bundle, scene="flat/carpet_room", seconds=3.0)
+    frames = torch.from_numpy(made.observations["obs"])
+    with torch.inference_mode():
+        forward = torch.jit.load(str(HIMLOCO)).estimator(frames)[:, 0]
+    assert made.outcome is None
+    assert float(forward.mean()) / 2.0 == pytest.approx(made.travelled / made.seconds, rel=0.1)
