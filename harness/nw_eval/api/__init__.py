@@ -1,0 +1,43 @@
+"""What one can do with nw-eval. The command line and other doors call these and nothing deeper.
+
+The hall of the house: the only room that sees both wings, the one that makes rows (scenes, sim,
+sensors, policies, rollout, engine) and the one that reads them (results, stats, gate, report).
+"""
+
+from __future__ import annotations
+
+from nw_eval.api.message import Message, write_text
+from nw_eval.api.places import check_scenes, list_scenes, render_scenes, show_scene, warmup
+from nw_eval.api.plans import Plan, check, plan
+from nw_eval.api.policies import check_policy, init_policy, list_policies, schema, show_policy
+from nw_eval.api.reports import RunReport, report
+from nw_eval.api.runs import replay, run
+from nw_eval.api.senses import draw_sensors, list_sensors
+from nw_eval.api.splats import splat_convert, splat_info, splat_render
+
+__all__ = [
+    "Message",
+    "Plan",
+    "RunReport",
+    "check",
+    "check_policy",
+    "check_scenes",
+    "draw_sensors",
+    "init_policy",
+    "list_policies",
+    "list_scenes",
+    "list_sensors",
+    "plan",
+    "render_scenes",
+    "replay",
+    "report",
+    "run",
+    "schema",
+    "show_policy",
+    "show_scene",
+    "splat_convert",
+    "splat_info",
+    "splat_render",
+    "warmup",
+    "write_text",
+]

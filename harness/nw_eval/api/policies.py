@@ -1,0 +1,90 @@
+"""Policies and their cards: listed, explained, tried for a second, drafted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from nw_eval.api.message import Message, write_text
+from nw_eval.errors import UsageError
+
+
+def list_policies() -> str:
+    """Return a table of the shipped and the project's bundles, and of the example cards."""
+    from nw_eval.policies.listing import policy_table
+
+    return policy_table()
+
+
+def show_policy(policy: str, *, allow_code: bool = False) -> str:
+    """Return what a card says: each observation term, each joint, the checkpoint.
+
+    Raises:
+        PolicyError: there is no such card, or it has problems.
+    """
+    from nw_eval.policies import find_card
+    from nw_eval.rollout.probe.summary import card_summary
+
+    return card_summary(find_card(policy), allow_code=allow_code)
+
+
+def check_policy(
+    policy: str,
+    *,
+    checkpoint: Path | None = None,
+    scene: str | None = None,
+    allow_code: bool = False,
+) -> Message:
+    """Run a policy for one second and say what is odd; exit code 2 if something is wrong.
+
+    Args:
+        policy: a bundle's name, folder or card.
+        checkpoint: weights to use with the card.
+        scene: where; a flat room if None.
+        allow_code: whether Python code that the card names may be imported.
+
+    Raises:
+        PolicyError, SceneError: it cannot be run at all.
+    """
+    from nw_eval.policies import load_bundle
+    from nw_eval.rollout.probe.report import FLAT, probe_policy
+
+    bundle = load_bundle(policy, checkpoint=checkpoint)
+    told = probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
+    return Message(text=told.text, exit_code=0 if told.passed else UsageError.exit_code)
+
+
+def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Message:
+    """Inspect a checkpoint without running it, and write a first card beside it.
+
+    Args:
+        checkpoint: any format that an adapter reads.
+        robot: which robot the policy drives.
+        out: the card to write; `policy.yaml` beside the checkpoint if None.
+
+    Raises:
+        PolicyError: the file cannot be read, could run code, or holds an unknown network.
+        UsageError: there is a card already.
+    """
+    from nw_eval.policies.card import CARD_FILE
+    from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
+    from nw_eval.robots import get_robot
+
+    card = out or checkpoint.parent / CARD_FILE
+    if card.exists():
+        raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
+    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot))
+    write_text(card, text)
+    return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
+
+
+def schema(kind: Literal["suite", "policy"]) -> str:
+    """Return the JSON Schema of suite files or policy cards."""
+    if kind == "suite":
+        from nw_eval.suite import json_schema
+
+        return json.dumps(json_schema(), indent=2)
+    from nw_eval.policies import Card
+
+    return json.dumps(Card.model_json_schema(by_alias=True), indent=2)

@@ -1,0 +1,138 @@
+"""Running: a suite through its trials, or one recorded trial again."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.api.message import Message
+from nw_eval.api.plans import plan
+from nw_eval.api.reports import RunReport, report
+from nw_eval.errors import StoreError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.engine.listener import Listener
+    from nw_eval.rollout.job import Backend, Record
+    from nw_eval.scenes.terrain.options import Collision
+
+
+def run(
+    suite: str | Path | None,
+    *,
+    robot: str | None = None,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    trials: int | None = None,
+    scenes: Sequence[str] = (),
+    workers: int | None = None,
+    out: Path | None = None,
+    resume: Path | None = None,
+    record: Record | None = None,
+    time_limit: float | None = None,
+    render: Backend = "cpu",
+    allow_code: bool = False,
+    collision: Collision = "terrain",
+    listener: Listener | None = None,
+) -> RunReport:
+    """Roll a checkpoint out through a suite, write the evidence, and judge it.
+
+    Args:
+        suite: a suite file or the name of a shipped one; None only with `resume`.
+        robot: in place of the suite's own; its trials are others then.
+        policy: a bundle's name, folder or card; the suite's own if None.
+        checkpoint: weights to use with the card.
+        trials: per scene; the suite's own number if None.
+        scenes: globs; only scenes that match one of them.
+        workers: processes; one for each core if None.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept.
+        record: whose camera images the logs keep; the suite's own choice if None.
+        time_limit: wall seconds after which a trial counts as hung.
+        render: the splat backend.
+        allow_code: whether Python code that the card names may be imported.
+        collision: how scan meshes collide: as compiled terrain, or by their own triangles.
+        listener: hears of progress.
+
+    Raises:
+        UsageError, SuiteError, SceneError, PolicyError: nothing was run.
+        IncomparableError: the run to resume was made under something else.
+        StoreError: results cannot be written; those that were written stay.
+    """
+    from nw_eval.engine import session
+
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers}", fix="give at least 1")
+    if resume is not None:
+        if out is not None:
+            raise UsageError("--out and --resume exclude each other", fix="drop --out")
+        settings = session.settings_of(resume)
+        suite = suite or settings.suite
+        robot = robot or settings.robot
+        policy = policy or settings.policy
+        checkpoint = checkpoint or settings.checkpoint
+        trials = trials or settings.trials
+        scenes = scenes or settings.scenes
+        record = record or settings.record
+        collision = settings.collision
+    if suite is None:
+        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+    made = plan(
+        suite,
+        robot=robot,
+        policy=policy,
+        checkpoint=checkpoint,
+        trials=trials,
+        scenes=scenes,
+        record=record,
+        allow_code=allow_code,
+        collision=collision,
+    )
+    folder = session.run(
+        made.suite,
+        made.bundle,
+        made.scenes,
+        made.trials,
+        references=made.references,
+        checkpoint=checkpoint,
+        workers=workers,
+        out=out,
+        resume=resume,
+        time_limit=time_limit,
+        render=render,
+        allow_code=allow_code,
+        command=tuple(sys.argv),
+        listener=listener,
+    )
+    return report(folder.path)
+
+
+def replay(
+    log: Path,
+    *,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    start: float = 0.0,
+    picture: Path | None = None,
+    allow_code: bool = False,
+) -> Message:
+    """Run a recorded trial again and compare its end bit for bit; exit code 4 if it differs.
+
+    Raises:
+        StoreError: the log cannot be read.
+        PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
+    """
+    from nw_eval.rollout import replay as rollouts
+
+    replayed = rollouts.replay(
+        log, policy=policy, checkpoint=checkpoint, start=start, allow_code=allow_code
+    )
+    text = replayed.text
+    if picture is not None:
+        from nw_eval.rollout.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(replayed.recording, picture)
+        text += f"\n{picture}"
+    return Message(text=text, exit_code=0 if replayed.is_identical else StoreError.exit_code)
