@@ -6,6 +6,7 @@ can use the policy, so it listens on this machine only unless told otherwise.
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 from collections.abc import Callable, Generator
@@ -136,8 +137,12 @@ class Serve:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve until interrupted; return the exit code."""
+    """Serve until SIGINT or SIGTERM; return the exit code."""
     options = tyro.cli(Serve, args=arguments)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Said outright: a shell starts its background jobs with SIGINT ignored.
+        signal.signal(number, lambda *_: stop.set())
     try:
         bundle = load_bundle(options.bundle)
         with serving(
@@ -145,12 +150,10 @@ def main(arguments: list[str] | None = None) -> int:
         ) as address:
             text = f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
             print(text, flush=True)  # noqa: T201 - this is a command.
-            threading.Event().wait()
+            stop.wait()
     except NwEvalError as error:
         print(error, file=sys.stderr)  # noqa: T201 - this is a command.
         return error.exit_code
-    except KeyboardInterrupt:
-        return 0
     return 0
 
 

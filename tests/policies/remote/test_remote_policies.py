@@ -298,7 +298,8 @@ def test_an_array_that_claims_100_gb_takes_no_memory():
         decode(encode({"action": forged}))
 
 
-def test_the_command_serves_until_it_is_interrupted(local, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_until_it_is_interrupted(local, tmp_path, number):
     command = [sys.executable, "-m", "nw_eval.policies.serve", str(local.folder), "--port", "0"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ.copy()
@@ -311,7 +312,7 @@ def test_the_command_serves_until_it_is_interrupted(local, tmp_path):
         expected, _ = play(open_policy(local))
         np.testing.assert_array_equal(play(policy)[0], expected)
         policy.close()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         assert process.wait(10) == 0
     finally:
         process.kill()
