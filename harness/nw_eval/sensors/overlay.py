@@ -13,6 +13,10 @@ from nw_eval.sim import World
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.pixels import Pixels
 
+_THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
+_NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])
+"""Where the rays of an outline's pixel go, in pixels from its centre."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Overlay:
@@ -23,7 +27,7 @@ class Overlay:
     depth: NDArray[np.float32]
     """(H, W) m along the optical axis, inf = nothing."""
     coverage: NDArray[np.float32]
-    """(H, W), 1 where something is drawn."""
+    """(H, W), share of the pixel in which something is drawn, 0 to 1."""
 
 
 def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:
@@ -43,8 +47,9 @@ def draw(
     cones: Cones | None,
     robot: World | None,
     is_aboard: bool = True,
+    pitch: tuple[float, float] | None = None,
 ) -> Overlay:
-    """Cast one ray for each pixel and keep the nearest object.
+    """Cast one ray for each pixel and keep the nearest object; nine where an object ends.
 
     Args:
         directions: (H, W, 3) from `ray_directions`.
@@ -52,9 +57,47 @@ def draw(
         cones: drawn unless None.
         robot: the world whose robot is drawn.
         is_aboard: the robot carries the camera, so its trunk is left out.
+        pitch: 1 / fx and 1 / fy of the camera, for soft edges; None = hard ones.
     """
-    rays = directions.reshape(-1, 3) @ T_world_camera[:3, :3].T
-    origin = T_world_camera[:3, 3]
+
+    def shoot(rays: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return depth along the axis (N,), inf = nothing, and colour (N, 3)."""
+        turned = rays @ T_world_camera[:3, :3].T
+        distance, colour = _nearest(turned, T_world_camera[:3, 3], cones, robot, is_aboard)
+        return distance * rays[:, 2], colour
+
+    shape = directions.shape[:2]
+    flat_depth, flat_colour = shoot(directions.reshape(-1, 3))
+    depth, colour = flat_depth.reshape(shape), flat_colour.reshape(*shape, 3)
+    coverage = np.isfinite(depth).astype(np.float32)
+    edge = _edges(coverage > 0.0)
+    if pitch is not None and edge.any():
+        centre = directions[edge] / directions[edge][:, 2:]
+        rays = centre[:, np.newaxis] + _NINE * (*pitch, 0.0)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        near, seen = shoot(rays.reshape(-1, 3))
+        hit = np.isfinite(near).reshape(-1, len(_NINE))
+        count = hit.sum(axis=1)
+        weight = (hit / np.maximum(count, 1)[:, np.newaxis]).astype(np.float64)
+        finite = np.where(np.isfinite(near), near, 0.0).reshape(hit.shape)
+        coverage[edge] = count / len(_NINE)
+        depth[edge] = np.where(count > 0, (finite * weight).sum(axis=1), np.inf)
+        colour[edge] = (seen.reshape(*hit.shape, 3) * weight[..., np.newaxis]).sum(axis=1)
+    return Overlay(
+        rgb=np.where(coverage[..., np.newaxis] > 0.0, colour, 0.0).astype(np.float32),
+        depth=depth.astype(np.float32),
+        coverage=coverage,
+    )
+
+
+def _nearest(
+    rays: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    cones: Cones | None,
+    robot: World | None,
+    is_aboard: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Return distance (N,), inf = nothing, and colour (N, 3) of the nearest object on each ray."""
     distance = np.full(len(rays), np.inf)
     colour = np.zeros((len(rays), 3), dtype=np.float32)
     if cones is not None:
@@ -65,13 +108,19 @@ def draw(
         light = shade(hit.normal[nearer, 2:])
         colour[nearer] = robot.geom_rgba[hit.geom[nearer], :3] * light
         distance[nearer] = hit.distance[nearer]
-    shape = directions.shape[:2]
-    along_axis = distance * directions[..., 2].ravel()
-    return Overlay(
-        rgb=colour.reshape(*shape, 3),
-        depth=along_axis.reshape(shape).astype(np.float32),
-        coverage=np.isfinite(distance).reshape(shape).astype(np.float32),
-    )
+    return distance, colour
+
+
+def _edges(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) that lie beside a pixel on the other side of an outline."""
+    edge = np.zeros_like(inside)
+    for axis in (0, 1):
+        ahead = np.diff(inside, axis=axis)
+        first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        edge[first] |= ahead
+        edge[second] |= ahead
+    return edge
 
 
 def cone_mask(

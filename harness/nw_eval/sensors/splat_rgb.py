@@ -51,7 +51,9 @@ class SplatRgb:
         self._mount: CameraMount = robot.cameras[observation.camera]
         self._published = observation.sampling == "published"
         self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
-        self._directions = ray_directions(self._camera(np.eye(4)), self._pixels)
+        pinhole = self._camera(np.eye(4))
+        self._directions = ray_directions(pinhole, self._pixels)
+        self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
         self._cones = TrailCones()
         self._renderer: Renderer | None = None
         self.coverage: float | None = None
@@ -97,6 +99,7 @@ class SplatRgb:
                 T_world_camera,
                 cones=self._cones.on(trail) if self._observation.cones else None,
                 robot=moment.world if self._observation.robot else None,
+                pitch=self._pitch,
             )
             image = composite(image, overlay.rgb, overlay.depth, overlay.coverage)
         return average_blocks(image.bytes()) if self._published else image.bytes()
