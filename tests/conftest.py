@@ -1,0 +1,13 @@
+"""What holds for every test: property tests draw the same examples each time.
+
+A gate that sells repeatability may not have tests that fail one day in ten. New examples are drawn
+by `HYPOTHESIS_PROFILE=explore make test`.
+"""
+
+import os
+
+from hypothesis import settings
+
+settings.register_profile("repeat", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
