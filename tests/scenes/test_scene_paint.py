@@ -107,6 +107,21 @@ def test_rotations_from_normals_turn_z_to_the_normal(normal, spin):
         return
     unit = np.array(normal) / length
     quat = quats_from_normals(unit[None], np.array([spin]))[0]
-    # Close to -z the normal is taken for -z itself.
-    tolerance = 1.5e-3 if unit[2] < -1.0 + 1.1e-6 else 1e-6
-    assert np.allclose(rotation_matrix(quat)[:, 2], unit, atol=tolerance)
+    assert np.allclose(rotation_matrix(quat)[:, 2], unit, atol=1e-6)
+
+
+@given(st.integers(-320, 0), st.floats(0, 6.2), st.floats(0, 6.2))
+def test_rotations_are_exact_however_close_a_normal_is_to_minus_z(power, way, spin):
+    off = 10.0**power
+    unit = np.array([np.sin(off) * np.cos(way), np.sin(off) * np.sin(way), -np.cos(off)])
+    spun, plain = quats_from_normals(np.stack([unit, unit]), np.array([spin, 0.0]))
+    for quat in (spun, plain):
+        assert np.abs(rotation_matrix(quat)[:, 2] - unit).max() < 1e-15
+    # The shortest turn has an axis across z, and leaves `off` of a half turn.
+    assert plain[3] == 0.0
+    assert plain[0] == pytest.approx(np.sin(off / 2), rel=1e-12, abs=1e-150)
+
+
+def test_z_itself_is_left_and_minus_z_is_half_a_turn_away():
+    poles = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    assert quats_from_normals(poles, np.zeros(2)).tolist() == [[1, 0, 0, 0], [0, 1, 0, 0]]

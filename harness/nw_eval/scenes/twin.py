@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.scenes.scene import Progress
 
 # Raise it with every change that changes a Gaussian of any scene.
-GENERATOR_VERSION = 3
+GENERATOR_VERSION = 4
 
 
 @dataclass(frozen=True, kw_only=True)

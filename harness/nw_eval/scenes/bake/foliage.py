@@ -198,22 +198,29 @@ def blades(
 
 
 def quats_from_normals(normals: Array, spin: Array) -> Array:
-    """Return w x y z rotations that turn +z to unit normals (N, 3), after a spin about +z.
+    """Return w x y z rotations, (N, 4), that spin (N,) radians about +z, then turn +z to normals.
 
-    Normals within 1.5 mrad of -z are taken for -z.
+    Args:
+        normals: (N, 3) unit vectors; +z goes there by the shortest turn, to -z about +x.
+        spin: (N,) radians.
     """
-    # The shortest turn from +z to n has the axis z x n; near -z any axis across will do.
-    w = 1.0 + normals[:, 2]
-    flat = w < 1e-6
-    turn = np.stack([w, -normals[:, 1], normals[:, 0], np.zeros(len(normals))], axis=1)
-    turn[flat] = [0.0, 1.0, 0.0, 0.0]
+    x, y, z = normals.T
+    ring = np.sqrt(x * x + y * y)
+    # The axis is z x n, and half the turn's tangent is ring / (1 + z) or (1 - z) / ring: each is
+    # sound on its own side, where it takes no difference of near numbers.
+    far = 1.0 + np.abs(z)
+    down = z < 0.0
+    w, turn = np.where(down, ring, far), np.where(down, far, ring)
+    pole = ring == 0.0
+    size = np.where(pole, 1.0, ring)
+    axis_x, axis_y = np.where(pole, 1.0, -y / size), x / size
     cosine, sine = np.cos(spin / 2), np.sin(spin / 2)
     q = np.stack(
         [
-            turn[:, 0] * cosine - turn[:, 3] * sine,
-            turn[:, 1] * cosine + turn[:, 2] * sine,
-            turn[:, 2] * cosine - turn[:, 1] * sine,
-            turn[:, 3] * cosine + turn[:, 0] * sine,
+            w * cosine,
+            turn * (axis_x * cosine + axis_y * sine),
+            turn * (axis_y * cosine - axis_x * sine),
+            w * sine,
         ],
         axis=1,
     )
