@@ -130,6 +130,24 @@ def test_a_camera_out_of_the_captured_volume_is_flagged(
     assert "captured volume" not in render(rows[:1], {"a": 1})
 
 
+def test_contacts_that_end_no_trial_are_counted_by_scene(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [
+        make_row("a", 0, 4, contact_s=0.5),
+        make_row("a", 1, 4, contact_s=0.75),
+        make_row("a", 2, 4),
+        make_row("b", 0, 4),
+    ]
+    assert section(render(rows, {"a": 3, "b": 1}), "Contacts of head and trunk")[1:] == [
+        ["a", "2 of 3", "1.25 s"],
+        ["b", "0 of 1", "0.00 s"],
+    ]
+    # Where contacts end trials, the outcomes say it all.
+    ended = make_row("a", 3, 2, outcome="collided", contact_s=0.02)
+    assert "Contacts of head" not in render([ended], {"a": 1})
+
+
 def test_perturbations_get_a_table_of_their_own(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:

@@ -42,6 +42,20 @@ def test_more_than_10_newtons_on_a_monitored_geom_is_a_collision(protocol):
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_without_contact_termination_collisions_are_only_counted(protocol):
+    ending = Termination(TRAIL, (0.0, 0.0), protocol=protocol, contact_termination=False)
+    progress = TrailProgress(TRAIL, protocol)
+    for step, force in enumerate((0.0, 500.0, 9.9, 10.1), start=1):
+        assert ending.check(robot_at(force=force), progress, step) is None
+    assert ending.contact_seconds == pytest.approx(2 * 0.02)
+    other = Termination(TRAIL, (0.0, 0.0), protocol=protocol, contact_termination=False)
+    other.restore(ending.snapshot())
+    assert other.check(robot_at(force=20.0), progress, 5) is None
+    assert other.contact_seconds == pytest.approx(3 * 0.02)
+    assert other.check(robot_at(force=500.0, roll=2.0), progress, 6) == "fell"
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_the_clock_ends_a_trial_at_step_600(protocol):
     trail = np.array([(60.0, 0.0, 0.0)])
     ending = Termination(trail, (0.0, 0.0), protocol=protocol)

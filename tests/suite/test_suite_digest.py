@@ -53,6 +53,7 @@ def test_settings_that_leave_a_trial_as_it_is_leave_the_digest(change: dict[str,
         {"seed": 20262},
         {"protocol": "neverwhere-2026"},
         {"episode": {"duration": 11.0}},
+        {"episode": {"contact_termination": False}},
         {"perturb": {"friction": [0.6]}},
     ],
 )

@@ -65,6 +65,7 @@ def plan_jobs(
             robot=suite.robot,
             protocol=suite.protocol,
             duration=suite.episode.duration,
+            contact_termination=suite.episode.contact_termination,
             scene=(references or {}).get(trial.scene, trial.scene),
             policy=str(bundle.card_path.resolve()),
             policy_name=bundle.name,

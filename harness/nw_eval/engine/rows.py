@@ -56,6 +56,7 @@ def make_row(
         policy_s=result.wall.policy,
         log_s=result.wall.log,
         wall_s=result.wall_seconds,
+        contact_s=result.contact_s,
         coverage_min=result.coverage_min,
         coverage_mean=result.coverage_mean,
         state_digest=result.state_digest,

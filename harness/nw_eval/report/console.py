@@ -10,6 +10,7 @@ from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.report.headline import blind_spot, headline
 from nw_eval.report.tables import (
     Table,
+    contacts_table,
     coverage_table,
     errors_table,
     outcomes_table,
@@ -48,6 +49,7 @@ def print_summary(
     tables = (
         scenes_table(verdict),
         outcomes_table(ordered),
+        contacts_table(ordered),
         errors_table(ordered),
         worst_table(ordered, folder, most=3),
         throughput_table(ordered, run),

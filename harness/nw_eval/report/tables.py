@@ -199,6 +199,23 @@ def coverage_table(rows: Sequence[Row]) -> Table:
     )
 
 
+def contacts_table(rows: Sequence[Row]) -> Table:
+    """Return how often head or trunk collided where that ends no trial; none where it does."""
+    shown: list[tuple[str, ...]] = []
+    if any(row.contact_s > 0.0 and row.outcome != "collided" for row in rows):
+        for scene in sorted({row.scene for row in rows}):
+            seconds = [row.contact_s for row in rows if row.scene == scene]
+            hit = [value for value in seconds if value > 0.0]
+            shown.append((scene, f"{len(hit)} of {len(seconds)}", f"{sum(seconds):.2f} s"))
+    return Table(
+        title="Contacts of head and trunk",
+        columns=("scene", "trials", "in contact"),
+        rows=tuple(shown),
+        numbers=frozenset({"in contact"}),
+        note="The suite lets trials go on after a contact of more than 10 N.",
+    )
+
+
 def provenance_table(run: RunInfo) -> Table:
     """Return what ran on what."""
     commit = f", commit {run.code.commit[:12]}{' with changes' if run.code.dirty else ''}"
@@ -231,6 +248,7 @@ def all_tables(
         scenes_table(verdict),
         perturbations_table(ordered, verdict.confidence),
         outcomes_table(ordered),
+        contacts_table(ordered),
         errors_table(ordered),
         worst_table(ordered, folder),
         throughput_table(ordered, run),

@@ -46,6 +46,7 @@ SCHEMA = pa.schema(
         pa.field("policy_s", pa.float64(), nullable=False),
         pa.field("log_s", pa.float64(), nullable=False),
         pa.field("wall_s", pa.float64(), nullable=False),
+        pa.field("contact_s", pa.float64(), nullable=False),
         pa.field("coverage_min", pa.float64()),
         pa.field("coverage_mean", pa.float64()),
         pa.field("state_digest", pa.string(), nullable=False),

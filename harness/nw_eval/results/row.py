@@ -43,8 +43,8 @@ class Row:
     """The result of one trial. Times in s, digests hex sha256.
 
     `fraction` is the share of the trail's waypoints reached; None for a trial that did not run to
-    a result, so that nobody averages it in. Every `*_s` but `sim_s` is wall time of that stage;
-    `wall_s` is all of the trial, stages not named here included.
+    a result, so that nobody averages it in. Every `*_s` but `sim_s` and `contact_s` is wall time of
+    that stage; `wall_s` is all of the trial, stages not named here included.
     """
 
     trial_id: str
@@ -72,6 +72,7 @@ class Row:
     policy_s: float
     log_s: float
     wall_s: float
+    contact_s: float = 0.0  # Simulated time during which head or trunk collided.
     coverage_min: float | None = None  # Of the camera frames' splat alpha; None without frames.
     coverage_mean: float | None = None
     state_digest: str = ""
@@ -117,8 +118,8 @@ def _fault(row: Row) -> str | None:
         return f"completed is {row.completed} at fraction {row.fraction}"
     if not 0 <= row.seed < 2**64:
         return f"seed {row.seed} does not fit 64 bits"
-    numbers = (row.sim_s, row.physics_s, row.render_s, row.policy_s, row.log_s, row.wall_s)
-    if not all(math.isfinite(number) for number in numbers):
+    seconds = (getattr(row, field.name) for field in fields(Row) if field.name.endswith("_s"))
+    if not all(math.isfinite(number) for number in seconds):
         return "a time is not finite"
     return None
 

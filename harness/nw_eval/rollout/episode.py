@@ -183,6 +183,11 @@ class Episode:
             self.actions.update(decision.applied)
         return outcome, credited
 
+    @property
+    def contact_seconds(self) -> float:
+        """Simulated time so far during which head or trunk collided, s."""
+        return self._termination.contact_seconds
+
     def end_reason(self, outcome: Outcome) -> str:
         """Say what decided an outcome: the angle, the geom, the clock."""
         if outcome == "fell":

@@ -24,6 +24,7 @@ class TrialJob:
     robot: str
     protocol: Protocol = "strict"
     duration: float  # s of simulated time after which the trial times out
+    contact_termination: bool = True  # whether a blow to head or trunk ends it
     scene: str  # what scenes.get_scene understands: a built-in name or a folder
     policy: str  # what policies.load_bundle understands
     policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it

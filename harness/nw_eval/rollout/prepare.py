@@ -110,6 +110,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
                 protocol=job.protocol,
                 duration=job.duration,
                 control_period=period,
+                contact_termination=job.contact_termination,
             ),
             clock=clock,
         )

@@ -40,6 +40,7 @@ class TrialResult:
     waypoint_times: tuple[float, ...] = ()  # s of simulated time, one for each reached waypoint
     steps: int = 0  # control steps
     sim_seconds: float = 0.0
+    contact_s: float = 0.0  # s of simulated time during which head or trunk collided
     coverage_min: float | None = None  # share of a camera image that the splat covers, 0..1
     coverage_mean: float | None = None  # None = no camera image was rendered
     state_digest: str = ""  # hex

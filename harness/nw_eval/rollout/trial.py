@@ -92,6 +92,7 @@ def so_far(trial: OpenTrial) -> TrialResult:
         waypoint_times=episode.progress.times,
         steps=episode.step,
         sim_seconds=episode.world.time,
+        contact_s=episode.contact_seconds,
         coverage_min=episode.coverage.smallest,
         coverage_mean=episode.coverage.mean,
         state_digest=episode.states.hex,

@@ -35,6 +35,7 @@ class TerminationSnapshot(NamedTuple):
 
     best_remaining: float  # m, the shortest way to the last waypoint so far
     best_step: int  # when that was
+    contact_steps: int  # control steps with a collision so far
 
 
 class Termination:
@@ -50,7 +51,8 @@ class Termination:
     those are is the robot's to say: the published evaluation watches the Go1's head, and its trunk
     only in name, since the geom it names cannot touch anything; `strict` watches both. A belly that
     hits an obstacle carries hundreds of newtons (the robot weighs 127 N), so the published limit
-    serves for the trunk as well.
+    serves for the trunk as well. Without contact termination, as in the evaluation of LucidSim's
+    repository, collisions are only counted.
 
     Args:
         waypoints: (K, 3) world, m, as the trial has them.
@@ -59,6 +61,7 @@ class Termination:
         duration: of the trial, s.
         control_period: seconds of one control step.
         limits: thresholds.
+        contact_termination: whether a collision ends the trial.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Termination:
         duration: float = 12.0,
         control_period: float = 0.02,
         limits: Limits | None = None,
+        contact_termination: bool = True,
     ) -> None:
         points = np.asarray(waypoints, dtype=np.float64).reshape(-1, 3)[:, :2]
         self._corners = np.vstack([np.asarray(start, dtype=np.float64)[:2], points])
@@ -79,10 +83,16 @@ class Termination:
         self._strict = protocol == "strict"
         self._last_step = round(duration / control_period)
         self._control_period = control_period
+        self._contact_termination = contact_termination
         self._limits = Limits() if limits is None else limits
         to_first = float(np.linalg.norm(points[0] - self._corners[0]))
         whole = to_first + float(self._onward[0])
-        self._state = TerminationSnapshot(best_remaining=whole, best_step=0)
+        self._state = TerminationSnapshot(best_remaining=whole, best_step=0, contact_steps=0)
+
+    @property
+    def contact_seconds(self) -> float:
+        """Simulated time so far during which head or trunk collided, s."""
+        return self._state.contact_steps * self._control_period
 
     def check(self, world: World, progress: TrailProgress, step: int) -> Outcome | None:
         """Return how the trial ends now, or None if it goes on.
@@ -93,12 +103,15 @@ class Termination:
             step: control steps done, 1 after the first.
         """
         limits = self._limits
+        has_collided = world.monitored_force() > limits.monitored_force
+        if has_collided:
+            self._state = self._state._replace(contact_steps=self._state.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
         roll, pitch, _ = world.roll_pitch_yaw
         if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
             return "fell"
-        if world.monitored_force() > limits.monitored_force:
+        if has_collided and self._contact_termination:
             return "collided"
         if self._strict:
             position = world.trunk_position
@@ -128,7 +141,7 @@ class Termination:
         to_target = float(np.linalg.norm(progress.target[:2] - position))
         remaining = to_target + float(self._onward[progress.index])
         if remaining < self._state.best_remaining - self._limits.stuck_distance:
-            self._state = TerminationSnapshot(remaining, step)
+            self._state = self._state._replace(best_remaining=remaining, best_step=step)
         waited = (step - self._state.best_step) * self._control_period
         return waited >= self._limits.stuck_after
 

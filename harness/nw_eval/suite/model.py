@@ -63,10 +63,15 @@ Friction = Annotated[float, Field(gt=0.0, le=5.0)]
 
 
 class Episode(_Strict):
-    """How long one trial lasts."""
+    """What ends a trial, besides its last waypoint and a fall."""
 
     duration: float = Field(
         12.0, gt=0.0, le=600.0, description="Longest simulated time of a trial, s."
+    )
+    contact_termination: bool = Field(
+        True,
+        description="Whether a blow to head or trunk (10 N) ends a trial as collided; false only "
+        "counts its seconds.",
     )
 
 
@@ -175,8 +180,10 @@ class Suite(_Strict):
         keeps the earlier ones, and two policies meet the same ones.
         """
         said = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
-        # An axis that is not used is left out, so that new axes keep old digests.
+        # What is not used is left out, so that new axes and switches keep old digests.
         said["perturb"] = {axis: values for axis, values in said["perturb"].items() if values}
+        if said["episode"]["contact_termination"]:
+            del said["episode"]["contact_termination"]
         return digest_of(said)
 
     @property
