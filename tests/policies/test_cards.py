@@ -19,6 +19,10 @@ observations:
 """ % ("ab" * 32)
 
 
+NAME_ALL = "name every joint"
+GIVE = "give one value, one for each joint, or a mapping by name"
+
+
 def written(folder, text):
     path = folder / "policy.yaml"
     path.write_text(textwrap.dedent(text))
@@ -29,6 +33,34 @@ def problems_of(folder, text):
     with pytest.raises(PolicyError) as caught:
         load_card(written(folder, text))
     return str(caught.value).splitlines()
+
+
+def test_every_fault_of_joints_is_told_at_once_with_its_place(tmp_path):
+    text = MINIMAL.replace(
+        "control: {action: joint_position_offset, scale: 0.25}",
+        """\
+control:
+  action: joint_position_offset
+  scale: {hip: 0.1, thigh: 0.25}
+  default_pose: {F_thigh: 0.8, claf: -1.5}
+  kp: -35
+  kd: {hip: 1, calf: -2}
+  torque_limits: [20, 20]""",
+    )
+    file = tmp_path / "policy.yaml"
+    assert problems_of(tmp_path, text) == [
+        f"{file}:8:3: control.scale: no value for FR_calf, FL_calf, RR_calf, RL_calf; {NAME_ALL}",
+        f"{file}:9:18: control.default_pose: 'F_thigh' names no joint; did you mean 'FR_thigh'?",
+        f"{file}:9:32: control.default_pose: 'claf' names no joint; did you mean 'calf'?",
+        f"{file}:10:3: control.kp: -35 is negative; give 0 or more",
+        f"{file}:11:16: control.kd: -2 is negative; give 0 or more",
+        f"{file}:12:3: control.torque_limits: 2 values for 12 joints; {GIVE}",
+    ]
+
+
+def test_a_robot_that_nobody_knows_is_told_with_its_place(tmp_path):
+    (problem,) = problems_of(tmp_path, MINIMAL.replace("robot: go1", "robot: go3"))
+    assert ":3:1: robot: unknown robot 'go3'; did you mean 'go" in problem
 
 
 def test_a_card_of_eight_lines_is_enough(tmp_path):

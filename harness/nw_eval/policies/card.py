@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.policies.card_joints import joint_problems
 from nw_eval.policies.joints import PerJoint
 from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits
 from nw_eval.policies.observations import Observation, ProprioObservation
@@ -287,7 +288,10 @@ def load_card(path: Path) -> Card:
     except YamlProblems as error:
         raise PolicyError(str(error)) from None
     try:
-        return Card.model_validate(file.data)
+        card = Card.model_validate(file.data)
     except ValidationError as error:
         problems = validation_problems(error, file, Card)
         raise PolicyError("\n".join(str(problem) for problem in problems)) from None
+    if problems := joint_problems(card, file):
+        raise PolicyError("\n".join(str(problem) for problem in problems))
+    return card

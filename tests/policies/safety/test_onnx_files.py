@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import onnx
 import pytest
+import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.errors import PolicyError
@@ -21,6 +22,14 @@ def model(*, weight: TensorProto | None = None, nodes=()) -> bytes:
         [weight],
     )
     return helper.make_model(graph).SerializeToString()
+
+
+def test_other_formats_are_named(tmp_path):
+    torch.save({"w": torch.zeros(3)}, tmp_path / "policy.onnx")
+    with pytest.raises(PolicyError, match="not an ONNX file: it holds a state dict"):
+        check_onnx((tmp_path / "policy.onnx").read_bytes(), "policy.onnx")
+    with pytest.raises(PolicyError, match="a web page"):
+        check_onnx(b"<!doctype html><html>", "policy.onnx")
 
 
 def huge(**fields) -> TensorProto:

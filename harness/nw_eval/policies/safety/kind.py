@@ -11,6 +11,15 @@ from nw_eval.policies.safety.archive import ZIP_FAULTS
 
 FileKind = Literal["onnx", "state-dict", "torchscript", "torch-export", "safetensors", "unknown"]
 
+_SAID: dict[FileKind, str] = {
+    "onnx": "it is an ONNX graph",
+    "state-dict": "it holds a state dict or other plain objects",
+    "torchscript": "it is a TorchScript file",
+    "torch-export": "it is a torch.export file",
+    "safetensors": "it is a safetensors file",
+    "unknown": "its format is unknown",
+}
+
 _TEXTS = (b"<!doctype", b"<html", b"<?xml")
 
 
@@ -56,6 +65,11 @@ def file_kind(data: bytes, where: str) -> FileKind:
     if head[:1] == b"\x08" and len(head) > 2 and 1 <= head[1] <= 32:
         return "onnx"
     return "unknown"
+
+
+def kind_said(kind: FileKind) -> str:
+    """Return a kind as an error says it: "it is a TorchScript file"."""
+    return _SAID[kind]
 
 
 def _archive_kind(data: bytes, where: str) -> FileKind:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 
 from nw_eval.errors import PolicyError
+from nw_eval.policies.safety.kind import file_kind, kind_said
 from nw_eval.policies.safety.limits import Limits
 
 # Fields by number: where tensors are, and which messages hold them (ONNX's onnx.proto).
@@ -36,8 +37,8 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
         limits: bounds on number and size of tensors.
 
     Raises:
-        PolicyError: the file is damaged, a tensor's header asks for other memory than the file
-            holds numbers for, or its numbers lie in another file.
+        PolicyError: the file is of another kind or damaged, a tensor's header asks for other memory
+            than the file holds numbers for, or its numbers lie in another file.
     """
     limits = limits or Limits()
     if len(data) > limits.file_bytes:
@@ -45,6 +46,12 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
             f"{where}: the file has {len(data) / 2**20:.0f} MiB, over the limit of "
             f"{limits.file_bytes // 2**20}",
             fix="export the actor alone",
+        )
+    kind = file_kind(data, where)
+    if kind not in {"onnx", "unknown"}:
+        raise PolicyError(
+            f"{where}: not an ONNX file: {kind_said(kind)}",
+            fix="export the policy as ONNX, or change `adapter`",
         )
     count = 0
     try:

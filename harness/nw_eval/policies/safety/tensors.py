@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.archive import Archive, open_archive
-from nw_eval.policies.safety.kind import file_kind
+from nw_eval.policies.safety.kind import file_kind, kind_said
 from nw_eval.policies.safety.limits import Limits
 from nw_eval.policies.safety.objects import ITEM_BYTES, Record, TensorRef, read_objects
 from nw_eval.policies.safety.safetensors import read_header
@@ -74,7 +74,7 @@ def read_tensors(data: bytes, where: str, limits: Limits | None = None) -> dict[
         }
     if kind != "state-dict":
         raise PolicyError(
-            f"{where}: not a state dict: {_called(kind)}",
+            f"{where}: not a state dict: {kind_said(kind)}",
             fix="save one with torch.save(module.state_dict(), file), or change `adapter`",
         )
     archive, tree = _checked_tree(data, where, limits)
@@ -111,7 +111,7 @@ def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> 
     kind = file_kind(data, where)
     if kind != "torchscript":
         raise PolicyError(
-            f"{where}: not a TorchScript file: {_called(kind)}",
+            f"{where}: not a TorchScript file: {kind_said(kind)}",
             fix="save the module with torch.jit.save, or change `adapter`",
         )
     archive, tree = _checked_tree(data, where, limits)
@@ -217,14 +217,3 @@ def _tensor(raw: bytes, dtype: str) -> torch.Tensor:
     if not raw:
         return torch.empty(0, dtype=getattr(torch, dtype))
     return torch.frombuffer(bytearray(raw), dtype=getattr(torch, dtype))
-
-
-def _called(kind: str) -> str:
-    names = {
-        "onnx": "it is an ONNX graph",
-        "state-dict": "it holds a state dict or other plain objects",
-        "torchscript": "it is a TorchScript file",
-        "torch-export": "it is a torch.export file",
-        "safetensors": "it is a safetensors file",
-    }
-    return names.get(kind, "its format is unknown")

@@ -1,0 +1,89 @@
+"""What a card says about joints, against the robot that it names: every fault with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import PolicyError, Problem, nearest
+from nw_eval.policies.joints import PerJoint, joint_order, joint_values
+from nw_eval.robots import get_robot, robot_names
+
+if TYPE_CHECKING:
+    from nw_eval.policies.card import Card
+    from nw_eval.yaml_file import Location, YamlFile
+
+_NEVER_NEGATIVE = ("kp", "kd", "torque_limits", "armature", "friction_loss")
+_PER_JOINT = ("scale", "default_pose", *_NEVER_NEGATIVE)
+
+
+def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
+    """Return what is wrong with the robot, the joints and their values, in file order.
+
+    Args:
+        card: valid in itself.
+        file: that it was read from.
+    """
+    if card.robot not in robot_names():
+        known = nearest(card.robot, robot_names())
+        return [file.problem(("robot",), f"robot: unknown robot {card.robot!r}", known)]
+    own = get_robot(card.robot).joints
+    told: list[Problem | None] = []
+    joints = card.control.joints
+    if joints is not None:
+        order = _fault(file, ("control", "joints"), lambda: joint_order(joints, own))
+        if order is not None:
+            return [order]  # The values below are in that order.
+    for key in _PER_JOINT:
+        value: PerJoint | None = getattr(card.control, key)
+        if value is not None:
+            told += _value_problems(file, key, value, joints or own)
+    problems = [problem for problem in told if problem is not None]
+    return sorted(problems, key=lambda problem: (problem.line, problem.column))
+
+
+def _value_problems(
+    file: YamlFile, key: str, value: PerJoint, joints: Sequence[str]
+) -> list[Problem | None]:
+    place = ("control", key)
+    told: list[Problem | None] = []
+    # Where a mapping leaves joints out, the robot's own figures stand; a scale has none.
+    default = None if key == "scale" else [0.0] * len(joints)
+    if isinstance(value, dict):
+        for name in value:
+            alone = {name: value[name]}
+            told.append(
+                _fault(
+                    file,
+                    (*place, name),
+                    lambda one=alone: joint_values(one, joints, [0.0] * len(joints)),
+                )
+            )
+    if not any(told):
+        told.append(_fault(file, place, lambda: joint_values(value, joints, default)))
+    if key in _NEVER_NEGATIVE:
+        told += [
+            file.problem(where, f"control.{key}: {number:g} is negative", "give 0 or more")
+            for where, number in _numbers(value, place)
+            if number < 0.0
+        ]
+    return told
+
+
+def _numbers(value: PerJoint, place: Location) -> list[tuple[Location, float]]:
+    """Return every number with its place."""
+    if isinstance(value, dict):
+        return [((*place, name), number) for name, number in value.items()]
+    if isinstance(value, list):
+        return [((*place, index), number) for index, number in enumerate(value)]
+    return [(place, value)]
+
+
+def _fault(file: YamlFile, place: Location, resolve: Callable[[], object]) -> Problem | None:
+    """Return what `resolve` has to object, at a place of the file."""
+    try:
+        resolve()
+    except PolicyError as error:
+        key = ".".join(str(part) for part in place[:2])
+        return file.problem(place, f"{key}: {error}")
+    return None
