@@ -10,6 +10,7 @@ import torch
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.adapters import torchscript
+from nw_eval.sensors.check import check_bundle
 
 CARD = """\
 nw-policy: 1
@@ -36,6 +37,13 @@ def scripted(module):
     buffer = io.BytesIO()
     torch.jit.save(torch.jit.script(module), buffer)
     return buffer.getvalue()
+
+
+def test_a_size_that_the_file_does_not_declare_is_still_said_in_the_cards_terms(tmp_path):
+    bundle = bundle_of(tmp_path, scripted(torch.nn.Linear(45, 12)))
+    expected = r"`body` is 12 numbers; the checkpoint's first layer wants 45; .*`body` 12"
+    with pytest.raises(PolicyError, match=expected):
+        check_bundle(bundle)
 
 
 class Doubling(torch.nn.Module):

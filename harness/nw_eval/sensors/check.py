@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,12 @@ def check_bundle(
             policy.act({spec.name: np.zeros(spec.shape, spec.dtype) for spec in specs})
         except NwEvalError as error:
             sums = "; ".join(spec.reckoning for spec in specs)
+            if len(specs) == 1 and (wanted := _wanted_size(str(error), specs[0])) is not None:
+                raise PolicyError(
+                    f"{bundle.card_path}: `{specs[0].name}` is {specs[0].shape[0]} numbers; the "
+                    f"checkpoint's first layer wants {wanted}",
+                    fix=f"the card makes {sums}",
+                ) from None
             raise PolicyError(
                 f"{bundle.card_path}: on an observation of zeros, {error}",
                 fix=f"compare with what the card makes: {sums}",
@@ -126,6 +133,14 @@ def check_bundle(
     finally:
         policy.close()
     return specs
+
+
+def _wanted_size(text: str, given: ObservationSpec) -> int | None:
+    """Return how many numbers a checkpoint wants that declares none, if torch's error says it."""
+    clash = re.search(r"shapes cannot be multiplied \(1x(\d+) and (\d+)x\d+\)", text)
+    if clash is None or given.shape != (int(clash[1]),):
+        return None
+    return int(clash[2])
 
 
 def _observation_spec(name: str, observation: AnyObservation, made: Pipeline) -> ObservationSpec:
