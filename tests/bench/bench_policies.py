@@ -31,6 +31,7 @@ from onnx import TensorProto, helper, numpy_helper
 from nw_eval.policies import Policy, load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
+from nw_eval.policies.networks.onnx_graph import Graph
 from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor, ParkourExpert
 from nw_eval.policies.networks.parkour_student import DepthEncoder
 from nw_eval.policies.observations import ProprioObservation
@@ -257,9 +258,13 @@ def rows(folder: Path) -> list[Row]:
 def multiplication_rate() -> float:
     """Return how many millions of float32 multiply-adds a millisecond this machine does at best."""
     torch.set_num_threads(1)
-    a, b = torch.rand(768, 768), torch.rand(768, 768)
+    a = torch.rand(768, 768)
+    graph = Graph()
+    product = graph.node("MatMul", graph.input("x", 768, 768), graph.constant(a.numpy()))
+    session = graph.open(product, 768, 768)
     with torch.inference_mode():
-        return 768**3 / 1e6 / least(lambda: a @ b)
+        costs = least(lambda: a @ a), least(lambda: session.run(None, {"x": a.numpy()}))
+    return 768**3 / 1e6 / min(costs)
 
 
 class Timed:
@@ -353,7 +358,7 @@ def test_policy_steps_are_as_fast_as_promised():
     measured = table()
     assert measured["expert, ONNX"] <= TARGETS["expert, ONNX"]
     # 1.3 GFLOP: 6 ms need a core of 220 GFLOP/s. On any core, the arithmetic must dominate.
-    limit = max(TARGETS["LucidSim transformer"], 2.5 * measured["floor"])
+    limit = max(TARGETS["LucidSim transformer"], 1.5 * measured["floor"])
     assert measured["LucidSim transformer"] <= limit
     # Wall time, on a machine that may be busy with something else.
     assert measured["go1-parkour without scandots"] <= 3 * PATH_TARGET

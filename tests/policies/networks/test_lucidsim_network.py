@@ -114,6 +114,12 @@ def block(x, w):
     return attention + (silu * up) @ w["ff_out.2.weight"].T
 
 
+def run(weights: dict[str, torch.Tensor], proprio, frames):
+    """The network's action for proprio (7, 53) and frames (7, 3, 45, 80)."""
+    session = build(LucidSimTransformer, weights, "w.pt", unused=("yaw",)).open()
+    return session.run(None, {"proprio": np.float32(proprio), "frames": np.float32(frames)})[0][0]
+
+
 def save_bundle(folder: Path, tensors: dict[str, torch.Tensor]) -> Path:
     torch.save(tensors, folder / "hurdle.pt")
     digest = hashlib.sha256((folder / "hurdle.pt").read_bytes()).hexdigest()
@@ -137,12 +143,27 @@ def test_forward_pass_agrees_with_numpy(seed):
     weights = random_weights(seed)
     rng = np.random.default_rng(100 + seed)
     proprio, frames = rng.normal(size=(7, 53)), rng.uniform(-0.5, 0.5, (7, 3, 45, 80))
-    network = build(LucidSimTransformer, weights, "w.pt", unused=("yaw",))
-    with torch.inference_mode():
-        action = network(torch.tensor(proprio[None]).float(), torch.tensor(frames[None]).float())
     expected = forward(weights, proprio, frames)
     assert np.abs(expected).max() > 0.05
-    np.testing.assert_allclose(action[0].numpy(), expected, atol=1e-5, rtol=1e-5)
+    np.testing.assert_allclose(run(weights, proprio, frames), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_an_action_has_the_same_bits_after_other_observations_and_in_another_session():
+    weights = random_weights()
+    rng = np.random.default_rng(7)
+    steps = [
+        {
+            "proprio": rng.normal(size=(7, 53)).astype(np.float32),
+            "frames": rng.uniform(-0.5, 0.5, (7, 3, 45, 80)).astype(np.float32),
+        }
+        for _ in range(3)
+    ]
+    network = build(LucidSimTransformer, weights, "w.pt")
+    session = network.open()
+    actions = [session.run(None, step)[0] for step in steps]
+    assert not np.array_equal(actions[0], actions[2])
+    np.testing.assert_array_equal(session.run(None, steps[0])[0], actions[0])
+    np.testing.assert_array_equal(network.open().run(None, steps[2])[0], actions[2])
 
 
 def test_yaw_keys_may_be_missing_or_of_another_shape():
@@ -152,13 +173,10 @@ def test_yaw_keys_may_be_missing_or_of_another_shape():
         "yaw_proj.6.weight": torch.zeros(3, 16),
         "yaw_proj.8.bias": torch.zeros(1),
     }
-    inputs = torch.zeros(1, 7, 53), torch.zeros(1, 7, 3, 45, 80)
-    actions = [
-        build(LucidSimTransformer, w, "w.pt", unused=("yaw",))(*inputs)
-        for w in (weights, without, reshaped)
-    ]
-    assert torch.equal(actions[0], actions[1])
-    assert torch.equal(actions[0], actions[2])
+    inputs = np.zeros((7, 53)), np.zeros((7, 3, 45, 80))
+    actions = [run(w, *inputs) for w in (weights, without, reshaped)]
+    np.testing.assert_array_equal(actions[0], actions[1])
+    np.testing.assert_array_equal(actions[0], actions[2])
 
 
 def test_missing_unknown_and_misshapen_weights_are_one_error():

@@ -1,0 +1,101 @@
+"""Writes ONNX graphs of weights at hand, for onnxruntime to run.
+
+An ONNX file is a protobuf message: fields of a number, a wire type and a value, some of which are
+messages again. A graph needs few of them, so they are written here without the onnx package.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+MICROSOFT = "com.microsoft"
+"""The domain of the operators that onnxruntime adds to the standard."""
+_OPSETS = {"": 17, MICROSOFT: 1}
+_IR_VERSION = 8
+_TYPES = {"float32": 1, "int64": 7}
+_INT, _INTS = 2, 7
+
+
+class Graph:
+    """Inputs, constants and operators; each gives the name by which later operators refer to it.
+
+    The numbers of fields are those of ONNX's onnx.proto.
+    """
+
+    def __init__(self) -> None:
+        self._fields: list[bytes] = []
+
+    def input(self, name: str, *shape: int) -> str:
+        """Add a float32 input."""
+        self._fields.append(_field(11, _value(name, shape)))
+        return name
+
+    def constant(self, numbers: NDArray[Any] | list[int]) -> str:
+        """Add numbers, float32 or int64."""
+        array = np.asarray(numbers)
+        sizes = b"".join(_field(1, size) for size in array.shape)
+        name = self._new_name()
+        kind = _field(2, _TYPES[array.dtype.name])
+        self._fields.append(_field(5, sizes + kind + _field(8, name) + _field(9, array.tobytes())))
+        return name
+
+    def node(
+        self, operator: str, *inputs: str, domain: str = "", **attributes: int | list[int]
+    ) -> str:
+        """Add an operator with one output."""
+        name = self._new_name()
+        parts = [_field(1, source) for source in inputs]
+        parts += [_field(2, name), _field(4, operator), _field(7, domain)]
+        parts += [_field(5, _attribute(key, value)) for key, value in attributes.items()]
+        self._fields.append(_field(1, b"".join(parts)))
+        return name
+
+    def model(self, output: str, *shape: int) -> bytes:
+        """Return the file of the graph that computes this one float32 output."""
+        graph = [*self._fields, _field(2, "graph"), _field(12, _value(output, shape))]
+        versions = [_field(1, domain) + _field(2, number) for domain, number in _OPSETS.items()]
+        model = [_field(1, _IR_VERSION), _field(7, b"".join(graph))]
+        return b"".join([*model, *(_field(8, version) for version in versions)])
+
+    def open(self, output: str, *shape: int) -> ort.InferenceSession:
+        """Return a session that runs the graph on one thread."""
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # What is wrong is raised; a warning would only be noise.
+        model = self.model(output, *shape)
+        return ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def _new_name(self) -> str:
+        return f"v{len(self._fields)}"
+
+
+def _value(name: str, shape: tuple[int, ...]) -> bytes:
+    sizes = _field(2, b"".join(_field(1, _field(1, size)) for size in shape))
+    return _field(1, name) + _field(2, _field(1, _field(1, _TYPES["float32"]) + sizes))
+
+
+def _attribute(name: str, value: int | list[int]) -> bytes:
+    if isinstance(value, int):
+        return _field(1, name) + _field(3, value) + _field(20, _INT)
+    return _field(1, name) + b"".join(_field(8, item) for item in value) + _field(20, _INTS)
+
+
+def _field(number: int, value: int | str | bytes) -> bytes:
+    if isinstance(value, int):
+        return _varint(number << 3) + _varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return _varint(number << 3 | 2) + _varint(len(data)) + data
+
+
+def _varint(value: int) -> bytes:
+    value &= 2**64 - 1
+    groups = bytearray()
+    while value > 0x7F:
+        groups.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*groups, value])
