@@ -65,22 +65,21 @@ class JointControl:
         Args:
             action: raw action in the policy's order, (12,).
         """
-        # Twelve plain numbers take a third of the time of four NumPy calls.
+        # Right after a network has run, twelve plain numbers cost 4 us and NumPy's calls 6.
         own: list[float] = action.tolist()
-        if self._is_limited:
-            low, high = self.low, self.high
-            own = [min(max(value, low), high) for value in own]
-        return np.array([base + scale * own[place] for base, scale, place in self._rows])
+        low, high = self.low, self.high
+        return np.array(
+            [
+                base + scale * (x if low <= (x := own[i]) <= high else min(max(x, low), high))
+                for base, scale, i in self._rows
+            ]
+        )
 
     @cached_property
     def _rows(self) -> list[tuple[float, float, int]]:
         """Base, scale, and place in an action of each joint, in the robot's order."""
         places = np.argsort(self.order)
         return [(float(self.base[i]), float(self.scale[i]), int(i)) for i in places]
-
-    @cached_property
-    def _is_limited(self) -> bool:
-        return self.low > -np.inf or self.high < np.inf
 
 
 class ActionDelay:

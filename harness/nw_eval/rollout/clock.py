@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from time import perf_counter, thread_time
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 from nw_eval.rollout.result import StageSeconds
 
@@ -22,20 +22,17 @@ class StageClock:
         self._cpu: dict[Stage, float] = dict.fromkeys(stages, 0.0)
         self._running: list[Stage] = []
         self._began = (perf_counter(), thread_time())
-        # Entered several times in each control step, so they are made once.
-        self._blocks = {stage: _Block(self, stage) for stage in stages}
 
-    def __call__(self, stage: Stage) -> _Block:
-        """Credit the time inside the `with` block to a stage."""
-        return self._blocks[stage]
-
-    def begin(self, stage: Stage) -> None:
-        """Credit the time from now on to a stage."""
+    def __call__(self, stage: Stage) -> Self:
+        """Credit the time from now to the end of the `with` block to a stage."""
         self._turn()
         self._running.append(stage)
+        return self
 
-    def end(self) -> None:
-        """Credit the time from now on to the stage before."""
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
         self._turn()
         self._running.pop()
 
@@ -57,17 +54,3 @@ class StageClock:
             self._wall[stage] += now[0] - self._began[0]
             self._cpu[stage] += now[1] - self._began[1]
         self._began = now
-
-
-class _Block:
-    """A `with` block of a stage; it keeps nothing, so blocks of one stage may nest."""
-
-    def __init__(self, clock: StageClock, stage: Stage) -> None:
-        self._clock = clock
-        self._stage: Stage = stage
-
-    def __enter__(self) -> None:
-        self._clock.begin(self._stage)
-
-    def __exit__(self, *_: object) -> None:
-        self._clock.end()

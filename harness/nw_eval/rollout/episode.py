@@ -9,9 +9,8 @@ A policy that acts at less than 50 Hz is asked at every `hold`-th step, and its 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +64,7 @@ class policy_at_fault:  # noqa: N801 - it reads like a function, and costs less 
         ) from error
 
 
-@dataclass(frozen=True, kw_only=True)
-class Decision:
+class Decision(NamedTuple):
     """What the policy saw and said at one control step, and what is applied in it."""
 
     observation: Mapping[str, NDArray[Any]]

@@ -32,11 +32,11 @@ class RayScene:
         walkable = (normal[:, 2] > 0) & (mesh.kinds != FACE_KINDS.index("overhead"))
         faces = np.flatnonzero(walkable)
         self._ground = _embree(mesh.vertices, mesh.faces[faces])
-        # Corner and normal of each of them, a row for each coordinate. The last column is that of
-        # a miss, which has index -1: infinitely deep.
+        # Corner and normal of each of them, a row for each face. The last row is that of a miss,
+        # which has index -1: infinitely deep.
         planes = np.concatenate([corners[faces, 0], normal[faces]], axis=1)
         nowhere = [[0.0, 0.0, -np.inf, 0.0, 0.0, 1.0]]
-        self._planes = np.concatenate([planes, nowhere]).T.copy()
+        self._planes = np.concatenate([planes, nowhere])
 
     def cast(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
@@ -80,7 +80,7 @@ class RayScene:
             (N,) float64 metres, -inf where there is nothing below.
         """
         count = len(xy)
-        if count == 0 or self._planes.shape[1] == 1:
+        if count == 0 or len(self._planes) == 1:
             return np.full(count, -np.inf)
         origins = np.empty((count, 3), dtype=np.float32)
         origins[:, :2] = xy
@@ -89,12 +89,11 @@ class RayScene:
         down[:, 2] = -1.0
         hit = self._ground.run(origins, down)
         # The plane's own equation in float64: 50 m of float32 distance would cost micrometres.
-        x, y, z, nx, ny, nz = (column.take(hit) for column in self._planes)
+        x, y, z, nx, ny, nz = self._planes.take(hit, axis=0).T
         rise = (xy[:, 0] - x) * nx
         rise += (xy[:, 1] - y) * ny
         rise /= nz
-        z -= rise
-        return z
+        return z - rise
 
 
 def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:

@@ -68,54 +68,49 @@ class HistoryStack:
         earlier = history.steps - history.current
         self._spoils = spoils and earlier <= _PUBLISHED_FRAMES
         # Frames before the present one, oldest first, whatever the order of the output.
-        self._frames: Frame | None = None
+        self._frames: list[Frame] = []
 
     def __call__(self, sample: Frame, shot: Shot) -> Frame:
         """Add the present frame and return the stack, (n,) float32."""
         history = self._history
-        frame = sample if self._keep is None else sample[self._keep]
+        # In memory of its own: it is kept, and the sample is seen by others.
+        frame = sample.copy() if self._keep is None else sample[self._keep]
         past = frame
         if self._zero is not None:
             past = frame.copy()
             past[self._zero] = 0.0
         frames = self._frames
-        if frames is None:
+        if not frames:
             filler = past if history.start == "repeat" else np.zeros_like(past)
-            frames = np.repeat(filler[np.newaxis], history.steps, axis=0)
-        shown = frames
-        if history.current:
-            shown = np.concatenate([frames[1:], frame[np.newaxis]])
-        self._frames = np.concatenate([frames[1:], past[np.newaxis]])
+            frames = [filler] * history.steps
+        shown = [*frames[1:], frame] if history.current else frames
+        self._frames = [*frames[1:], past]
         if self._spoils and shot.step <= _SPOILT_STEPS:
             shown = self._spoilt(sample)
         if history.order == "newest_first":
             shown = shown[::-1]
         if history.by == "term":
-            return np.concatenate([shown[:, term].ravel() for term in self._terms])
-        return shown.ravel()
+            return np.concatenate([frame[term] for term in self._terms for frame in shown])
+        return np.concatenate(shown)
 
     def reset(self, rng: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random.
         """Forget all frames."""
-        self._frames = None
+        self._frames = []
 
     def memory(self) -> Memory:
         """Return the earlier frames."""
-        return {} if self._frames is None else {"frames": self._frames}
+        return {"frames": np.stack(self._frames)} if self._frames else {}
 
     def remember(self, memory: Memory) -> None:
         """Go back to earlier frames."""
-        self._frames = memory.get("frames")
+        self._frames = list(memory.get("frames", ()))
 
-    def _spoilt(self, frame: Frame) -> Frame:
-        """Return frames of the published first observation, (steps, n), oldest first."""
-        whole = spoilt_frames(frame)
-        present, past = whole[:1], whole[1:]
-        count = self._history.steps
-        if self._history.current:
-            shown = np.concatenate([past[len(past) - (count - 1) :], present])
-        else:
-            shown = past[len(past) - count :]
-        return shown if self._keep is None else shown[:, self._keep]
+    def _spoilt(self, frame: Frame) -> list[Frame]:
+        """Return frames of the published first observation, oldest first."""
+        present, *past = spoilt_frames(frame)
+        shown = [*past, present] if self._history.current else past
+        shown = shown[len(shown) - self._history.steps :]
+        return shown if self._keep is None else [frame[self._keep] for frame in shown]
 
 
 def spoilt_frames(frame: Frame) -> Frame:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,8 +19,8 @@ Array = NDArray[np.float64]
 class Moment:
     """One instant of a trial: after a control step, after the trail's update for it.
 
-    The rollout makes one for each control step and shows it to every sensor; what several of them
-    need is computed once.
+    The rollout makes one for each control step and shows it to every sensor; what nearly all of
+    them need is computed once, at the start.
     """
 
     world: World
@@ -32,39 +31,34 @@ class Moment:
     """(12,) the raw action of the last control step, in the policy's order; zeros first."""
     last_output: Action
     """(12,) what the policy returned last, before any delay; zeros first."""
+    position: Array = field(init=False)
+    """Trunk origin in the world, (3,) m."""
+    roll_pitch_yaw: tuple[float, float, float] = field(init=False)
+    """Euler angles of the trunk, rad; as `World.roll_pitch_yaw`, on plain numbers for speed."""
+    shared: dict[str, NDArray[Any]] = field(default_factory=dict, init=False)
+    """What one sensor has worked out and another one can use, by a key of their own."""
 
-    @cached_property
-    def rotation(self) -> Array:
-        """R_world_trunk, (3, 3)."""
-        return self.world.trunk_rotation
-
-    @cached_property
-    def position(self) -> Array:
-        """Trunk origin in the world, (3,) m."""
-        return self.world.trunk_position
-
-    @cached_property
-    def roll_pitch_yaw(self) -> tuple[float, float, float]:
-        """Euler angles of the trunk, rad; as `World.roll_pitch_yaw`, on plain numbers for speed."""
+    def __post_init__(self) -> None:
+        self.position = self.world.trunk_position
         w, x, y, z = self.world.trunk_quat.tolist()
-        return (
+        self.roll_pitch_yaw = (
             math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
             math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
             math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
         )
 
-    @cached_property
+    @property
+    def rotation(self) -> Array:
+        """R_world_trunk, (3, 3)."""
+        return self.world.trunk_rotation
+
+    @property
     def delta_yaw(self) -> float:
         """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
         goal_x, goal_y, _ = self.progress.target.tolist()
         x, y, _ = self.position.tolist()
         bearing = math.atan2(goal_y - y, goal_x - x)
         return (bearing - self.roll_pitch_yaw[2] + math.pi) % (2.0 * math.pi) - math.pi
-
-    @cached_property
-    def shared(self) -> dict[str, NDArray[Any]]:
-        """What one sensor has worked out and another one can use, by a key of their own."""
-        return {}
 
 
 class Sensor(Protocol):
