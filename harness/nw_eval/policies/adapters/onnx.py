@@ -13,6 +13,7 @@ from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.networks.memory import pack, unfitting, unpack
+from nw_eval.policies.onnx_session import open_session
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.recurrence import state_pairs
 from nw_eval.policies.safety import check_onnx
@@ -129,15 +130,10 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
 
 
 def _open(bundle: Bundle) -> ort.InferenceSession:
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # What is wrong is raised; a warning would only be noise.
     data = bundle.read_checkpoint()
     check_onnx(data, str(bundle.checkpoint))
     try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        return open_session(data)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
         raise PolicyError(
             f"{bundle.checkpoint}: not a usable ONNX file: {_reason(error)}",

@@ -12,6 +12,8 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from nw_eval.policies.onnx_session import open_session
+
 MICROSOFT = "com.microsoft"
 """The domain of the operators that onnxruntime adds to the standard."""
 _OPSETS = {"": 17, MICROSOFT: 1}
@@ -62,13 +64,8 @@ class Graph:
         return b"".join([*model, *(_field(8, version) for version in versions)])
 
     def open(self, output: str, *shape: int) -> ort.InferenceSession:
-        """Return a session that runs the graph on one thread."""
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # What is wrong is raised; a warning would only be noise.
-        model = self.model(output, *shape)
-        return ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        """Return a session that runs the graph."""
+        return open_session(self.model(output, *shape))
 
     def _new_name(self) -> str:
         return f"v{len(self._fields)}"
