@@ -9,10 +9,11 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from nw_eval.arrays import pack
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
-from nw_eval.policies.networks.memory import pack, unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.onnx_session import open_session
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.recurrence import state_pairs

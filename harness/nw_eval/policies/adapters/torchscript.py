@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from nw_eval.arrays import pack
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.adapters.script_state import (
     read_state,
@@ -20,7 +21,7 @@ from nw_eval.policies.adapters.script_state import (
 )
 from nw_eval.policies.bundle import SIZE_LIMIT, Bundle
 from nw_eval.policies.inputs import InputAssembler
-from nw_eval.policies.networks.memory import pack, unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.safety import check_torchscript
 

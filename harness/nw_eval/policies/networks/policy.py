@@ -9,10 +9,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nw_eval.arrays import pack
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
-from nw_eval.policies.networks.memory import pack, unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.safety import read_tensors
 
