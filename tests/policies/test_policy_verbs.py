@@ -27,13 +27,17 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
     monkeypatch.chdir(tmp_path)
     lines = api.list_policies().splitlines()
     assert [line.split()[0] for line in lines] == [
+        "examples/act-go1",
         "examples/himloco-go2",
+        "examples/lucidsim-go1",
+        "examples/parkour-expert-go1",
+        "examples/parkour-student-go1",
         "examples/playground-go1",
         "go1-parkour",
         "mine",
         "stand",
     ]
-    assert "is missing" in lines[3]
+    assert "is missing" in lines[7]
 
 
 def test_a_card_is_shown_without_its_weights():
@@ -41,7 +45,7 @@ def test_a_card_is_shown_without_its_weights():
     assert "the checkpoint is missing" in shown
     assert re.search(r"command +18 \(6 frames\) +x \[2, 2, 0\.25\] +50 Hz", shown)
     assert "`obs` 270 = 6 x (3 + 3 + 3 + 12 + 12 + 12)" in shown
-    assert re.search(r"RL_thigh +1 +0\.25 +40 +1 +33\.5", shown)
+    assert re.search(r"RL_thigh +1 +0\.25 +35 +1 +33\.5", shown)
 
 
 def test_the_terms_of_a_frame_with_parts_left_out_are_counted_right():

@@ -9,7 +9,14 @@ from __future__ import annotations
 from nw_eval.api.message import Message, write_text
 from nw_eval.api.places import check_scenes, list_scenes, render_scenes, show_scene, warmup
 from nw_eval.api.plans import Plan, check, plan
-from nw_eval.api.policies import check_policy, init_policy, list_policies, schema, show_policy
+from nw_eval.api.policies import (
+    check_policy,
+    init_policy,
+    list_policies,
+    schema,
+    serve_policy,
+    show_policy,
+)
 from nw_eval.api.reports import RunReport, report
 from nw_eval.api.runs import replay, run
 from nw_eval.api.senses import draw_sensors, list_sensors
@@ -33,6 +40,7 @@ __all__ = [
     "report",
     "run",
     "schema",
+    "serve_policy",
     "show_policy",
     "show_scene",
     "splat_convert",

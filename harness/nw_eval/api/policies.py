@@ -1,8 +1,10 @@
-"""Policies and their cards: listed, explained, tried for a second, drafted."""
+"""Policies and their cards: listed, explained, tried for a second, drafted, served."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -37,6 +39,8 @@ def check_policy(
     allow_code: bool = False,
 ) -> Message:
     """Run a policy for one second and say what is odd; exit code 2 if something is wrong.
+
+    A policy that follows a velocity command is also commanded ahead, sideways and in turns.
 
     Args:
         policy: a bundle's name, folder or card.
@@ -77,6 +81,37 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
     text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot))
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
+
+
+@contextmanager
+def serve_policy(
+    policy: str,
+    *,
+    checkpoint: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+    allow_code: bool = False,
+) -> Generator[str]:
+    """Serve a policy over a websocket, for `adapter: remote`, and give a line that says where.
+
+    Args:
+        policy: a bundle's name, folder or card.
+        checkpoint: weights to use with the card.
+        host: address to listen on; whoever reaches it can use the policy.
+        port: 0 for a free one.
+        allow_code: whether Python code that the card names may be imported.
+
+    Raises:
+        PolicyError: the policy cannot be opened.
+        UsageError: the address is taken or is not this machine's.
+        PrerequisiteError: websockets is not installed.
+    """
+    from nw_eval.policies import load_bundle
+    from nw_eval.policies.serve import serving
+
+    bundle = load_bundle(policy, checkpoint=checkpoint)
+    with serving(bundle, host=host, port=port, allow_code=allow_code) as address:
+        yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
 
 
 def schema(kind: Literal["suite", "policy"]) -> str:

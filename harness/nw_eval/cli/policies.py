@@ -1,7 +1,9 @@
-"""`nw-eval policies`: which there are, what a card says, whether it is right, and a first one."""
+"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a server."""
 
 from __future__ import annotations
 
+import signal
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -40,7 +42,8 @@ class Show:
 class Check:
     """Run a policy for one second: range of every term, dead inputs, NaN, wrong signs and orders.
 
-    Says PASS, or what is wrong (exit code 2).
+    Where it follows a velocity command, it is also commanded ahead, sideways and in turns. Says
+    PASS, or what is wrong and what the card should say (exit code 2).
     """
 
     policy: tyro.conf.Positional[str]
@@ -85,14 +88,49 @@ class Init:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Serve:
+    """Serve a policy over a websocket, for `adapter: remote`, until SIGINT or SIGTERM."""
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, or a card."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
+    host: str = "127.0.0.1"
+    """Address to listen on; whoever reaches it can use the policy."""
+    port: int = 8765
+    """Port to listen on; 0 chooses a free one."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        stop = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Said outright: a shell starts its background jobs with SIGINT ignored.
+            signal.signal(number, lambda *_: stop.set())
+        with api.serve_policy(
+            self.policy,
+            checkpoint=self.checkpoint,
+            host=self.host,
+            port=self.port,
+            allow_code=self.allow_code,
+        ) as where:
+            print(where, flush=True)
+            stop.wait()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Policies:
-    """List policies, show their cards, check them in a second of physics, or draft a card."""
+    """List policies, show their cards, check them in physics, draft a card, or serve a policy."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Init, tyro.conf.subcommand("init")]
+        | Annotated[Serve, tyro.conf.subcommand("serve")]
     )
 
     def __call__(self) -> int:

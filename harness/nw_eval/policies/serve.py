@@ -1,4 +1,4 @@
-"""Serves a bundle to remote policies: `python -m nw_eval.policies.serve BUNDLE`.
+"""Serves a bundle to remote policies; `nw-eval policies serve` does it on the command line.
 
 It is the reference for servers in other stacks: `wire` says what is exchanged. Whoever can connect
 can use the policy, so it listens on this machine only unless told otherwise.
@@ -6,19 +6,15 @@ can use the policy, so it listens on this machine only unless told otherwise.
 
 from __future__ import annotations
 
-import signal
-import sys
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import tyro
-
 from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
 from nw_eval.policies.adapters import open_policy
-from nw_eval.policies.bundle import Bundle, load_bundle
+from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, decode, encode
 from nw_eval.robots import get_robot
@@ -120,42 +116,3 @@ def answer(policy: Policy, data: bytes | str) -> dict[str, Any]:
 
 def _done(_: None) -> dict[str, Any]:
     return {"done": True}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Serve:
-    """Serve a policy bundle over a websocket, for `adapter: remote`."""
-
-    bundle: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, or a card."""
-    host: str = "127.0.0.1"
-    """Address to listen on; whoever reaches it can use the policy."""
-    port: int = 8765
-    """Port to listen on; 0 chooses a free one."""
-    allow_code: bool = False
-    """Let the bundle import and run Python code."""
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Serve until SIGINT or SIGTERM; return the exit code."""
-    options = tyro.cli(Serve, args=arguments)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Said outright: a shell starts its background jobs with SIGINT ignored.
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        bundle = load_bundle(options.bundle)
-        with serving(
-            bundle, host=options.host, port=options.port, allow_code=options.allow_code
-        ) as address:
-            text = f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
-            print(text, flush=True)  # noqa: T201 - this is a command.
-            stop.wait()
-    except NwEvalError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - this is a command.
-        return error.exit_code
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -300,7 +300,8 @@ def test_an_array_that_claims_100_gb_takes_no_memory():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_serves_until_it_is_interrupted(local, tmp_path, number):
-    command = [sys.executable, "-m", "nw_eval.policies.serve", str(local.folder), "--port", "0"]
+    served = ["-c", "from nw_eval.cli import main; main()", "policies", "serve"]
+    command = [sys.executable, *served, str(local.folder), "--port", "0"]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ.copy()
     )
@@ -318,7 +319,7 @@ def test_the_command_serves_until_it_is_interrupted(local, tmp_path, number):
         process.kill()
         process.wait()
     missing = subprocess.run(
-        [*command[:3], "no-such-policy"], capture_output=True, text=True, check=False
+        [*command[:5], "no-such-policy"], capture_output=True, text=True, check=False
     )
     assert missing.returncode == 2
     assert "unknown policy 'no-such-policy'" in missing.stderr

@@ -3,7 +3,11 @@
 parts       which numbers of an observation come from which term
 recording   what happened in that second
 findings    what is wrong with it, in words
-orders      the same second with other joint orders
+following   whether the policy does what it is commanded
+hypotheses  what else the card might have meant
+joint_signs other signs and scales of joints
+search      which of these mends it
+written     a change of a card as the lines to write
 report      the table that `nw-eval policies check` prints
 summary     what `nw-eval policies show` prints
 """

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from nw_eval.policies import Card
 from nw_eval.policies.joints import short_name
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.probe.hypotheses import STUMBLES
+from nw_eval.rollout.probe.following import Followed
 from nw_eval.rollout.probe.parts import Part
-from nw_eval.rollout.probe.recording import Recording
+from nw_eval.rollout.probe.recording import STUMBLES, Recording
 
 Array = NDArray[np.float64]
 
@@ -129,6 +129,17 @@ def body_findings(recording: Recording) -> list[Finding]:
     if tilt > STUMBLES:
         return [Finding(kind="fault", text=f"it leans by {tilt:.2f} rad on the way")]
     return []
+
+
+def command_findings(missed: list[Followed]) -> list[Finding]:
+    """Return which commands are not followed; a fault where trials command it."""
+    found: list[Finding] = []
+    for one in missed:
+        direction, asked, reached = one.words
+        text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:.0%})"
+        text += "; mind `control.scale` and the `scale` of `command`"
+        found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
+    return found
 
 
 def _against(robot: RobotSpec, recording: Recording) -> list[Finding]:

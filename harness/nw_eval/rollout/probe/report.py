@@ -15,12 +15,14 @@ from nw_eval.rollout.probe.findings import (
     Range,
     action_findings,
     body_findings,
+    command_findings,
     measure,
     observation_findings,
 )
-from nw_eval.rollout.probe.hypotheses import better_card, stumbles
+from nw_eval.rollout.probe.following import Followed, follow, motions
 from nw_eval.rollout.probe.parts import parts_of
-from nw_eval.rollout.probe.recording import Recording, ThisBundle, record
+from nw_eval.rollout.probe.recording import Recording, Stage
+from nw_eval.rollout.probe.search import better_card
 from nw_eval.sensors import check_bundle
 
 FLAT = "flat/carpet_room"
@@ -60,19 +62,26 @@ def _probe(
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     robot = get_robot(bundle.card.robot)
     specs = check_bundle(bundle, robot, allow_code=allow_code)
-    library = ThisBundle(bundle)
-    recording = record(bundle, scene=scene, seconds=SECONDS, allow_code=allow_code, library=library)
+    stage = Stage(bundle, scene=scene, allow_code=allow_code)
+    recording = stage.record(bundle.card, seconds=SECONDS)
     ranges = [measure(part, recording) for part in parts_of(bundle.card, robot, specs)]
     findings = [
         *observation_findings(ranges, recording),
         *action_findings(bundle.card, robot, recording),
         *body_findings(recording),
     ]
-    if stumbles(recording) and scene == FLAT:
-        better = better_card(bundle, robot, scene=scene, allow_code=allow_code, library=library)
-        if better is not None:
-            text = f"it walks with {better.words}: compare the card with the training"
-            findings.append(Finding(kind="fault", text=text))
+    followed: list[Followed] = []
+    if scene == FLAT:
+        if not recording.stumbles:
+            followed = list(follow(stage, bundle.card, motions(bundle.card)))
+        missed = [one for one in followed if one.is_missed]
+        findings += command_findings(missed)
+        if recording.stumbles or missed:
+            better = better_card(stage, robot, missed)
+            if better is not None:
+                verb = "follows" if missed else "walks"
+                text = f"it {verb} {better.advice(bundle.card)}"
+                findings.append(Finding(kind="fault", text=text))
     faults = sum(finding.kind == "fault" for finding in findings)
     lines = [
         f"{bundle.name}: {recording.seconds:.2f} s in {scene}, {recording.travelled:.2f} m",
@@ -81,6 +90,7 @@ def _probe(
         "",
         *action_table(bundle.card, robot, recording),
         "",
+        *command_table(followed),
         *(f"{finding.kind}: {finding.text}" for finding in findings),
         "PASS" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
     ]
@@ -131,6 +141,15 @@ def action_table(card: Card, robot: RobotSpec, recording: Recording) -> list[str
             )
         )
     return aligned(rows, right={1, 2, 3, 4, 5, 6})
+
+
+def command_table(followed: list[Followed]) -> list[str]:
+    """Return a line for each command, with a heading and an empty line behind; none for none."""
+    if not followed:
+        return []
+    rows: list[tuple[str, ...]] = [("command", "asked", "reached", "share")]
+    rows += [(*one.words, f"{one.ratio:.2f}") for one in followed]
+    return [*aligned(rows, right={3}), ""]
 
 
 def aligned(rows: list[tuple[str, ...]], *, right: set[int]) -> list[str]:

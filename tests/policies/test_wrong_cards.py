@@ -1,0 +1,271 @@
+"""`nw-eval policies check` names what is wrong with a card, in lines that mend it."""
+
+import os
+import re
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import helper, numpy_helper
+from ruamel.yaml import YAML
+
+from nw_eval import api
+from nw_eval.errors import UsageError
+from nw_eval.policies import Card, load_card
+from nw_eval.policies.joints import joint_values
+from nw_eval.robots import get_robot
+from nw_eval.rollout.probe.following import motions
+from nw_eval.rollout.probe.joint_signs import turned_cards
+from nw_eval.rollout.probe.written import changed_lines, flow, per_joint
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+EXAMPLES = REPOSITORY / "policies" / "examples"
+ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))
+WEIGHTS = {
+    "himloco-go2": ASSETS / "policies" / "himloco-go2" / "himloco.pt",
+    "playground-go1": ASSETS / "policies" / "playground-go1" / "go1_policy.onnx",
+}
+needs_assets = pytest.mark.skipif(
+    not all(path.is_file() for path in WEIGHTS.values()), reason=f"no weights at {ASSETS}"
+)
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+HIPS, RIGHT_HIPS, LEGS_DOWN = r"_hip", r"^.R_hip", r"_thigh|_calf"
+ROBOT_ORDER = [
+    f"{leg}_{kind}" for leg in ("FR", "FL", "RR", "RL") for kind in ("hip", "thigh", "calf")
+]
+SCALE = {"himloco-go2": 0.25, "playground-go1": 0.5}
+
+
+def example(name):
+    """The card of an example, as plain values."""
+    return YAML(typ="safe", pure=True).load((EXAMPLES / name / "policy.yaml").read_text())
+
+
+def check(folder, card, weights):
+    folder.mkdir(exist_ok=True)
+    text = StringIO()
+    YAML(typ="safe", pure=True).dump(card, text)
+    (folder / "policy.yaml").write_text(text.getvalue())
+    return api.check_policy(str(folder), checkpoint=weights)
+
+
+def mend(card, told):
+    """Write on a card what a finding says; return how many lines that were."""
+    advice = re.search(r"if so trained, write\n((?:    .*\n)+)", told)
+    assert advice, told
+    lines = advice[1].splitlines()
+    for line in lines:
+        place, value = re.fullmatch(r"    ([\w.]+): (.*)", line).groups()
+        *parents, key = place.split(".")
+        part = card
+        for parent in parents:
+            part = part[parent]
+        if value.startswith("- "):
+            new = YAML(typ="safe", pure=True).load(value[2:])
+            names = [term if isinstance(term, str) else term["term"] for term in part[key]]
+            part[key][names.index(new["term"])] = new
+        else:
+            part[key] = YAML(typ="safe", pure=True).load(value)
+    return len(lines)
+
+
+def joints_of(card):
+    return [joint.removesuffix("_joint") for joint in card["control"].get("joints", ROBOT_ORDER)]
+
+
+class Mirrored(torch.nn.Module):
+    """A scripted policy in a stack that counts some joints the other way round."""
+
+    def __init__(self, policy, seen, told):
+        super().__init__()
+        self.policy = policy
+        self.register_buffer("seen", seen)
+        self.register_buffer("told", told)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.policy(x * self.seen) * self.told
+
+
+def mirrored(name, joints, folder):
+    """Save a real policy as a stack has it whose `joints` (a pattern) count the other way round."""
+    turned = [-1.0 if re.search(joints, joint) else 1.0 for joint in joints_of(example(name))]
+    told = np.array(turned, dtype=np.float32)
+    three = np.concatenate([told] * 3)  # joint_pos, joint_vel, last_output
+    if name == "himloco-go2":
+        path = folder / "mirrored.pt"
+        seen = np.tile(np.concatenate([np.ones(9, np.float32), three]), 6)
+        parts = torch.jit.load(str(WEIGHTS[name])), torch.tensor(seen), torch.tensor(told)
+        torch.jit.save(torch.jit.script(Mirrored(*parts)), str(path))
+        return path
+    path = folder / "mirrored.onnx"
+    seen = np.concatenate([np.ones(9, np.float32), three, np.ones(3, np.float32)])
+    model = onnx.load(str(WEIGHTS[name]))
+    graph = model.graph
+    given, answer = graph.input[0].name, graph.output[0].name
+    for node in graph.node:
+        node.input[:] = ["inside" if x == given else x for x in node.input]
+        node.output[:] = ["answered" if x == answer else x for x in node.output]
+        node.input[:] = ["answered" if x == answer else x for x in node.input]
+    graph.initializer.extend(
+        [numpy_helper.from_array(seen, "seen"), numpy_helper.from_array(told, "told")]
+    )
+    graph.node.insert(0, helper.make_node("Mul", [given, "seen"], ["inside"]))
+    graph.node.append(helper.make_node("Mul", ["answered", "told"], [answer]))
+    onnx.save(model, str(path))
+    return path
+
+
+@needs_assets
+@pytest.mark.parametrize("name", WEIGHTS)
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [(HIPS, "the hips"), (RIGHT_HIPS, "the right hips"), (LEGS_DOWN, "thighs and calves")],
+    ids=["hips", "right hips", "thighs and calves"],
+)
+def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
+    tmp_path, name, joints, words
+):
+    weights, card = mirrored(name, joints, tmp_path), example(name)
+    told = check(tmp_path / "card", card, weights)
+    assert told.exit_code == UsageError.exit_code
+    assert f"with {words} turned round in targets and observations; if so" in told.text
+    assert mend(card, told.text) == 3
+    names = joints_of(card)
+    signs = np.array([-1.0 if re.search(joints, joint) else 1.0 for joint in names])
+    scale = joint_values(card["control"]["scale"], names)
+    np.testing.assert_allclose(scale, SCALE[name] * signs)
+    seen = {
+        t["term"]: t["scale"] for t in card["observations"]["obs"]["terms"] if "joint" in str(t)
+    }
+    velocity = 0.05 if name == "himloco-go2" else 1.0
+    np.testing.assert_allclose(seen["joint_pos"], signs)
+    np.testing.assert_allclose(seen["joint_vel"], velocity * signs)
+    mended = check(tmp_path / "card", card, weights)
+    assert mended.exit_code == 0, mended.text
+
+
+@needs_assets
+def test_a_default_pose_that_was_copied_with_the_stacks_own_signs_is_told_too(tmp_path):
+    weights, card = mirrored("playground-go1", LEGS_DOWN, tmp_path), example("playground-go1")
+    card["control"]["default_pose"] |= {"thigh": -0.9, "calf": 1.8}
+    told = check(tmp_path / "card", card, weights)
+    assert "turned round in targets, observations and default pose; if so" in told.text
+    assert mend(card, told.text) == 4
+    assert card["control"]["default_pose"]["thigh"] == 0.9
+    assert check(tmp_path / "card", card, weights).exit_code == 0
+
+
+@needs_assets
+@pytest.mark.parametrize(
+    ("name", "joints"), [("himloco-go2", RIGHT_HIPS), ("playground-go1", HIPS)]
+)
+def test_signs_that_the_checkpoint_does_not_have_are_found_in_the_targets(tmp_path, name, joints):
+    card = example(name)
+    card["control"]["scale"] = {
+        joint: SCALE[name] * (-1 if re.search(joints, joint) else 1) for joint in joints_of(card)
+    }
+    told = check(tmp_path, card, WEIGHTS[name])
+    assert told.exit_code == UsageError.exit_code
+    assert f"\n    control.scale: {SCALE[name]:g}\n" in told.text
+
+
+@needs_assets
+def test_hips_with_half_of_their_scale_walk_but_do_not_step_sideways(tmp_path):
+    card = example("himloco-go2")
+    card["control"]["scale"] = {"hip": 0.125, "thigh": 0.25, "calf": 0.25}
+    told = check(tmp_path, card, WEIGHTS["himloco-go2"])
+    assert told.exit_code == UsageError.exit_code
+    ahead, left = (
+        re.search(rf"\n{words} +[\d.]+ m/s +(-?[\d.]+) m/s +(-?[\d.]+)\n", told.text).groups()
+        for words in ("ahead", "to the left")
+    )
+    assert float(ahead[1]) > 0.8
+    assert float(left[1]) < 0.6
+    assert f"note: `command`: 0.5 m/s to the left, {left[0]} m/s reached" in told.text
+    assert "fault: it follows with the scale of the hips doubled" in told.text
+    assert mend(card, told.text) == 1
+    assert card["control"]["scale"] == 0.25
+    assert check(tmp_path, card, WEIGHTS["himloco-go2"]).exit_code == 0
+
+
+@needs_assets
+def test_hips_with_twice_their_scale_are_found_out(tmp_path):
+    card = example("playground-go1")
+    card["control"]["scale"] = {"hip": 1.0, "thigh": 0.5, "calf": 0.5}
+    told = check(tmp_path, card, WEIGHTS["playground-go1"])
+    assert "with the scale of the hips halved" in told.text
+    assert "\n    control.scale: 0.5\n" in told.text
+
+
+@needs_assets
+@pytest.mark.parametrize(
+    ("name", "scale", "right"),
+    [("himloco-go2", 1.0, [2, 2, 0.25]), ("playground-go1", [1.0, -1.0, 1.0], 1)],
+    ids=["missing", "y to the right"],
+)
+def test_a_wrong_scale_of_the_command_is_told(tmp_path, name, scale, right):
+    card = example(name)
+    terms = card["observations"]["obs"]["terms"]
+    place = next(i for i, term in enumerate(terms) if "command" in str(term))
+    terms[place] = {"term": "command", "scale": scale}
+    told = check(tmp_path, card, WEIGHTS[name])
+    assert told.exit_code == UsageError.exit_code
+    assert mend(card, told.text) == 1
+    assert terms[place].get("scale", 1) == right
+
+
+def test_what_trials_command_is_a_fault_if_missed_and_the_rest_a_note():
+    card = load_card(EXAMPLES / "playground-go1" / "policy.yaml")
+    tried = motions(card)
+    assert [(motion.words, motion.is_used) for motion in tried] == [
+        ("ahead", True),
+        ("to the left", False),
+        ("to the right", False),
+        ("turning left", True),
+        ("turning right", True),
+    ]
+    assert tried[0].velocity == (card.command.speed, 0.0, 0.0)
+    sideways = {"source": "constant", "velocity": [0.3, 0.2, 0.0]}
+    card = Card.model_validate(card.model_dump(by_alias=True) | {"command": sideways})
+    assert [motion.is_used for motion in motions(card)] == [True, True, True, False, False]
+    assert motions(card)[1].velocity == (0.3, 0.5, 0.0)
+
+
+def test_policies_that_see_no_velocity_command_are_given_none():
+    assert motions(load_card(REPOSITORY / "policies" / "go1-parkour" / "policy.yaml")) == []
+
+
+def test_a_layout_with_turned_joints_is_written_out_as_terms():
+    card = load_card(REPOSITORY / "policies" / "go1-parkour" / "policy.yaml")
+    words, changed = next(iter(turned_cards(card, get_robot("go1"))))
+    assert words == "the hips turned round in targets and observations"
+    Card.model_validate(changed.model_dump(by_alias=True))
+    lines = changed_lines(card, changed)
+    assert lines[0].startswith("control.scale: {hip: -0.25, thigh: 0.25, calf: 0.25}")
+    written = YAML(typ="safe", pure=True).load("\n".join(lines[1:2]).partition(": ")[2])
+    assert [term["term"] for term in written][6:8] == ["joint_pos", "joint_vel"]
+    assert written[7]["scale"] == [-0.05, 0.05, 0.05] * 4
+    assert lines[1].endswith("# in place of `layout: parkour53`")
+
+
+def test_values_for_joints_are_written_as_short_as_they_can_be():
+    assert per_joint(ROBOT_ORDER, [0.25] * 12) == 0.25
+    assert per_joint(ROBOT_ORDER, [-0.1, 0.8, -1.5] * 4) == {
+        "hip": -0.1,
+        "thigh": 0.8,
+        "calf": -1.5,
+    }
+    right = per_joint(ROBOT_ORDER, [-0.2, 0.5, 0.5, 0.2, 0.5, 0.5] * 2)
+    sides = {"FR_hip": -0.2, "FL_hip": 0.2, "RR_hip": -0.2, "RL_hip": 0.2}
+    assert right == sides | {"thigh": 0.5, "calf": 0.5}
+    assert flow(right).startswith("{FR_hip: -0.2, FL_hip: 0.2,")
+    assert joint_values(right, ROBOT_ORDER).tolist() == [-0.2, 0.5, 0.5, 0.2, 0.5, 0.5] * 2
+
+
+def test_values_are_written_as_yaml_reads_them():
+    value = {"joints": ["FL_hip", "FR_hip"], "current": False, "clip": None, "scale": 0.25}
+    assert flow(value) == "{joints: [FL_hip, FR_hip], current: false, clip: null, scale: 0.25}"
+    assert YAML(typ="safe", pure=True).load(flow(value)) == value
