@@ -110,7 +110,7 @@ def test_a_blind_stair_climber_climbs_13_cm_by_its_card_alone(scene):
     ]
     # 60 trials of its suite average 0.96; three that all stop half-way would be another policy.
     assert sum(result.fraction for result in results) / 3 >= 0.8
-    # It learned with a head that may touch a step, and it does touch.
+    # It feels its way: its chin touches steps.
     assert any(result.contact_s > 0.0 for result in results)
 
 

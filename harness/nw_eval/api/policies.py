@@ -38,7 +38,7 @@ def check_policy(
     scene: str | None = None,
     allow_code: bool = False,
 ) -> Message:
-    """Run a policy for one second and say what is odd; exit code 2 if something is wrong.
+    """Run a policy for some seconds and say what is odd; exit code 2 if something is wrong.
 
     A policy that follows a velocity command is also commanded ahead, sideways and in turns.
 

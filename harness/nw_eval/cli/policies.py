@@ -40,7 +40,7 @@ class Show:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Run a policy for one second: range of every term, dead inputs, NaN, wrong signs and orders.
+    """Run a policy for some seconds: range of every term, dead inputs, NaN, wrong signs and orders.
 
     Where it follows a velocity command, it is also commanded ahead, sideways and in turns. Says
     PASS, or what is wrong and what the card should say (exit code 2).
