@@ -34,7 +34,6 @@ bench: $(VENV)/.installed-dev
 
 build: $(VENV)/.installed-dev
 	rm -rf dist
-	$(BIN)/pip install -q build
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/python tests/smoke_wheel.py dist
 

@@ -50,3 +50,15 @@ def test_an_unknown_option_is_a_usage_error(capsys: pytest.CaptureFixture[str]) 
         cli.main(["run", "smoke", "--trails", "3"])
     assert left.value.code == 2
     assert "--trials" in capsys.readouterr().err
+
+
+def test_scenes_are_listed_with_their_split(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        cli.main(["scenes", "list", "hurdles/three_low", "hurdles/one_low_carpet", "flat/*"])
+    assert left.value.code == 0
+    shown = [line.split()[:4] for line in capsys.readouterr().out.splitlines()]
+    assert shown == [
+        ["hurdles/three_low", "4", "waypoints", "eval"],
+        ["hurdles/one_low_carpet", "2", "waypoints", "train"],
+        ["flat/carpet_room", "1", "waypoints", "-"],
+    ]

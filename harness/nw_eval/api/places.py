@@ -14,13 +14,16 @@ if TYPE_CHECKING:
 
 
 def list_scenes(patterns: Sequence[str] = ()) -> str:
-    """Return a table of scenes: name, waypoints, title."""
+    """Return a table of scenes: name, waypoints, split (train or eval), title."""
     from nw_eval.scenes import match_scenes
+    from nw_eval.scenes.splits import split_of
 
     found = match_scenes(tuple(patterns) or ("*",))
     width = max(len(scene.name) for scene in found)
     return "\n".join(
-        f"{scene.name:{width}}  {len(scene.trail)} waypoints  {scene.title}" for scene in found
+        f"{scene.name:{width}}  {len(scene.trail)} waypoints  {split_of(scene.name) or '-':5}  "
+        f"{scene.title}"
+        for scene in found
     )
 
 

@@ -11,7 +11,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """List scenes with their task, obstacles and waypoints."""
+    """List scenes with their waypoints, split (`split:eval` names its scenes) and obstacles."""
 
     patterns: tyro.conf.Positional[tuple[str, ...]] = ()
     """Names or globs; every built-in scene when absent."""
