@@ -57,9 +57,14 @@ def test_objects_do_not_travel():
     [
         ([["a", "<f8", [99999999999]]], "buffer"),
         ([["a", "<f8", [-1]]], "shape"),
-        ([["a", "|O", [3]]], "of object"),
+        ([["a", "<f8", [10**30]]], "no list of arrays"),
+        ([["a", "<f8", [2**62, 4]]], "no list of arrays"),
+        ([["a", "|O8", [3]]], "array of"),
+        ([["a", "f4,(", [3]]], "array of"),
+        ([["a", None, [3]]], "no list of arrays"),
+        ([["a", "<f8", ["3"]]], "no list of arrays"),
         ([["a", "<f8", [2]]], "8 bytes are left over"),
-        ([["a", "nonsense", [3]]], "no list of arrays"),
+        ([["a", "nonsense", [3]]], "array of nonsense"),
         ({"a": 3}, "no list of arrays|values to unpack"),
     ],
 )

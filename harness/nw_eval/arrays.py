@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _NUMBERS = "biuf"
+# All that `pack` writes; other texts make numpy parse them, with errors of all kinds.
+_DTYPE = re.compile(r"[<|][biuf]\d{1,2}")
 
 
 def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -49,14 +52,12 @@ def unpack(data: bytes) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     try:
         for name, kind, shape in json.loads(data[4:start]):
-            dtype = np.dtype(kind)
-            count = math.prod(shape)
-            if dtype.kind not in _NUMBERS or min(shape, default=0) < 0:
-                raise ValueError(f"{name!r} is an array of {dtype} with shape {shape}")
-            flat = np.frombuffer(data, dtype, count, start)
+            if not _DTYPE.fullmatch(kind) or min(shape, default=0) < 0:
+                raise ValueError(f"{name!r} is an array of {kind} with shape {shape}")
+            flat = np.frombuffer(data, np.dtype(kind), math.prod(shape), start)
             arrays[str(name)] = flat.reshape(shape).copy()
             start += flat.nbytes
-    except (TypeError, KeyError, RecursionError) as error:
+    except (TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError(f"no list of arrays: {error!r}") from None
     if start != len(data):
         raise ValueError(f"{len(data) - start} bytes are left over")

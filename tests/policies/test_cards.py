@@ -58,6 +58,23 @@ control:
     ]
 
 
+def test_a_wrong_order_of_joints_does_not_hide_other_faults(tmp_path):
+    control = "control: {action: joint_position_offset, joints: [FL_hip, FL_hip], kd: -1}"
+    text = MINIMAL.replace("control: {action: joint_position_offset, scale: 0.25}", control)
+    order, negative = problems_of(tmp_path, text)
+    assert "control.joints: joint 'FL_hip' is named twice" in order
+    assert "control.kd: -1 is negative" in negative
+
+
+@pytest.mark.parametrize("slip", ["true", '"35"', "{hip: true}", "[true]"])
+def test_what_is_no_number_is_no_gain(tmp_path, slip):
+    text = MINIMAL.replace("scale: 0.25", f"scale: 0.25, kp: {slip}")
+    (problem,) = problems_of(tmp_path, text)
+    assert ":6:" in problem
+    assert "control.kp" in problem
+    assert "number" in problem
+
+
 def test_a_robot_that_nobody_knows_is_told_with_its_place(tmp_path):
     (problem,) = problems_of(tmp_path, MINIMAL.replace("robot: go1", "robot: go3"))
     assert ":3:1: robot: unknown robot 'go3'; did you mean 'go" in problem

@@ -139,13 +139,14 @@ def test_contacts_that_end_no_trial_are_counted_by_scene(
         make_row("a", 2, 4),
         make_row("b", 0, 4),
     ]
-    assert section(render(rows, {"a": 3, "b": 1}), "Contacts of head and trunk")[1:] == [
+    goes_on = {"episode": {"contact_termination": False}}
+    text = render(rows, {"a": 3, "b": 1}, suite=goes_on)
+    assert section(text, "Contacts of head and trunk")[1:] == [
         ["a", "2 of 3", "1.25 s"],
         ["b", "0 of 1", "0.00 s"],
     ]
     # Where contacts end trials, the outcomes say it all.
-    ended = make_row("a", 3, 2, outcome="collided", contact_s=0.02)
-    assert "Contacts of head" not in render([ended], {"a": 1})
+    assert "Contacts of head" not in render(rows, {"a": 3, "b": 1})
 
 
 def test_perturbations_get_a_table_of_their_own(

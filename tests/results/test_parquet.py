@@ -67,6 +67,16 @@ def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:
     assert read_rows(tmp_path / "t.parquet")[0] == []
 
 
+def test_files_from_before_a_column_was_added_have_what_it_is_by_default(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row(contact_s=0.5)], {})
+    pq.write_table(pq.read_table(path).drop_columns(["contact_s"]), path)
+    (row,) = read_rows(path)[0]
+    assert row == make_row(contact_s=0.0)
+
+
 def test_columns_of_later_versions_do_not_disturb(
     tmp_path: Path, make_row: Callable[..., Row]
 ) -> None:

@@ -29,15 +29,15 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         return [file.problem(("robot",), f"robot: unknown robot {card.robot!r}", known)]
     own = get_robot(card.robot).joints
     told: list[Problem | None] = []
-    joints = card.control.joints
-    if joints is not None:
-        order = _fault(file, ("control", "joints"), lambda: joint_order(joints, own))
-        if order is not None:
-            return [order]  # The values below are in that order.
+    joints = own
+    if (named := card.control.joints) is not None:
+        order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
+        told.append(order)
+        joints = own if order else named
     for key in _PER_JOINT:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:
-            told += _value_problems(file, key, value, joints or own)
+            told += _value_problems(file, key, value, joints)
     problems = [problem for problem in told if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Strict
 
 from nw_eval.errors import PolicyError, nearest
 
-PerJoint = float | list[float] | dict[str, float]
+Number = Annotated[float, Strict()]
+"""A number and nothing that could be read as one: `kp: true` and `kp: "35"` are slips."""
+
+PerJoint = Number | list[Number] | dict[str, Number]
 """One number for all joints; a list in the order of `control.joints`; or a mapping.
 
 The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thigh"); where two of

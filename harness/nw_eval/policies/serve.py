@@ -81,9 +81,10 @@ def serving(
 
     try:
         server = serve(handle, host, port, compression=None, max_size=MESSAGE_LIMIT)
-    except OSError as error:
+    except (OSError, OverflowError, TypeError, UnicodeError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
         raise UsageError(
-            f"cannot listen on {host}:{port}: {error.strerror}", fix="choose another --port"
+            f"cannot listen on {host}:{port}: {reason}", fix="choose another --host or --port"
         ) from None
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

@@ -49,7 +49,7 @@ def print_summary(
     tables = (
         scenes_table(verdict),
         outcomes_table(ordered),
-        contacts_table(ordered),
+        contacts_table(ordered, run),
         errors_table(ordered),
         worst_table(ordered, folder, most=3),
         throughput_table(ordered, run),

@@ -199,10 +199,10 @@ def coverage_table(rows: Sequence[Row]) -> Table:
     )
 
 
-def contacts_table(rows: Sequence[Row]) -> Table:
+def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
     """Return how often head or trunk collided where that ends no trial; none where it does."""
     shown: list[tuple[str, ...]] = []
-    if any(row.contact_s > 0.0 and row.outcome != "collided" for row in rows):
+    if not run.suite.get("episode", {}).get("contact_termination", True):
         for scene in sorted({row.scene for row in rows}):
             seconds = [row.contact_s for row in rows if row.scene == scene]
             hit = [value for value in seconds if value > 0.0]
@@ -248,7 +248,7 @@ def all_tables(
         scenes_table(verdict),
         perturbations_table(ordered, verdict.confidence),
         outcomes_table(ordered),
-        contacts_table(ordered),
+        contacts_table(ordered, run),
         errors_table(ordered),
         worst_table(ordered, folder),
         throughput_table(ordered, run),

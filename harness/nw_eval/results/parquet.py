@@ -17,6 +17,9 @@ from nw_eval.results.row import Row, from_dict, to_dict
 SCHEMA_VERSION = "1"
 """Raised when a column changes its meaning; new columns may be added without."""
 
+_ADDED = frozenset({"contact_s"})
+"""Columns that came later; in older files a row has what it has by default."""
+
 _WORD = pa.dictionary(pa.int32(), pa.string())
 
 SCHEMA = pa.schema(
@@ -46,7 +49,6 @@ SCHEMA = pa.schema(
         pa.field("policy_s", pa.float64(), nullable=False),
         pa.field("log_s", pa.float64(), nullable=False),
         pa.field("wall_s", pa.float64(), nullable=False),
-        pa.field("contact_s", pa.float64(), nullable=False),
         pa.field("coverage_min", pa.float64()),
         pa.field("coverage_mean", pa.float64()),
         pa.field("state_digest", pa.string(), nullable=False),
@@ -59,6 +61,7 @@ SCHEMA = pa.schema(
         pa.field("mcap_bytes", pa.int64(), nullable=False),
         pa.field("error_type", _WORD, nullable=False),
         pa.field("error_text", pa.string(), nullable=False),
+        pa.field("contact_s", pa.float64(), nullable=False),
     ]
 )
 
@@ -113,7 +116,8 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, str]]:
             f"{path} has row schema {version}, this nw-eval reads {SCHEMA_VERSION}",
             fix="use the version of nw-eval that wrote it",
         )
-    if missing := [name for name in SCHEMA.names if name not in table.schema.names]:
+    held = table.schema.names
+    if missing := [name for name in SCHEMA.names if name not in held and name not in _ADDED]:
         raise StoreError(f"{path} lacks the columns {', '.join(missing)}", fix="run again")
     try:
         return [from_dict(plain) for plain in _plain(table)], metadata
@@ -122,7 +126,8 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, str]]:
 
 
 def _plain(table: pa.Table) -> list[dict[str, Any]]:
-    return table.select(SCHEMA.names).cast(SCHEMA).to_pylist()
+    schema = pa.schema([field for field in SCHEMA if field.name in table.schema.names])
+    return table.select(schema.names).cast(schema).to_pylist()
 
 
 def _metadata(schema: pa.Schema) -> dict[str, str]:

@@ -72,7 +72,6 @@ class Row:
     policy_s: float
     log_s: float
     wall_s: float
-    contact_s: float = 0.0  # Simulated time during which head or trunk collided.
     coverage_min: float | None = None  # Of the camera frames' splat alpha; None without frames.
     coverage_mean: float | None = None
     state_digest: str = ""
@@ -85,6 +84,7 @@ class Row:
     mcap_bytes: int = 0
     error_type: str = ""
     error_text: str = ""
+    contact_s: float = 0.0  # Simulated time during which head or trunk collided.
 
     def __post_init__(self) -> None:
         times = tuple(struct.unpack("f", struct.pack("f", t))[0] for t in self.waypoint_times)

@@ -24,7 +24,7 @@ class StageClock:
         self._began = (perf_counter(), thread_time())
 
     def __call__(self, stage: Stage) -> Self:
-        """Credit the time from now to the end of the `with` block to a stage."""
+        """Credit the time from now to the end of the `with` block to a stage; only for `with`."""
         self._turn()
         self._running.append(stage)
         return self

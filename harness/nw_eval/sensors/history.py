@@ -102,8 +102,15 @@ class HistoryStack:
         return {"frames": np.stack(self._frames)} if self._frames else {}
 
     def remember(self, memory: Memory) -> None:
-        """Go back to earlier frames."""
-        self._frames = list(memory.get("frames", ()))
+        """Go back to earlier frames.
+
+        Raises:
+            ValueError: they are those of another history.
+        """
+        frames = memory.get("frames")
+        if frames is not None and (len(frames), frames.dtype) != (self._history.steps, np.float32):
+            raise ValueError(f"a history of {frames.shape} {frames.dtype}")
+        self._frames = [] if frames is None else list(frames)
 
     def _spoilt(self, frame: Frame) -> list[Frame]:
         """Return frames of the published first observation, oldest first."""

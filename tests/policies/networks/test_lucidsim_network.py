@@ -166,6 +166,16 @@ def test_an_action_has_the_same_bits_after_other_observations_and_in_another_ses
     np.testing.assert_array_equal(network.open().run(None, steps[2])[0], actions[2])
 
 
+@pytest.mark.parametrize("layer", range(5))
+def test_every_block_rotates_by_its_own_frequencies(layer):
+    weights = random_weights()
+    name = f"transformer.{layer}.rotary_emb.inv_freq"
+    rng = np.random.default_rng(5)
+    inputs = rng.normal(size=(7, 53)), rng.uniform(-0.5, 0.5, (7, 3, 45, 80))
+    changed = run(weights | {name: weights[name] * 0.1}, *inputs)
+    assert not np.array_equal(changed, run(weights, *inputs))
+
+
 def test_yaw_keys_may_be_missing_or_of_another_shape():
     weights = random_weights()
     without = {name: tensor for name, tensor in weights.items() if "yaw" not in name}

@@ -190,7 +190,9 @@ def test_no_server_is_a_policy_error_that_says_how_to_start_one(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         url = f"ws://127.0.0.1:{free.getsockname()[1]}"
-        with pytest.raises(PolicyError, match=r"no policy server at ws.*nw_eval\.policies\.serve"):
+        with pytest.raises(
+            PolicyError, match=r"no policy server at ws.*start it: nw-eval policies serve BUNDLE"
+        ):
             open_policy(remote(tmp_path, url))
     for bad in ("http://127.0.0.1:1", "127.0.0.1:1"):
         with pytest.raises(PolicyError, match="option 'url'"):
@@ -204,6 +206,14 @@ def test_a_taken_port_is_a_usage_error(local):
         serving(local, port=address.port),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("host", "port"), [("127.0.0.1", 99999), ("127.0.0.1", -5), ("é..x", 0), ("256.0.0.1", 0)]
+)
+def test_an_address_that_cannot_be_is_a_usage_error(local, host, port):
+    with pytest.raises(UsageError, match=r"cannot listen on .*choose another --host or --port"):
+        serving(local, host=host, port=port).__enter__()
 
 
 HELLO = {"protocol": 1, "policy": "x", "digest": "", "joints": 12, "observations": []}

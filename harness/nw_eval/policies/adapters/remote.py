@@ -29,7 +29,7 @@ except ImportError:
         fix="pip install 'nw-eval[remote]'",
     ) from None
 
-_START = "start it: python -m nw_eval.policies.serve BUNDLE"
+_START = "start it: nw-eval policies serve BUNDLE"
 
 
 class RemoteOptions(CardModel):

@@ -94,9 +94,6 @@ class _Drawing:
     def __init__(self, state: dict[str, Tensor]) -> None:
         self._state = state
         self._graph = Graph()
-        frequencies = self._numbers("transformer.0.rotary_emb.inv_freq")
-        angles = np.arange(TOKENS, dtype=np.float32)[:, None] * frequencies
-        self._rotations = [self._graph.constant(f(angles)) for f in (np.cos, np.sin)]
 
     def open(self) -> ort.InferenceSession:
         x = self._tokens()
@@ -131,8 +128,11 @@ class _Drawing:
         matrix = self._numbers(name + "fused_attn_ff_proj.weight")
         w_query, w_key, w_value, w_forward, w_gate = np.split(matrix, [512, 576, 640, 1152])
         # An eighth is a power of two: that it scales the weights changes no bit.
-        query = self._turn(self._linear(recent, w_query * np.float32(_HEAD**-0.5)), _HEADS, queries)
-        key, value = self._turn(self._linear(h, w_key), 1, TOKENS), self._linear(h, w_value)
+        query = self._linear(recent, w_query * np.float32(_HEAD**-0.5))
+        frequencies = self._numbers(name + "rotary_emb.inv_freq")
+        query = self._turn(query, frequencies, _HEADS, queries)
+        key = self._turn(self._linear(h, w_key), frequencies, 1, TOKENS)
+        value = self._linear(h, w_value)
         # Heads share keys, so all queries of all heads make one matrix.
         scores = node("Gemm", query, key, transB=1)
         attended = node("MatMul", node("Softmax", scores, axis=-1), value)
@@ -143,11 +143,13 @@ class _Drawing:
         matrix = self._numbers(name + "attn_out.weight")
         return self._linear(self._reshape(attended, -1, _INNER), matrix, forward)
 
-    def _turn(self, x: str, heads: int, tokens: int) -> str:
+    def _turn(self, x: str, frequencies: NDArray[np.float32], heads: int, tokens: int) -> str:
         """Rotate each head of the last tokens by its position; return (tokens x heads, 64)."""
+        angles = np.arange(TOKENS, dtype=np.float32)[:, None] * frequencies
+        rotations = [self._graph.constant(turn(angles)) for turn in (np.cos, np.sin)]
         positions = self._graph.constant(np.arange(TOKENS - tokens, TOKENS)[None])
         x = self._graph.node(
-            "RotaryEmbedding", self._reshape(x, 1, tokens, -1), positions, *self._rotations,
+            "RotaryEmbedding", self._reshape(x, 1, tokens, -1), positions, *rotations,
             domain=MICROSOFT, num_heads=heads,
         )  # fmt: skip
         return self._reshape(x, -1, _HEAD)
