@@ -217,3 +217,16 @@ def test_the_trail_follower_steers_to_the_next_waypoint(world, yaw, expected, re
 def test_a_constant_command_is_constant(world, read):
     command = {"source": "constant", "velocity": [0.5, -0.1, 0.2]}
     assert read(world, terms("command"), command=command) == pytest.approx([0.5, -0.1, 0.2])
+
+
+@pytest.mark.parametrize("steps", [2, 5])
+def test_a_history_does_not_take_the_frames_of_another_one(world, card_of, moment_of, steps):
+    sensors = [
+        build_sensors(card_of({"o": terms("joint_pos", history={"steps": n})}), world)["o"]
+        for n in (3, steps)
+    ]
+    for sensor in sensors:
+        sensor.reset(0)
+    sensors[0].read(moment_of(world))
+    with pytest.raises(ValueError, match=r"a history of \(3, 12\) float32"):
+        sensors[1].restore(sensors[0].state())
