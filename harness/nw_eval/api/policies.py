@@ -71,7 +71,7 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
         PolicyError: the file cannot be read, could run code, or holds an unknown network.
         UsageError: there is a card already.
     """
-    from nw_eval.policies.card import CARD_FILE
+    from nw_eval.policies.card_file import CARD_FILE
     from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
     from nw_eval.robots import get_robot
 

@@ -6,7 +6,8 @@ observations into raw actions; `JointControl` turns those into joint targets.
 
 from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.bundle import Bundle, find_card, load_bundle
-from nw_eval.policies.card import Card, load_card
+from nw_eval.policies.card import Card
+from nw_eval.policies.card_file import load_card
 from nw_eval.policies.control import ActionDelay, JointControl, actuator_values, physics_steps
 from nw_eval.policies.policy import Action, InputSpec, Observation, Policy
 

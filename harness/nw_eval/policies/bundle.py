@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.errors import PolicyError, nearest
-from nw_eval.policies.card import CARD_FILE, Card, load_card
+from nw_eval.policies.card import Card
+from nw_eval.policies.card_file import CARD_FILE, load_card
 from nw_eval.shipped import available, shipped
 
 SIZE_LIMIT = 2**30

@@ -10,18 +10,13 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from nw_eval.errors import PolicyError, nearest
-from nw_eval.policies.card_joints import joint_problems
+from nw_eval.errors import nearest
 from nw_eval.policies.joints import PerJoint
 from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits
 from nw_eval.policies.observations import Observation, ProprioObservation
 from nw_eval.policies.terms import Command as CommandTerm
-from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
-
-CARD_FILE = "policy.yaml"
-
 
 PHYSICS_RATE = 200
 """Physics steps per second of every protocol, unless a card says otherwise, Hz."""
@@ -275,23 +270,3 @@ class Card(CardModel):
         if self.inputs is None:
             return ((None, tuple(self.observations)),)
         return tuple((name, tuple(parts)) for name, parts in self.inputs.items())
-
-
-def load_card(path: Path) -> Card:
-    """Read a card.
-
-    Raises:
-        PolicyError: all problems of the file, one line each, with file, line and column.
-    """
-    try:
-        file = read_yaml(path)
-    except YamlProblems as error:
-        raise PolicyError(str(error)) from None
-    try:
-        card = Card.model_validate(file.data)
-    except ValidationError as error:
-        problems = validation_problems(error, file, Card)
-        raise PolicyError("\n".join(str(problem) for problem in problems)) from None
-    if problems := joint_problems(card, file):
-        raise PolicyError("\n".join(str(problem) for problem in problems))
-    return card

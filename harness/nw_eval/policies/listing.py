@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.card import CARD_FILE, load_card
+from nw_eval.policies.card_file import CARD_FILE, load_card
 from nw_eval.shipped import available, shipped
 
 

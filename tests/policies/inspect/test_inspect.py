@@ -14,7 +14,7 @@ from torch import nn
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.card import load_card
+from nw_eval.policies.card_file import load_card
 from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer

@@ -1,0 +1,34 @@
+"""Cards as files: read, validated, and checked against the robot, every fault with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from nw_eval.errors import PolicyError
+from nw_eval.policies.card import Card
+from nw_eval.policies.card_joints import joint_problems
+from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
+
+CARD_FILE = "policy.yaml"
+
+
+def load_card(path: Path) -> Card:
+    """Read a card.
+
+    Raises:
+        PolicyError: all problems of the file, one line each, with file, line and column.
+    """
+    try:
+        file = read_yaml(path)
+    except YamlProblems as error:
+        raise PolicyError(str(error)) from None
+    try:
+        card = Card.model_validate(file.data)
+    except ValidationError as error:
+        problems = validation_problems(error, file, Card)
+        raise PolicyError("\n".join(str(problem) for problem in problems)) from None
+    if problems := joint_problems(card, file):
+        raise PolicyError("\n".join(str(problem) for problem in problems))
+    return card
