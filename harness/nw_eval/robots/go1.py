@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.figures import Attachment, Figures, FollowingCamera, Inertial, Leg, Link
+from nw_eval.robots.figures import FOLLOWERS, Attachment, Figures, Inertial, Leg, Link
 from nw_eval.robots.go1_visuals import go1_visuals
-from nw_eval.robots.mjcf import body_names, write_mjcf
-from nw_eval.robots.spec import JOINT_KINDS, LEGS, CameraMount, Quaternion, RobotSpec, Shape
+from nw_eval.robots.make import make_spec
+from nw_eval.robots.spec import LEGS, CameraMount, Quaternion, RobotSpec, Shape
 
 _HEAD = (0.27, 0.0, 0.015)  # in the trunk; the camera looks out of its middle
 _HIP = (0.1881, 0.04675, 0.0)
@@ -128,30 +128,6 @@ _CAMERAS = {
     "realsense-rgb-render": _ahead(45.1729792),
 }
 
-_FOLLOWERS = (
-    FollowingCamera(
-        name="heightmap",
-        position=(0.0, 0.0, 25.0),
-        x_axis=(0.0, -1.0, 0.0),
-        y_axis=(1.0, 0.0, 0.0),
-        fovy=math.radians(6.0),
-    ),
-    FollowingCamera(
-        name="tracking",
-        position=(0.0, -1.0, 1.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 1.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-    FollowingCamera(
-        name="tracking-2",
-        position=(0.0, -1.0, 0.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 0.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-)
-
 FIGURES = Figures(
     name="go1",
     trunk=_TRUNK,
@@ -160,7 +136,7 @@ FIGURES = Figures(
     collisions=_collisions(),
     visuals=go1_visuals(),
     cameras=_CAMERAS,
-    followers=_FOLLOWERS,
+    followers=FOLLOWERS,
     spawn_height=0.4,
     kp=20.0,
     joint_damping=0.5,
@@ -169,31 +145,13 @@ FIGURES = Figures(
     torque_limit=23.7,
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
+    default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+    monitored_geoms=("face", "trunk"),
+    published_monitored_geoms=("face",),
+    height_camera_offset=(-0.02443, -0.00170, 25.03206),
 )
 
 
 def go1() -> RobotSpec:
     """Return the Go1: 12.986 kg, 12 position servos with kp 20 and limits of 23.7 N m."""
-    figures = FIGURES
-    return RobotSpec(
-        name=figures.name,
-        joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
-        default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
-        joint_ranges=tuple(
-            link.range for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)
-        ),
-        kp=figures.kp,
-        joint_damping=figures.joint_damping,
-        torque_limits=(figures.torque_limit,) * 12,
-        armature=figures.armature,
-        friction_loss=figures.friction_loss,
-        feet=LEGS,
-        monitored_geoms=("face", "trunk"),
-        published_monitored_geoms=("face",),
-        cameras=figures.cameras,
-        height_camera_offset=(-0.02443, -0.00170, 25.03206),
-        bodies=body_names(figures),
-        visuals=figures.visuals,
-        spawn_height=figures.spawn_height,
-        mjcf=write_mjcf(figures),
-    )
+    return make_spec(FIGURES)

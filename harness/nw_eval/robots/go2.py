@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.figures import Figures, FollowingCamera, Inertial, Leg, Link
+from nw_eval.robots.figures import FOLLOWERS, Figures, Inertial, Leg, Link
 from nw_eval.robots.go2_visuals import go2_visuals
-from nw_eval.robots.mjcf import body_names, write_mjcf
-from nw_eval.robots.spec import JOINT_KINDS, LEGS, CameraMount, Quaternion, RobotSpec, Shape
+from nw_eval.robots.make import make_spec
+from nw_eval.robots.spec import LEGS, CameraMount, Quaternion, RobotSpec, Shape
 
 _EYE = (0.285, 0.0, 0.175)  # in the trunk; the release's camera stands above the head
 _HIP = (0.1934, 0.0465, 0.0)
@@ -186,30 +186,6 @@ _CAMERAS = {
     "realsense-rgb-render": _down(45.1729792),
 }
 
-_FOLLOWERS = (
-    FollowingCamera(
-        name="heightmap",
-        position=(0.0, 0.0, 25.0),
-        x_axis=(0.0, -1.0, 0.0),
-        y_axis=(1.0, 0.0, 0.0),
-        fovy=math.radians(6.0),
-    ),
-    FollowingCamera(
-        name="tracking",
-        position=(0.0, -1.0, 1.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 1.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-    FollowingCamera(
-        name="tracking-2",
-        position=(0.0, -1.0, 0.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 0.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-)
-
 FIGURES = Figures(
     name="go2",
     trunk=_TRUNK,
@@ -218,7 +194,7 @@ FIGURES = Figures(
     collisions=_collisions(),
     visuals=go2_visuals(),
     cameras=_CAMERAS,
-    followers=_FOLLOWERS,
+    followers=FOLLOWERS,
     spawn_height=0.4,
     kp=30.0,
     joint_damping=0.6,
@@ -227,32 +203,13 @@ FIGURES = Figures(
     torque_limit=23.7,
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
+    default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+    monitored_geoms=("face_head", "face_dome", "base"),
+    published_monitored_geoms=("face_head", "face_dome", "base"),
+    height_camera_offset=(-0.00341, -0.00162, 25.03764),
 )
 
 
 def go2() -> RobotSpec:
     """Return the Go2: 13.086 kg, 12 position servos with kp 30 and limits of 23.7 N m."""
-    figures = FIGURES
-    monitored = ("face_head", "face_dome", "base")
-    return RobotSpec(
-        name=figures.name,
-        joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
-        default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
-        joint_ranges=tuple(
-            link.range for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)
-        ),
-        kp=figures.kp,
-        joint_damping=figures.joint_damping,
-        torque_limits=(figures.torque_limit,) * 12,
-        armature=figures.armature,
-        friction_loss=figures.friction_loss,
-        feet=LEGS,
-        monitored_geoms=monitored,
-        published_monitored_geoms=monitored,
-        cameras=figures.cameras,
-        height_camera_offset=(-0.00341, -0.00162, 25.03764),
-        bodies=body_names(figures),
-        visuals=figures.visuals,
-        spawn_height=figures.spawn_height,
-        mjcf=write_mjcf(figures),
-    )
+    return make_spec(FIGURES)
