@@ -9,7 +9,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.engine import plan_jobs, run_trials
+from nw_eval.engine import Plan, plan_jobs, run_trials
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
@@ -208,7 +208,14 @@ def tiny_run(tmp_path):
             },
         )
         folder = RunFolder(path=tmp_path / name)
-        jobs = plan_jobs(suite, expand(suite, [scene]), bundle, folder, time_limit=time_limit)
+        plan = Plan(
+            suite=suite,
+            bundle=bundle,
+            scenes=(scene,),
+            references={},
+            trials=expand(suite, [scene]),
+        )
+        jobs = plan_jobs(plan, folder, time_limit=time_limit)
         header = JournalHeader(
             suite_digest=suite.digest,
             policy_digest=bundle.digest,

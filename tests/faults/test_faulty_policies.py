@@ -11,7 +11,7 @@ def by_status(outcome):
 
 
 def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
-    run = tiny_run("hangs", trials=4, time_limit=2.0)
+    run = tiny_run("hangs", trials=4, time_limit=6.0)  # A busy machine takes 2 s for the others.
     began = time.perf_counter()
     outcome = run.go(workers=2)
     ok, hung = by_status(outcome)
@@ -22,8 +22,8 @@ def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     assert {row.fraction for row in hung} == {None}
     assert {row.attempt for row in hung} == {2}, "an error is tried once more"
     assert {row.attempt for row in ok} == {1}
-    assert "2 s" in hung[0].error_text
-    assert time.perf_counter() - began < 60.0
+    assert "6 s" in hung[0].error_text
+    assert time.perf_counter() - began < 120.0
 
 
 def test_a_nan_action_is_an_error_of_the_policy_and_not_a_failure(tiny_run):

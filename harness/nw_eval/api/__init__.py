@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from nw_eval.api.message import Message, write_text
 from nw_eval.api.places import check_scenes, list_scenes, render_scenes, show_scene, warmup
-from nw_eval.api.plans import Plan, check, plan
+from nw_eval.api.plans import check, plan
 from nw_eval.api.policies import (
     check_policy,
     init_policy,
@@ -24,7 +24,6 @@ from nw_eval.api.splats import splat_convert, splat_info, splat_render
 
 __all__ = [
     "Message",
-    "Plan",
     "RunReport",
     "check",
     "check_policy",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,22 +12,10 @@ from nw_eval.errors import UsageError, nearest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.policies import Bundle
+    from nw_eval.engine.plan import Plan
     from nw_eval.rollout.job import Record
-    from nw_eval.scenes import Scene
     from nw_eval.scenes.terrain.options import Collision
-    from nw_eval.suite import Suite, Trial
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What a run would be."""
-
-    suite: Suite
-    bundle: Bundle
-    scenes: tuple[Scene, ...]
-    references: dict[str, str]
-    trials: tuple[Trial, ...]
+    from nw_eval.suite import Suite
 
 
 def plan(
@@ -60,6 +47,7 @@ def plan(
         UsageError, SuiteError, SceneError, PolicyError: something cannot be used as given.
     """
     from nw_eval import scenes as places
+    from nw_eval.engine.plan import Plan
     from nw_eval.policies import load_bundle
     from nw_eval.rollout.vetting import vet_bundle
     from nw_eval.suite import check_scenes, check_tiers, expand, load_suite, override
@@ -83,6 +71,8 @@ def plan(
         scenes=chosen,
         references=places.references(told.scenes, told.base, collision=collision),
         trials=expand(told, chosen),
+        checkpoint=checkpoint,
+        allow_code=allow_code,
     )
 
 

@@ -91,18 +91,12 @@ def run(
         collision=collision,
     )
     folder = session.run(
-        made.suite,
-        made.bundle,
-        made.scenes,
-        made.trials,
-        references=made.references,
-        checkpoint=checkpoint,
+        made,
         workers=workers,
         out=out,
         resume=resume,
         time_limit=time_limit,
         render=render,
-        allow_code=allow_code,
         command=tuple(sys.argv),
         listener=listener,
     )

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.engine.listener import Listener, Silence
-from nw_eval.engine.plan import plan_jobs
+from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, needs_splats, open_backend
 from nw_eval.engine.run import RunOutcome, default_workers, run_trials
 from nw_eval.errors import StoreError
@@ -28,13 +28,10 @@ from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from nw_eval.policies import Bundle
     from nw_eval.rollout.job import Backend, Record
-    from nw_eval.scenes import Scene
     from nw_eval.scenes.terrain.options import Collision
-    from nw_eval.suite import Suite, Trial
 
 _REPORTS = "reports"
 
@@ -74,19 +71,13 @@ def settings_of(run: Path) -> Settings:
 
 
 def run(
-    suite: Suite,
-    bundle: Bundle,
-    scenes: Sequence[Scene],
-    trials: Sequence[Trial],
+    plan: Plan,
     *,
-    references: Mapping[str, str],
-    checkpoint: Path | None,
     workers: int | None,
     out: Path | None,
     resume: Path | None,
     time_limit: float | None,
     render: Backend,
-    allow_code: bool,
     command: tuple[str, ...],
     listener: Listener | None,
 ) -> RunFolder:
@@ -99,60 +90,33 @@ def run(
         PrerequisiteError: the renderer is not installed.
     """
     told = listener or Silence()
-    renders = needs_splats(bundle.card, suite.record)
+    renders = needs_splats(plan.bundle.card, plan.suite.record)
     if renders:
         open_backend(render, told)
-    folder = _folder(suite, bundle, out, resume)
+    folder = _folder(plan, out, resume)
     told.message(f"run folder: {folder.path}")
     # Workers and rows need a path that means the same everywhere.
     folder = RunFolder(path=folder.path.resolve())
     engine = _engine(render)
-    header = JournalHeader(
-        suite_digest=suite.digest,
-        policy_digest=bundle.digest,
-        scene_digests={scene.name: scene.digest for scene in scenes},
-        engine=engine,
-    )
     opened = Journal.create if resume is None else Journal.resume
     earlier = None if resume is None else read_run_info(folder.run_json)
-    with opened(folder.journal, header) as journal:
+    with opened(folder.journal, _header(plan, engine)) as journal:
         if journal.dropped:
             told.message(journal.dropped)
-        info = _info(
-            folder,
-            suite,
-            bundle,
-            scenes,
-            trials,
-            checkpoint=checkpoint,
-            collision=_collision(references),
-            workers=workers,
-            renderer=engine["renderer"],
-            command=command,
-        )
+        info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
         if earlier is not None:
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
         write_run_info(folder.run_json, info)
         if renders:
-            build_splats(scenes, told)
-        jobs = plan_jobs(
-            suite,
-            trials,
-            bundle,
-            folder,
-            references=references,
-            checkpoint=checkpoint,
-            allow_code=allow_code,
-            render=render,
-            time_limit=time_limit,
-            suite_text=suite_yaml(suite),
-        )
+            build_splats(plan.scenes, told)
+        text = suite_yaml(plan.suite)
+        jobs = plan_jobs(plan, folder, render=render, time_limit=time_limit, suite_text=text)
         began = perf_counter()
         outcome = run_trials(
             jobs,
             journal=journal,
             folder=folder,
-            policy=bundle.name,
+            policy=plan.bundle.name,
             workers=workers,
             listener=told,
         )
@@ -160,12 +124,24 @@ def run(
     return folder
 
 
-def _folder(suite: Suite, bundle: Bundle, out: Path | None, resume: Path | None) -> RunFolder:
+def _header(plan: Plan, engine: dict[str, str]) -> JournalHeader:
+    return JournalHeader(
+        suite_digest=plan.suite.digest,
+        policy_digest=plan.bundle.digest,
+        scene_digests={scene.name: scene.digest for scene in plan.scenes},
+        engine=engine,
+    )
+
+
+def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
     if resume is not None:
         return open_run_folder(resume)
     if out is None:
         return create_run_folder(
-            Path(_REPORTS), suite=suite.name, policy=bundle.name, digest=suite.content_digest
+            Path(_REPORTS),
+            suite=plan.suite.name,
+            policy=plan.bundle.name,
+            digest=plan.suite.content_digest,
         )
     folder = RunFolder(path=out)
     if folder.journal.exists():
@@ -182,19 +158,15 @@ def _folder(suite: Suite, bundle: Bundle, out: Path | None, resume: Path | None)
 
 
 def _info(
+    plan: Plan,
     folder: RunFolder,
-    suite: Suite,
-    bundle: Bundle,
-    scenes: Sequence[Scene],
-    trials: Sequence[Trial],
     *,
-    checkpoint: Path | None,
-    collision: Collision,
     workers: int | None,
     renderer: str,
     command: tuple[str, ...],
 ) -> RunInfo:
     """Return a run's provenance as it starts."""
+    suite, bundle = plan.suite, plan.bundle
     return RunInfo(
         run=1,
         id=folder.id,
@@ -208,10 +180,10 @@ def _info(
             card_digest=bundle.digest,
             checkpoint_digest=bundle.checkpoint_sha256,
             card=str(bundle.card_path.resolve()),
-            checkpoint="" if checkpoint is None else str(checkpoint.resolve()),
+            checkpoint="" if plan.checkpoint is None else str(plan.checkpoint.resolve()),
         ),
-        scenes=_scene_infos(scenes, trials),
-        collision=collision,
+        scenes=_scene_infos(plan),
+        collision=_collision(plan.references),
         workers=workers or default_workers(),
         renderer=renderer,
         command=command,
@@ -255,14 +227,14 @@ def _collision(references: Mapping[str, str]) -> Collision:
     return "flex" if any(text.startswith(FLEX) for text in references.values()) else "terrain"
 
 
-def _scene_infos(scenes: Sequence[Scene], trials: Sequence[Trial]) -> dict[str, SceneInfo]:
+def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
     return {
         scene.name: SceneInfo(
             digest=scene.digest,
             task=scene.task,
-            trials=sum(trial.scene == scene.name for trial in trials),
+            trials=sum(trial.scene == scene.name for trial in plan.trials),
         )
-        for scene in scenes
+        for scene in plan.scenes
     }
 
 
