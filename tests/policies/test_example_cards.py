@@ -1,6 +1,7 @@
 """Every example card runs in a real scene, on random weights of the published shapes."""
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,11 @@ from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor
 from nw_eval.policies.networks.parkour_student import DepthEncoder
+from nw_eval.robots import get_robot
+from nw_eval.rollout.probe.findings import measure, observation_findings
+from nw_eval.rollout.probe.parts import parts_of
 from nw_eval.rollout.probe.recording import record
+from nw_eval.sensors import check_bundle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "policies" / "examples"
 CARDS = sorted(EXAMPLES.glob("*/policy.yaml"))
@@ -123,20 +128,42 @@ SHAPES = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("path", CARDS, ids=[path.parent.name for path in CARDS])
-def test_it_runs_on_random_weights_of_the_published_shapes(tmp_path, path):
-    name = path.parent.name
-    assert load_card(path).name == name
-    weights = tmp_path / load_card(path).checkpoint.file
-    SAVE[name](weights)
-    made = record(load_bundle(path, checkpoint=weights), scene=SCENE, seconds=STEPS / 50)
-    assert {key: seen.shape[1:] for key, seen in made.observations.items()} == SHAPES[name]
+@pytest.fixture(scope="module", params=CARDS, ids=[path.parent.name for path in CARDS])
+def ran(request, tmp_path_factory):
+    """Return each example's bundle on random weights, and what it did for some steps."""
+    card = load_card(request.param)
+    weights = tmp_path_factory.mktemp(card.name) / card.checkpoint.file
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # torch's, of TorchScript.
+        SAVE[card.name](weights)
+        bundle = load_bundle(request.param, checkpoint=weights)
+        return bundle, record(bundle, scene=SCENE, seconds=STEPS / 50)
+
+
+def test_it_runs_on_random_weights_of_the_published_shapes(ran):
+    bundle, made = ran
+    assert bundle.card.name == bundle.card_path.parent.name
+    seen = {key: values.shape[1:] for key, values in made.observations.items()}
+    assert seen == SHAPES[bundle.card.name]
     assert made.actions.shape == (STEPS, 12)
     assert np.isfinite(made.actions).all()
     # In the first step the robot only falls, and no number of its proprioception tells.
     assert (made.actions[2:] != made.actions[1:-1]).any(axis=1).all()
     assert made.seconds == pytest.approx(STEPS / 50)
+
+
+def test_no_part_of_what_it_sees_is_called_dead(ran):
+    bundle, made = ran
+    robot = get_robot(bundle.card.robot)
+    parts = parts_of(bundle.card, robot, check_bundle(bundle, robot))
+    found = observation_findings([measure(part, made) for part in parts], made)
+    assert [one.text for one in found if one.kind == "fault" and "dead" in one.text] == []
+
+
+def test_what_sees_images_is_known(ran):
+    bundle, made = ran
+    images = {"act-go1", "lucidsim-go1", "parkour-student-go1"}
+    assert made.sees_images is (bundle.card.name in images)
 
 
 def test_images_of_the_transformer_are_centred_and_the_students_depth_is_too(tmp_path):

@@ -45,7 +45,7 @@ def check_policy(
     Args:
         policy: a bundle's name, folder or card.
         checkpoint: weights to use with the card.
-        scene: where; a flat room if None.
+        scene: where; a flat room if None, the only place where commands are tried too.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:

@@ -42,8 +42,9 @@ class Show:
 class Check:
     """Run a policy for some seconds: range of every term, dead inputs, NaN, wrong signs and orders.
 
-    Where it follows a velocity command, it is also commanded ahead, sideways and in turns. Says
-    PASS, or what is wrong and what the card should say (exit code 2).
+    In the flat room, a policy that sees a velocity command is also commanded ahead, sideways and in
+    turns, and other cards are tried if it stumbles or misses a command; not so in another --scene.
+    Says PASS, or what is wrong and what the card should say (exit code 2).
     """
 
     policy: tyro.conf.Positional[str]

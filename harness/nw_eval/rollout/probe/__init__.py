@@ -1,13 +1,15 @@
-"""One second of a policy, looked at closely: is the card what the checkpoint was trained with?
+"""A policy looked at closely for some seconds: is its card what the checkpoint was trained with?
 
 parts       which numbers of an observation come from which term
-recording   what happened in that second
+recording   what happened in a second or two under one card
 findings    what is wrong with it, in words
 following   whether the policy does what it is commanded
 hypotheses  what else the card might have meant
 joint_signs other signs and scales of joints
 search      which of these mends it
+comparison  the policy under its card and under others
+budget      how long commands and other cards are tried
 written     a change of a card as the lines to write
-report      the table that `nw-eval policies check` prints
+report      the tables that `nw-eval policies check` prints
 summary     what `nw-eval policies show` prints
 """

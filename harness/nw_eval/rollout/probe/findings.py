@@ -1,4 +1,4 @@
-"""What is wrong with a recorded second, in words."""
+"""What is wrong with a recording, in words."""
 
 from __future__ import annotations
 
@@ -137,6 +137,7 @@ def command_findings(missed: list[Followed]) -> list[Finding]:
     for one in missed:
         direction, asked, reached = one.words
         text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:.0%})"
+        text += ", and it fell" if one.fell else ""
         text += "; mind `control.scale` and the `scale` of `command`"
         found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
     return found

@@ -5,15 +5,17 @@ A card whose scales are not the training's often walks all the same, and only fo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
 from nw_eval.policies import Card
 from nw_eval.policies.card import ConstantCommand, TrailFollower
 from nw_eval.policies.observations import ProprioObservation
-from nw_eval.rollout.probe.recording import Stage
+from nw_eval.rollout.probe.recording import Recorder
 
 _FOLLOWS = 0.6
 """Share of a command that a policy reaches under its own card, and of which it reaches no more
@@ -25,15 +27,19 @@ _SETTLED = 1.0  # s; until then it gets up to speed.
 _SIDEWAYS = 0.5  # m/s
 _TURNING = 1.0  # rad/s
 _SPEED = 0.8  # m/s ahead while it goes sideways or turns: some policies stand still without.
+_LEAST = 0.1  # m/s or rad/s; of less, the sway of the steps is too large a share.
 _UNITS = ("m/s", "m/s", "rad/s")
+_WAYS = (("ahead", "backwards"), ("to the left", "to the right"), ("turning left", "turning right"))
+
+Velocity = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A command that goes one way; sideways and in turns, the robot walks ahead with it."""
+    """A command, of which one axis is looked at."""
 
     words: str
-    velocity: tuple[float, float, float]
+    velocity: Velocity
     """vx, vy (m/s) and yaw rate (rad/s)."""
     axis: int
     """Which of the three is looked at."""
@@ -52,7 +58,8 @@ class Followed:
 
     motion: Motion
     ratio: float
-    """Reached over commanded once it had time to get up to speed; 0 if it fell before that."""
+    """Reached over commanded once it had time to get up to speed; 0 if it fell or hit its head or
+    trunk before that."""
     fell: bool
 
     @property
@@ -64,55 +71,73 @@ class Followed:
     def words(self) -> tuple[str, str, str]:
         """The direction, what was commanded, what was reached."""
         unit = _UNITS[self.motion.axis]
-        reached = f"{self.ratio * self.motion.asked:.2f} {unit}" + (", fell" if self.fell else "")
-        return self.motion.words, f"{self.motion.asked:g} {unit}", reached
+        reached = self.ratio * self.motion.asked
+        return self.motion.words, f"{self.motion.asked:g} {unit}", f"{reached:.2f} {unit}"
 
 
 def motions(card: Card) -> list[Motion]:
-    """Return the commands to try; none if the policy sees no velocity command."""
+    """Return the commands to try, at least 0.1 m/s or rad/s each; none if it sees no command.
+
+    A constant command is tried as it is. Beside it, and for all others: ahead at the card's speed;
+    sideways and in turns, walking ahead with it.
+    """
     terms = {
         term.term
         for observation in card.observations.values()
         if isinstance(observation, ProprioObservation)
         for term in observation.frame_terms
     }
-    command, turning = card.command, _TURNING
+    command = card.command
     if "command" not in terms:
         return []
     if isinstance(command, ConstantCommand):
-        used = [value != 0 for value in command.velocity]
-        ahead = max(command.velocity[0], 0.0) or _SPEED
-    else:
-        used = [command.speed > 0, False, isinstance(command, TrailFollower)]
-        ahead = command.speed or _SPEED
+        own = [
+            _motion(command.velocity, axis, is_used=True, more=" (on the card)")
+            for axis, value in enumerate(command.velocity)
+            if abs(value) >= _LEAST
+        ]
+        others = _all_ways(command.velocity[0], 0.0, is_used=False)
+        return [*own, *(other for other in others if other.velocity != command.velocity)]
+    turning = 0.0
     if isinstance(command, TrailFollower):
-        turning = min(_TURNING, command.yaw_limit)
+        turning = min(command.yaw_limit, command.yaw_gain * math.pi)
+    return _all_ways(command.speed, turning, is_used=True)
+
+
+def _all_ways(speed: float, turning: float, *, is_used: bool) -> list[Motion]:
+    """Return all five, at usual speeds where these are too small to be used."""
+    walks, turns = is_used and speed >= _LEAST, is_used and turning >= _LEAST
+    ahead = speed if speed >= _LEAST else _SPEED
+    turning = min(turning, _TURNING) if turns else _TURNING
     walking = min(ahead, _SPEED)
     return [
-        Motion(words=words, velocity=velocity, axis=axis, is_used=used[axis])
-        for words, velocity, axis in (
-            ("ahead", (ahead, 0.0, 0.0), 0),
-            ("to the left", (walking, _SIDEWAYS, 0.0), 1),
-            ("to the right", (walking, -_SIDEWAYS, 0.0), 1),
-            ("turning left", (walking, 0.0, turning), 2),
-            ("turning right", (walking, 0.0, -turning), 2),
-        )
+        _motion((ahead, 0.0, 0.0), 0, is_used=walks),
+        _motion((walking, _SIDEWAYS, 0.0), 1, is_used=False),
+        _motion((walking, -_SIDEWAYS, 0.0), 1, is_used=False),
+        _motion((walking, 0.0, turning), 2, is_used=turns),
+        _motion((walking, 0.0, -turning), 2, is_used=turns),
     ]
 
 
-def follow(stage: Stage, card: Card, tried: Sequence[Motion]) -> Iterator[Followed]:
+def _motion(velocity: Velocity, axis: int, *, is_used: bool, more: str = "") -> Motion:
+    words = _WAYS[axis][velocity[axis] < 0.0] + more
+    return Motion(words=words, velocity=velocity, axis=axis, is_used=is_used)
+
+
+def follow(stage: Recorder, card: Card, tried: Sequence[Motion]) -> Iterator[Followed]:
     """Command each motion for two seconds under a card, and yield what becomes of it.
 
     Raises:
         NwEvalError: it cannot be run.
     """
-    for motion in tried:
-        command = ConstantCommand(source="constant", velocity=motion.velocity)
+    for velocity, same in groupby(tried, key=lambda motion: motion.velocity):
+        command = ConstantCommand(source="constant", velocity=velocity)
         made = stage.record(card.model_copy(update={"command": command}), seconds=_SECONDS)
-        settled = made.velocity[round(_SETTLED / made.period) :, motion.axis]
-        reached = float(np.mean(settled)) if settled.size else 0.0
-        ratio = reached / motion.velocity[motion.axis]
-        yield Followed(motion=motion, ratio=ratio, fell=made.outcome == "fell")
+        settled = made.velocity[round(_SETTLED / made.period) :]
+        reached = settled.mean(axis=0) if len(settled) else np.zeros(3)
+        for motion in same:
+            ratio = float(reached[motion.axis]) / velocity[motion.axis]
+            yield Followed(motion=motion, ratio=ratio, fell=made.outcome == "fell")
 
 
 def deviation(followed: Sequence[Followed]) -> float:

@@ -37,12 +37,7 @@ class Hypothesis:
 
 
 def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
-    """Yield the changes that are worth a try.
-
-    Cards that see images have none: each second of theirs would be rendered again.
-    """
-    if any(spec.sensor == "splat_rgb" for spec in card.observations.values()):
-        return
+    """Yield the changes that are worth a try."""
     yield from _orders(card, robot)
     for words, changed in (*turned_cards(card, robot), *scaled_cards(card, robot)):
         yield Hypothesis(words=words, card=changed)

@@ -71,14 +71,19 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
     owner = np.repeat(np.arange(len(terms)), [term_size(t, len(robot.joints)) for t in terms])
     # The numbers of a frame take the way that every frame takes, each with a tag on it.
     tags = np.arange(1, len(owner) + 1, dtype=np.float32)
-    every = observation
-    if observation.history is not None:
-        plain = observation.history.model_copy(update={"start": "repeat", "zero": None})
-        every = observation.model_copy(update={"history": plain})
-    sample: NDArray[np.float32] = tags
-    for link in Proprio(name, every, card.command, control).frame_links(published=False):
-        sample = link(sample, Shot(step=2, moment=None, generator=np.random.default_rng))
-    came_from = owner[sample.astype(np.intp) - 1]
+
+    def seen(**history: object) -> NDArray[np.float32]:
+        every = observation
+        if observation.history is not None:
+            past = observation.history.model_copy(update={"start": "repeat", **history})
+            every = observation.model_copy(update={"history": past})
+        sample: NDArray[np.float32] = tags
+        for link in Proprio(name, every, card.command, control).frame_links(published=False):
+            sample = link(sample, Shot(step=2, moment=None, generator=np.random.default_rng))
+        return sample
+
+    came_from = owner[seen(zero=None).astype(np.intp) - 1]
+    is_zero = seen() == 0.0  # What `history.zero` blanks.
     steps = 1 if observation.history is None else observation.history.steps
     parts: list[Part] = []
     for index, term in enumerate(terms):
@@ -94,7 +99,8 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
                 form=_form(term),
                 limits=_limits(term, observation),
                 is_fixed=term.term in {"constant", "speed"}
-                or (term.term == "command" and card.command.source == "constant"),
+                or (term.term == "command" and card.command.source == "constant")
+                or bool(is_zero[indices].all()),
             )
         )
     return parts

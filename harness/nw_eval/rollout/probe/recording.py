@@ -1,10 +1,11 @@
-"""A second of a policy in a scene, through the same parts as every trial."""
+"""Some seconds of a policy in a scene, through the same parts as every trial."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,8 @@ class Recording:
     seconds: float
     outcome: Outcome | None
     """How the trial ended before its time; None if it did not."""
+    sees_images: bool
+    """Whether images were rendered for the policy, which takes far longer than all else."""
 
     @property
     def stumbles(self) -> bool:
@@ -78,6 +81,14 @@ class ThisBundle(Library):
         self._bundle = replace(self._bundle, card=card)
 
 
+class Recorder(Protocol):
+    """What records a checkpoint under one card after another."""
+
+    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
+        """Run the checkpoint under a card of the same robot, while it leans less than `level`."""
+        ...
+
+
 class Stage:
     """A checkpoint in a scene, under one card after another.
 
@@ -93,8 +104,8 @@ class Stage:
         self._allow_code = allow_code
         self._library = ThisBundle(bundle)
 
-    def record(self, card: Card, *, seconds: float) -> Recording:
-        """Run the checkpoint under a card of the same robot.
+    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
+        """Run the checkpoint under a card of the same robot, while it leans less than `level`.
 
         Raises:
             NwEvalError: it cannot be run.
@@ -104,6 +115,7 @@ class Stage:
             self.bundle,
             scene=self._scene,
             seconds=seconds,
+            level=level,
             allow_code=self._allow_code,
             library=self._library,
         )
@@ -114,10 +126,19 @@ def record(
     *,
     scene: str,
     seconds: float = 1.0,
+    level: float = math.inf,
     allow_code: bool = False,
     library: ThisBundle | None = None,
 ) -> Recording:
     """Run a policy for a while, from the first start of a scene.
+
+    Args:
+        bundle: card and checkpoint.
+        scene: its name.
+        seconds: how long at most.
+        level: roll or pitch with which the recording ends, rad.
+        allow_code: whether Python code that the card names may be imported.
+        library: keeps the scene from one recording to the next.
 
     Raises:
         NwEvalError: it cannot be run.
@@ -127,11 +148,12 @@ def record(
     rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
     seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
     outcome: Outcome | None = None
+    tilt = 0.0
     with open_trial(job, library, StageClock()) as opened:
         episode = opened.episode
         world = episode.world
         first, start = world.joint_positions, world.trunk_position
-        while outcome is None:
+        while outcome is None and tilt < level:
             decision = episode.decide()
             outcome, _ = episode.advance(decision)
             for name, value in decision.observation.items():
@@ -155,6 +177,7 @@ def record(
         travelled=travelled,
         seconds=world.time,
         outcome=None if outcome in {"timeout", "completed"} else outcome,
+        sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
     )
 
 

@@ -1,0 +1,92 @@
+"""What is said of commands that a policy misses, and when the search for another card ends."""
+
+import math
+
+import pytest
+
+from nw_eval.robots import get_robot
+from nw_eval.rollout.probe.budget import Metered
+from nw_eval.rollout.probe.comparison import compare
+
+GO1 = get_robot("go1")
+
+
+@pytest.fixture
+def compared(commanded, walked, stage_on_which):
+    """Return a maker of findings: `compared(walk)`; and the stage that it ran on."""
+
+    def compared(walk, *, simulated=1000.0, deadline=math.inf, **recorded):
+        stage = stage_on_which(walk)
+        metered = Metered(stage, simulated=simulated, deadline=deadline)
+        followed, findings = compare(metered, commanded, GO1, walked(seconds=1.0, **recorded))
+        return followed, [(finding.kind, finding.text) for finding in findings], stage
+
+    return compared
+
+
+def halved_hips(card):
+    return isinstance(card.control.scale, dict) and card.control.scale.get("hip") == 0.25
+
+
+def test_a_policy_that_follows_everything_is_asked_nothing_more(compared, obeys):
+    followed, findings, stage = compared(lambda card, _: obeys(card))
+    assert len(followed) == stage.asked == 5
+    assert findings == []
+
+
+def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obeys):
+    _, findings, _ = compared(lambda card, _: obeys(card, (1.0, 0.4, 1.0)))
+    assert [kind for kind, _ in findings] == ["note", "note"]
+    assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
+
+
+def test_a_card_with_which_everything_is_followed_is_a_fault_of_the_one_that_is_looked_at(
+    compared, obeys
+):
+    def walk(card, _):
+        return obeys(card, (1.0, 1.0 if halved_hips(card) else 0.4, 1.0))
+
+    _, findings, _ = compared(walk)
+    assert [kind for kind, _ in findings] == ["note", "note", "fault"]
+    assert findings[2][1].startswith("it follows with the scale of the hips halved; if so trained")
+
+
+def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
+    def walk(card, _):
+        return obeys(card, tilt=0.1 if halved_hips(card) else 0.5)
+
+    followed, findings, _ = compared(walk, tilt=0.5)
+    assert followed == []
+    assert len(findings) == 1
+    assert findings[0][1].startswith("it walks with the scale of the hips halved; if so trained")
+
+
+def test_what_was_found_before_the_budget_was_used_up_is_told(compared, obeys):
+    def walk(card, _):
+        # The first other card already does; a better one comes last.
+        order = card.control.joints is not None
+        return obeys(card, (1.0, 1.0 if halved_hips(card) else 0.8 if order else 0.4, 1.0))
+
+    everything = compared(walk)
+    cut = compared(walk, simulated=25.0)  # 10 s for the commands, 10 s for each card that follows.
+    assert len(everything[0]) == len(cut[0]) == 5
+    assert "the hips halved" in everything[1][-1][1]
+    assert [kind for kind, _ in cut[1]] == ["note", "note", "fault", "note"]
+    assert "with the joints in the order" in cut[1][2][1]
+    assert cut[1][3][1] == "cut off after 26 s of simulation: not every other card was tried"
+    assert cut[2].asked == 13
+
+
+def test_a_policy_too_slow_for_its_commands_does_not_pass(compared, obeys):
+    followed, findings, stage = compared(lambda card, _: obeys(card), deadline=0.0)
+    assert followed == []
+    assert stage.asked == 0
+    words = "cut off after 0 s of simulation: not every command was tried"
+    assert findings == [("fault", words)]
+
+
+def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
+    _, findings, stage = compared(lambda card, _: obeys(card), tilt=0.5, sees_images=True)
+    assert stage.asked == 0
+    assert findings == []
+    assert compared(lambda card, _: obeys(card), tilt=0.5)[2].asked > 0
