@@ -120,6 +120,8 @@ def read_yaml(path: Path) -> YamlFile:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
+        if "'\\t'" in str(error.problem):
+            raise fail("is not YAML: a tab stands here", "use spaces", line, column) from None
         raise fail(f"is not YAML: {error.problem}", "mend the syntax", line, column) from None
     except (YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0]
@@ -203,11 +205,16 @@ def _mark(node: Node) -> Place:
 
 
 def validation_problems(
-    error: ValidationError, file: YamlFile, model: type[BaseModel]
+    error: ValidationError,
+    file: YamlFile,
+    model: type[BaseModel],
+    *,
+    also: Mapping[str, str] | None = None,
 ) -> list[Problem]:
     """Turn pydantic's errors into Problems in file order, with the nearest valid name.
 
-    `model` is the class that was validated; its field names (aliases) are the valid keys.
+    `model` is the class that was validated; its field names (aliases) are the valid keys. `also`
+    says what else people call keys: the valid one by the other name.
     Validators may raise `ValueError("what is wrong; what to do")`: both parts are kept.
     """
     problems: list[tuple[Location, Problem]] = []
@@ -219,7 +226,9 @@ def validation_problems(
         match detail["type"]:
             case "extra_forbidden":
                 message = f"unknown key {detail['loc'][-1]!r}"
-                fix = nearest(str(detail["loc"][-1]), _keys_at(model, detail["loc"][:-1]))
+                key, keys = str(detail["loc"][-1]), _keys_at(model, detail["loc"][:-1])
+                called = (also or {}).get(key)
+                fix = f"here it is {called!r}" if called in keys else nearest(key, keys)
             case "missing":
                 missing = detail["loc"][-1]
                 message = f"{name}: {missing!r} is missing" if name else f"{missing!r} is missing"
@@ -246,11 +255,20 @@ def _without_echoes(
             continue  # A longer location says it more precisely.
         if len(messages) > 1:
             name = ".".join(str(part) for part in location)
-            merged = file.problem(location, f"{name}: " + ", or ".join(dict.fromkeys(messages)))
+            merged = file.problem(location, f"{name}: {_either(messages)}")
             kept[problem.line, problem.column, "merged"] = merged
         else:
             kept[problem.line, problem.column, problem.message] = problem
     return [kept[key] for key in sorted(kept)]
+
+
+def _either(messages: Sequence[str]) -> str:
+    """Join what was expected instead, and say what was given only once."""
+    split = [message.rpartition(", got ") for message in dict.fromkeys(messages)]
+    given = {got for _, _, got in split}
+    if len(given) > 1 or not all(expected for expected, _, _ in split):
+        return ", or ".join(dict.fromkeys(messages))
+    return f"{', or '.join(expected for expected, _, _ in split)}, got {given.pop()}"
 
 
 def _explain(detail: ErrorDetails) -> tuple[str, str | None]:
@@ -261,6 +279,8 @@ def _explain(detail: ErrorDetails) -> tuple[str, str | None]:
     if kind == "value_error":
         text, _, fix = str(context["error"]).partition("; ")
         return text, fix or None
+    if kind == "too_long":
+        return f"has {context['actual_length']} values, at most {context['max_length']} fit", None
     if kind == "too_short" and not value:
         return "is empty", "name at least one"
     if kind in {"literal_error", "enum"}:

@@ -3,9 +3,10 @@ import textwrap
 import pytest
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies import load_card
+from nw_eval.policies import JointControl, load_card
 from nw_eval.policies.layouts import LAYOUTS
 from nw_eval.policies.terms import term_size
+from nw_eval.robots import get_robot
 
 MINIMAL = """\
 nw-policy: 1
@@ -23,7 +24,7 @@ NAME_ALL = "name every joint"
 GIVE = "give one value, one for each joint, or a mapping by name"
 
 
-def written(folder, text):
+def written_card(folder, text):
     path = folder / "policy.yaml"
     path.write_text(textwrap.dedent(text))
     return path
@@ -31,7 +32,7 @@ def written(folder, text):
 
 def problems_of(folder, text):
     with pytest.raises(PolicyError) as caught:
-        load_card(written(folder, text))
+        load_card(written_card(folder, text))
     return str(caught.value).splitlines()
 
 
@@ -75,13 +76,70 @@ def test_what_is_no_number_is_no_gain(tmp_path, slip):
     assert "number" in problem
 
 
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("scale: {FR_hip: 0.3, hip: 0.5, thigh: 1, calf: 1}", [0.3, 1, 1, 0.5]),
+        ("scale: {FR_hip: 0.3, F*_hip: 0.4, hip: 0.5, thigh: 1, calf: 1}", [0.3, 1, 1, 0.4]),
+        ("scale: {hip: 0.5, thigh: 1, calf: 1, F*: 2}", [2, 2, 2, 2]),
+    ],
+)
+def test_the_more_exact_key_of_a_mapping_counts(tmp_path, written, meant):
+    card = load_card(written_card(tmp_path, MINIMAL.replace("scale: 0.25", written)))
+    scale = JointControl.from_card(card, get_robot("go1")).scale
+    assert scale[:4].tolist() == meant
+
+
+@pytest.mark.parametrize(
+    ("pose", "fault"),
+    [
+        ("{thigh: 51}", "51 is beyond the range of FR_thigh; give radians from -1.0472 to 4.18879"),
+        ("{calf: 1.8}", "1.8 is beyond the range of FR_calf"),
+        ("[-5.7, 0.8, -1.5, 0, 0.8, -1.5, 0, 0.8, -1.5, 0, 0.8, -1.5]", "-5.7 is beyond the range"),
+        ("0.0", "0 is beyond the range of FR_calf"),
+    ],
+)
+def test_a_default_pose_that_no_joint_can_take_is_refused(tmp_path, pose, fault):
+    text = MINIMAL.replace("scale: 0.25", f"scale: 0.25, default_pose: {pose}")
+    (problem,) = problems_of(tmp_path, text)
+    assert f"control.default_pose: {fault}" in problem
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("name: mine", "name: My Policy", ":2:1: name: 'My Policy' is no name for a policy; use"),
+        (
+            "ab" * 32,
+            "ab" * 20,
+            "is no SHA-256, which has 64 hex digits, not 40; `sha256sum FILE`",
+        ),
+        ("scale: 0.25", 'scale: "0.5"', "should be a mapping, got '0.5'"),
+        ("scale: 0.25", "stiffness: 20", "unknown key 'stiffness'; here it is 'kp'"),
+        ("scale: 0.25", "latency: 0.02", "unknown key 'latency'; here it is 'delay_steps'"),
+        ("scale: 0.25", "clip: [1, 2, 3]", "control.clip: has 3 values, at most 2 fit"),
+        ("joint_position_offset", "joint_torque, kp: 20", ":6:33: control.kp: kp has no meaning"),
+        ("robot: go1", "robot:\tgo1\n\tx: 1", "a tab stands here; use spaces"),
+    ],
+)
+def test_slips_are_told_in_plain_words(tmp_path, old, new, said):
+    problem, *_ = problems_of(tmp_path, MINIMAL.replace(old, new))
+    assert said in problem
+    assert problem.count("got ") <= 1
+
+
+def test_a_digest_may_be_written_in_upper_case(tmp_path):
+    card = load_card(written_card(tmp_path, MINIMAL.replace("ab" * 32, "AB" * 32)))
+    assert card.checkpoint.sha256 == "ab" * 32
+
+
 def test_a_robot_that_nobody_knows_is_told_with_its_place(tmp_path):
     (problem,) = problems_of(tmp_path, MINIMAL.replace("robot: go1", "robot: go3"))
     assert ":3:1: robot: unknown robot 'go3'; did you mean 'go" in problem
 
 
 def test_a_card_of_eight_lines_is_enough(tmp_path):
-    card = load_card(written(tmp_path, MINIMAL))
+    card = load_card(written_card(tmp_path, MINIMAL))
     assert card.control.delay_steps == 0
     assert card.control.clip is None
     assert card.observations["obs"].rate == 50
@@ -158,7 +216,7 @@ def test_a_checkpoint_outside_the_folder_is_refused(tmp_path, file):
 
 def test_a_clip_of_one_number_limits_both_sides(tmp_path):
     text = MINIMAL.replace("scale: 0.25", "scale: 0.25, clip: 4.8")
-    assert load_card(written(tmp_path, text)).control.clip == (-4.8, 4.8)
+    assert load_card(written_card(tmp_path, text)).control.clip == (-4.8, 4.8)
 
 
 def test_parkour53_has_53_numbers():
@@ -168,7 +226,7 @@ def test_parkour53_has_53_numbers():
 def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_path):
     text = MINIMAL.replace("scale: 0.25}", "scale: 0.25, rate: 25}")
     text += "  rgb: {sensor: splat_rgb, camera: ego, width: 8, height: 8, rate: 5}\n"
-    card = load_card(written(tmp_path, text))
+    card = load_card(written_card(tmp_path, text))
     assert card.control.hold == 2
     assert card.observations["obs"].rate == 25
     assert card.observations["rgb"].rate == 5

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from nw_eval.errors import nearest
 from nw_eval.policies.joints import PerJoint
@@ -44,6 +44,13 @@ def _physics_rate(rate: int) -> int:
 PhysicsRate = Annotated[int, AfterValidator(_physics_rate)]
 
 
+def _plain_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
+        message = f"{name[:70]!r} is no name for a policy"
+        raise ValueError(f"{message}; use a-z, 0-9, '.', '_' and '-', at most 64 of them")
+    return name
+
+
 def _plain_file(name: str) -> str:
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or "\\" in name or not name.strip():
@@ -52,12 +59,22 @@ def _plain_file(name: str) -> str:
     return name
 
 
+def _sha256(digest: str) -> str:
+    if not re.fullmatch(r"[0-9a-fA-F]{64}", digest):
+        message = f"{digest[:20]!r} is no SHA-256, which has 64 hex digits, not {len(digest)}"
+        raise ValueError(f"{message}; `sha256sum FILE` prints it")
+    return digest.lower()
+
+
+Sha256 = Annotated[str, AfterValidator(_sha256)]
+
+
 class Checkpoint(CardModel):
     """The file of weights, and the digest that it must have."""
 
     file: Annotated[str, AfterValidator(_plain_file)]
     """Path inside the card's folder."""
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    sha256: Sha256 | None = None
     """Hex digest of the file; only a card that is always used with --checkpoint needs none."""
     source: str | None = None
     """Where people get the file if it does not lie beside the card."""
@@ -94,11 +111,12 @@ class Control(CardModel):
     friction_loss: PerJoint | None = None
     """N m."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Control:
-        if self.action == "joint_torque" and self.kp is not None:
+    @field_validator("kp")
+    @classmethod
+    def _only_for_positions(cls, kp: PerJoint | None, info: ValidationInfo) -> PerJoint | None:
+        if kp is not None and info.data.get("action") == "joint_torque":
             raise ValueError("kp has no meaning for torques; remove it, or choose another `action`")
-        return self
+        return kp
 
     @property
     def hold(self) -> int:
@@ -169,7 +187,7 @@ class Card(CardModel):
     """A policy card, valid in itself. `sensors.check_card` checks it against a robot."""
 
     schema_version: Literal[1] = Field(alias="nw-policy")
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
+    name: Annotated[str, AfterValidator(_plain_name)]
     title: str = ""
     """One line for people."""
     licence: str = ""

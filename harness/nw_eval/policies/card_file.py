@@ -13,6 +13,18 @@ from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
 
 CARD_FILE = "policy.yaml"
 
+# What other stacks call our keys.
+_ALSO_CALLED = {
+    "action_scale": "scale",
+    "damping": "kd",
+    "default_joint_angles": "default_pose",
+    "default_joint_pos": "default_pose",
+    "effort_limits": "torque_limits",
+    "joint_names": "joints",
+    "latency": "delay_steps",
+    "stiffness": "kp",
+}
+
 
 def load_card(path: Path) -> Card:
     """Read a card.
@@ -27,7 +39,7 @@ def load_card(path: Path) -> Card:
     try:
         card = Card.model_validate(file.data)
     except ValidationError as error:
-        problems = validation_problems(error, file, Card)
+        problems = validation_problems(error, file, Card, also=_ALSO_CALLED)
         raise PolicyError("\n".join(str(problem) for problem in problems)) from None
     if problems := joint_problems(card, file):
         raise PolicyError("\n".join(str(problem) for problem in problems))

@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import PolicyError, Problem, nearest
-from nw_eval.policies.joints import PerJoint, joint_order, joint_values
+from nw_eval.policies.joints import PerJoint, joint_order, joint_values, named_joints, short_name
 from nw_eval.robots import get_robot, robot_names
 
 if TYPE_CHECKING:
     from nw_eval.policies.card import Card
+    from nw_eval.robots import RobotSpec
     from nw_eval.yaml_file import Location, YamlFile
 
 _NEVER_NEGATIVE = ("kp", "kd", "torque_limits", "armature", "friction_loss")
@@ -27,7 +28,8 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
     if card.robot not in robot_names():
         known = nearest(card.robot, robot_names())
         return [file.problem(("robot",), f"robot: unknown robot {card.robot!r}", known)]
-    own = get_robot(card.robot).joints
+    robot = get_robot(card.robot)
+    own = robot.joints
     told: list[Problem | None] = []
     joints = own
     if (named := card.control.joints) is not None:
@@ -38,6 +40,8 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:
             told += _value_problems(file, key, value, joints)
+    if (pose := card.control.default_pose) is not None and not any(told):
+        told += _range_problems(file, pose, joints, robot)
     problems = [problem for problem in told if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
 
@@ -67,6 +71,29 @@ def _value_problems(
             for where, number in _numbers(value, place)
             if number < 0.0
         ]
+    return told
+
+
+def _range_problems(
+    file: YamlFile, pose: PerJoint, joints: Sequence[str], robot: RobotSpec
+) -> list[Problem]:
+    """Return a problem for each number of a default pose that a joint of its cannot take."""
+    ranges = {short_name(j): r for j, r in zip(robot.joints, robot.joint_ranges, strict=True)}
+    names = [short_name(joint) for joint in joints]
+    told: list[Problem] = []
+    for where, number in _numbers(pose, ("control", "default_pose")):
+        meant = names
+        if isinstance(pose, dict):
+            meant = named_joints(str(where[-1]), names)
+        elif isinstance(pose, list):
+            meant = [names[int(where[-1])]]
+        for name in meant:
+            low, high = ranges[name]
+            if not low <= number <= high:
+                message = f"control.default_pose: {number:g} is beyond the range of {name}"
+                fix = f"give radians from {low:g} to {high:g}, in the robot's own signs"
+                told.append(file.problem(where, message, fix))
+                break
     return told
 
 

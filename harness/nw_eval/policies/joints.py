@@ -18,8 +18,9 @@ Number = Annotated[float, Strict()]
 PerJoint = Number | list[Number] | dict[str, Number]
 """One number for all joints; a list in the order of `control.joints`; or a mapping.
 
-The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thigh"); where two of
-them name the same joint, the later one counts.
+The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thigh"). Where two of
+them name the same joint, the more exact one counts: a joint over a pattern over a type; of two
+patterns, the later one.
 """
 
 
@@ -50,6 +51,12 @@ def joint_order(wanted: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp
     return np.array([known.index(name) for name in names], dtype=np.intp)
 
 
+def named_joints(key: str, names: Sequence[str]) -> list[str]:
+    """Return those of the short `names` that a key of a mapping means: a joint, type or pattern."""
+    pattern = short_name(key)
+    return [name for name in names if name.endswith(f"_{pattern}") or fnmatchcase(name, pattern)]
+
+
 def joint_values(
     value: PerJoint, joints: Sequence[str], default: Sequence[float] | None = None
 ) -> NDArray[np.float64]:
@@ -74,19 +81,21 @@ def joint_values(
         return np.full(len(joints), float(value))
     names = [short_name(joint) for joint in joints]
     result: list[float | None] = list(default) if default is not None else [None] * len(names)
-    for key, number in value.items():
-        pattern = short_name(key)
-        hits = [i for i, name in enumerate(names) if _matches(name, pattern)]
+    for key, number in sorted(value.items(), key=lambda item: _exactness(item[0], names)):
+        hits = named_joints(key, names)
         if not hits:
-            kinds = {name.rsplit("_", 1)[-1] for name in names}
-            raise PolicyError(f"{key!r} names no joint", fix=nearest(pattern, {*names, *kinds}))
-        for i in hits:
-            result[i] = number
+            known = {*names, *(name.rsplit("_", 1)[-1] for name in names)}
+            raise PolicyError(f"{key!r} names no joint", fix=nearest(short_name(key), known))
+        for name in hits:
+            result[names.index(name)] = number
     missing = [name for name, number in zip(names, result, strict=True) if number is None]
     if missing:
         raise PolicyError(f"no value for {', '.join(missing)}", fix="name every joint")
     return np.array(result, dtype=np.float64)
 
 
-def _matches(name: str, pattern: str) -> bool:
-    return name.endswith(f"_{pattern}") or fnmatchcase(name, pattern)
+def _exactness(key: str, names: Sequence[str]) -> int:
+    """Return 0 for a type, 1 for a pattern, 2 for a joint."""
+    if short_name(key) in names:
+        return 2
+    return int(any(sign in key for sign in "*?["))

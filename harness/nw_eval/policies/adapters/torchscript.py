@@ -68,7 +68,8 @@ class TorchScriptPolicy:
                 raw = self._module.forward(*tensors)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
-            raise TrialError(f"policy {self._name!r} failed: {reason}") from error
+            fix = "export it in float32: module.float()" if "dtype" in reason else None
+            raise TrialError(f"policy {self._name!r} failed: {reason}", fix=fix) from error
         if isinstance(raw, tuple | list):
             raw = raw[0]
         if not isinstance(raw, torch.Tensor):

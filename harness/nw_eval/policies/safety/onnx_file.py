@@ -64,8 +64,8 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
             _check_tensor(tensor, where)
     except (ValueError, IndexError, TypeError) as error:
         raise PolicyError(
-            f"{where}: not a usable ONNX file: {error}",
-            fix="export it again as one file with standard operators",
+            f"{where}: not a usable ONNX file, cut short or damaged: {error}",
+            fix="copy or download it again, or export it again as one file",
         ) from None
 
 
@@ -111,7 +111,7 @@ def _check_tensor(tensor: memoryview, where: str) -> None:
         if number == _EXTERNAL:
             raise PolicyError(
                 f"{where}: the numbers of tensor {name!r} lie in another file",
-                fix="export it again as one file, with the weights inside",
+                fix="export it again as one file: onnx.save(onnx.load('policy.onnx'), 'one.onnx')",
             )
         if number == _DIMS:
             dims += [value] if isinstance(value, int) else _varints(value)
