@@ -13,7 +13,7 @@ from onnx import helper, numpy_helper
 from ruamel.yaml import YAML
 
 from nw_eval import api
-from nw_eval.errors import UsageError
+from nw_eval.errors import PolicyError, UsageError
 from nw_eval.policies import Card, load_bundle, load_card
 from nw_eval.policies.joints import joint_values
 from nw_eval.robots import get_robot
@@ -155,14 +155,11 @@ def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
 
 @pytest.mark.assets
 @needs_assets
-def test_a_default_pose_that_was_copied_with_the_stacks_own_signs_is_told_too(tmp_path):
-    weights, card = mirrored("playground-go1", LEGS_DOWN, tmp_path), example("playground-go1")
+def test_a_default_pose_that_was_copied_with_the_stacks_own_signs_is_refused(tmp_path):
+    card = example("playground-go1")
     card["control"]["default_pose"] |= {"thigh": -0.9, "calf": 1.8}
-    told = check(tmp_path / "card", card, weights)
-    assert "turned round in targets, observations and default pose; if so" in told.text
-    assert mend(card, told.text) == 4
-    assert card["control"]["default_pose"]["thigh"] == 0.9
-    assert check(tmp_path / "card", card, weights).passed
+    with pytest.raises(PolicyError, match=r"1\.8 is beyond the range of FR_calf; .* own signs"):
+        check(tmp_path / "card", card, WEIGHTS["playground-go1"])
 
 
 @pytest.mark.assets
