@@ -1,6 +1,9 @@
 """Rows from results."""
 
+import json
 import pickle  # noqa: TID251 - that is how jobs travel between our own processes.
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -83,8 +86,19 @@ def test_a_job_travels_to_a_worker_and_into_a_log_and_back(job):
     assert (read.duration, read.checkpoint, read.mcap) == (12.0, job.checkpoint, None)
 
 
+def test_a_log_gives_no_leave_and_no_place_to_write(job):
+    metadata = trial_metadata(replace(job, allow_code=True, mcap=Path("here.mcap")))
+    fields = json.loads(metadata["job"])
+    assert {"allow_code", "mcap", "record"}.isdisjoint(fields)
+    forged = {**fields, "allow_code": True, "mcap": "/tmp/there.mcap", "time_limit": 1e9}
+    read = job_from_metadata({**metadata, "job": json.dumps(forged)})
+    assert (read.allow_code, read.mcap, read.time_limit) == (False, None, 600.0)
+    with pytest.raises(ValueError, match="damaged: policy: input should be a valid string"):
+        job_from_metadata({**metadata, "job": json.dumps({**fields, "policy": 5})})
+
+
 def test_a_damaged_job_in_a_log_is_one_sentence(job):
     metadata = trial_metadata(job)
-    for text in ("{", "{}", '{"trial": {}}'):
+    for text in ("{", "{}", "[]", '{"trial": {}}'):
         with pytest.raises(ValueError, match="damaged"):
             job_from_metadata({**metadata, "job": text})

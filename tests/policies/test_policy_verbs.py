@@ -1,5 +1,6 @@
 """`nw-eval policies`: list, show, check, init, and what `check` finds in wrong cards."""
 
+import hashlib
 import os
 import re
 from pathlib import Path
@@ -56,10 +57,77 @@ def test_the_terms_of_a_frame_with_parts_left_out_are_counted_right():
     assert re.search(r"scandots +scandots +132", shown)
 
 
+EVERYTHING = """
+nw-policy: 1
+name: all
+robot: go1
+adapter: torchscript
+checkpoint: {file: all.pt}
+control:
+  {action: joint_position_offset, scale: 0.25, clip: 3, rate: 25, physics_rate: 500, delay_steps: 2,
+   torque_limits: 20, armature: 0.004, friction_loss: {hip: 0.3, thigh: 0.4, calf: 0.5}}
+command: {source: constant, velocity: [0.5, 0.0, 0.25]}
+observations:
+  body:
+    sensor: proprio
+    latency: 0.02
+    noise: {gaussian: 0.01, dropout: 0.1}
+    terms:
+      - {term: lin_vel, frame: yaw, at: [0.1, 0.0, 0.02]}
+      - {term: joint_pos, relative: false, clip: 2}
+      - {term: constant, values: [0, 0, 0, 1]}
+    clip: 100
+    select: ["0:3", 5]
+    history: {steps: 4, order: newest_first, current: false, start: zeros, zero: ["1:3"]}
+  rgb: {sensor: splat_rgb, camera: ego, width: 64, height: 48, axes: chw, dtype: float32,
+        mean: 127.5, std: 127.5, stack: 2, rate: 5}
+  depth: {sensor: depth, far: 20, wrap: [{wrapper: resize, width: 40, height: 24}, flatten]}
+  dots: {sensor: scandots, x: [-0.3, 0.9, 7], offset: -0.25}
+inputs: {proprio: [body, depth, dots], image: [rgb]}
+output: action
+options: {}
+"""
+
+
+def test_everything_that_is_not_by_default_is_shown(tmp_path):
+    (tmp_path / "policy.yaml").write_text(EVERYTHING)
+    shown = api.show_policy(str(tmp_path))
+    assert "\ncommand     constant (velocity [0.5, 0, 0.25])\n" in shown
+    assert "\noutput      action\n" in shown
+    assert re.search(r"body +lin_vel +12 \(4 frames\) +frame yaw at \[0.1, 0, 0.02\] +25 Hz", shown)
+    assert re.search(r"body +joint_pos +4 \(4 frames\) +clip -2..2 relative false", shown)
+    assert re.search(r"rgb +splat_rgb +2 x 3 x 48 x 64 +5 Hz", shown)
+    settings = dict(re.findall(r"  `(\w+)` .*?; (.*)\n", shown))
+    assert settings == {
+        "body": "latency 0.02, noise {gaussian: 0.01, dropout: 0.1}, clip [-100, 100], "
+        'select ["0:3", 5], history {steps: 4, order: newest_first, current: false, '
+        'start: zeros, zero: ["1:3"]}',
+        "rgb": "width 64, height 48, stack 2, axes chw, dtype float32, mean 127.5, std 127.5",
+        "depth": "wrap [{wrapper: resize, width: 40, height: 24}, {wrapper: flatten}], far 20",
+        "dots": "x [-0.3, 0.9, 7], offset -0.25",
+    }
+    assert "\nactions: joint_position_offset, limited to -3..3, 25 Hz, delayed by 2, " in shown
+    assert "physics at 500 Hz\n" in shown
+    assert re.search(r"FR_calf +-1\.5 +0\.25 +20 +0\.5 +20 +0\.004 +0\.5\n", shown)
+
+
+def test_a_card_is_shown_with_weights_that_lie_elsewhere(tmp_path):
+    weights = tmp_path / "other.onnx"
+    weights.write_bytes(b"not the policy's")
+    shown = api.show_policy("go1-parkour", checkpoint=weights)
+    digest = hashlib.sha256(b"not the policy's").hexdigest()[:16]
+    words = f"{weights}, 0.00 MB, SHA-256 {digest}, not the card's 1d9068e0fef8dd59\n"
+    assert f"\ncheckpoint  {words}" in shown
+    with pytest.raises(PolicyError, match="the checkpoint is missing"):
+        api.show_policy("go1-parkour", checkpoint=tmp_path / "nothing.onnx")
+    with pytest.raises(PolicyError, match="drop --checkpoint"):
+        api.show_policy("stand", checkpoint=weights)
+
+
 def test_the_shipped_policy_passes_its_check():
     told = api.check_policy("go1-parkour")
     assert told.exit_code == 0
-    assert told.text.endswith("PASS")
+    assert told.text.endswith("\nno fault found")
     assert re.search(r"proprio +speed +1 +0\.800 +0\.800 +0\.800 +1 of 1", told.text)
 
 
@@ -85,6 +153,24 @@ def test_a_checkpoint_that_does_not_hear_its_inputs_is_found_out(tmp_path):
     assert told.exit_code == UsageError.exit_code
     assert "the action is the same at every step" in told.text
     assert "`body`, joint_vel: its limits -0.01..0.01 cut it off in most steps" in told.text
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_zeros_that_init_wrote_in_place_of_terms_are_noted(tmp_path):
+    torch.jit.save(torch.jit.script(Deaf()), str(tmp_path / "deaf.pt"))
+    (tmp_path / "policy.yaml").write_text(
+        "nw-policy: 1\nname: deaf\nrobot: go1\nadapter: torchscript\n"
+        "checkpoint: {file: deaf.pt}\n"
+        "control: {action: joint_position_offset, scale: 0.25}\n"
+        "observations:\n"
+        f"  body: {{sensor: proprio, terms: [gravity, {{term: constant, values: {[0] * 130}}},\n"
+        "    {term: constant, values: [0, 0]}, {term: constant, values: [1, 0]}]}\n"
+        "  known: {sensor: proprio, layout: parkour53}\n"
+    )
+    told = probe_here(load_bundle(tmp_path, checkpoint=tmp_path / "deaf.pt")).text
+    words = "note: `body` holds 132 zeros in place of what the checkpoint was trained on\n"
+    assert told.count("in place of what") == told.count(words) == 1
+    assert "moves against its targets" not in told
 
 
 def himloco(folder, *changes):

@@ -77,12 +77,21 @@ def mend(card, told):
     return len(lines)
 
 
+def terms_of(card):
+    return card["observations"]["obs"]["terms"]
+
+
+def seen_with(card):
+    """What a card means by its terms, however they are written."""
+    return Card.model_validate(card).observations["obs"].terms
+
+
 def joints_of(card):
     return [joint.removesuffix("_joint") for joint in card["control"].get("joints", ROBOT_ORDER)]
 
 
-class Mirrored(torch.nn.Module):
-    """A scripted policy in a stack that counts some joints the other way round."""
+class Rebuilt(torch.nn.Module):
+    """A scripted policy in a stack with other factors of what it sees and of what it says."""
 
     def __init__(self, policy, seen, told):
         super().__init__()
@@ -94,19 +103,20 @@ class Mirrored(torch.nn.Module):
         return self.policy(x * self.seen) * self.told
 
 
-def mirrored(name, joints, folder):
-    """Save a real policy as a stack has it whose `joints` (a pattern) count the other way round."""
-    turned = [-1.0 if re.search(joints, joint) else 1.0 for joint in joints_of(example(name))]
-    told = np.array(turned, dtype=np.float32)
-    three = np.concatenate([told] * 3)  # joint_pos, joint_vel, last_output
+def rebuilt(name, folder, *, seen=None, told=1.0):
+    """Save a real policy as a stack has it whose numbers are others, by term and by joint."""
+    sizes = {"joint_pos": 12, "joint_vel": 12, "last_output": 12}
+    terms = [t if isinstance(t, str) else t["term"] for t in terms_of(example(name))]
+    parts = [np.broadcast_to((seen or {}).get(t, 1.0), sizes.get(t, 3)) for t in terms]
+    seen = np.concatenate(parts).astype(np.float32)
+    told = np.broadcast_to(told, 12).astype(np.float32)
     if name == "himloco-go2":
-        path = folder / "mirrored.pt"
-        seen = np.tile(np.concatenate([np.ones(9, np.float32), three]), 6)
-        parts = torch.jit.load(str(WEIGHTS[name])), torch.tensor(seen), torch.tensor(told)
-        torch.jit.save(torch.jit.script(Mirrored(*parts)), str(path))
+        path = folder / "rebuilt.pt"
+        seen, told = torch.tensor(np.tile(seen, 6)), torch.tensor(told)
+        parts = torch.jit.load(str(WEIGHTS[name])), seen, told
+        torch.jit.save(torch.jit.script(Rebuilt(*parts)), str(path))
         return path
-    path = folder / "mirrored.onnx"
-    seen = np.concatenate([np.ones(9, np.float32), three, np.ones(3, np.float32)])
+    path = folder / "rebuilt.onnx"
     model = onnx.load(str(WEIGHTS[name]))
     graph = model.graph
     given, answer = graph.input[0].name, graph.output[0].name
@@ -121,6 +131,13 @@ def mirrored(name, joints, folder):
     graph.node.append(helper.make_node("Mul", ["answered", "told"], [answer]))
     onnx.save(model, str(path))
     return path
+
+
+def mirrored(name, joints, folder):
+    """Save a real policy as a stack has it whose `joints` (a pattern) count the other way round."""
+    told = [-1.0 if re.search(joints, joint) else 1.0 for joint in joints_of(example(name))]
+    seen = dict.fromkeys(("joint_pos", "joint_vel", "last_output"), told)
+    return rebuilt(name, folder, seen=seen, told=told)
 
 
 @pytest.mark.assets
@@ -224,6 +241,120 @@ def test_a_wrong_scale_of_the_command_is_told(tmp_path, name, scale, right):
     assert not told.passed
     assert mend(card, told.text) == 1
     assert terms[place].get("scale", 1) == right
+
+
+USUAL = {"ang_vel": 0.25, "joint_vel": 0.05, "lin_vel": 2.0}
+
+
+def with_scales(name, scales):
+    """An example's card with these scales of its terms."""
+    card = example(name)
+    for place, term in enumerate(terms_of(card)):
+        plain = {"term": term} if isinstance(term, str) else term
+        if plain["term"] in scales:
+            terms_of(card)[place] = plain | {"scale": scales[plain["term"]]}
+    return card
+
+
+@pytest.mark.assets
+@needs_assets
+@pytest.mark.parametrize(
+    ("name", "missing"),
+    [
+        ("himloco-go2", ["ang_vel"]),
+        ("himloco-go2", ["joint_vel"]),
+        ("himloco-go2", ["ang_vel", "joint_vel"]),
+        ("playground-go1", ["ang_vel"]),
+        ("playground-go1", ["joint_vel"]),
+        ("playground-go1", ["lin_vel"]),
+        ("playground-go1", ["lin_vel", "ang_vel", "joint_vel"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_scales_that_a_card_lacks_are_told(tmp_path, name, missing):
+    weights, ones = WEIGHTS[name], dict.fromkeys(missing, 1.0)
+    if name == "playground-go1":  # As a stack with legged_gym's scales would have trained it.
+        weights = rebuilt(name, tmp_path, seen={term: 1 / USUAL[term] for term in missing})
+    card = with_scales(name, ones)
+    told = check(tmp_path / "card", card, weights)
+    assert not told.passed
+    assert mend(card, told.text) == len(missing)
+    right = with_scales(name, {term: USUAL[term] for term in missing})
+    assert seen_with(card) == seen_with(right)
+    mended = check(tmp_path / "card", card, weights)
+    assert mended.passed, mended.text
+
+
+@pytest.mark.assets
+@needs_assets
+@pytest.mark.parametrize("term", ["ang_vel", "lin_vel"])
+def test_scales_that_a_checkpoint_was_not_trained_with_are_told(tmp_path, term):
+    card = with_scales("playground-go1", {term: USUAL[term]})
+    told = check(tmp_path, card, WEIGHTS["playground-go1"])
+    assert f"it follows with the scale of `{term}` 1; if so trained" in told.text
+    assert not told.passed
+
+
+@pytest.mark.assets
+@needs_assets
+@pytest.mark.parametrize(
+    ("name", "terms"),
+    [
+        ("himloco-go2", ("command", "ang_vel")),
+        ("himloco-go2", ("ang_vel", "gravity")),
+        ("himloco-go2", ("joint_pos", "joint_vel")),
+        ("playground-go1", ("lin_vel", "gravity")),
+        ("playground-go1", ("gravity", "command")),
+        ("playground-go1", ("joint_pos", "joint_vel")),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " and ".join(value),
+)
+def test_terms_that_stand_in_each_others_place_are_told(tmp_path, name, terms):
+    card = example(name)
+    right = terms_of(card)
+    names = [term if isinstance(term, str) else term["term"] for term in right]
+    one, other = map(names.index, terms)
+    wrong = list(right)
+    wrong[one], wrong[other] = right[other], right[one]
+    card["observations"]["obs"]["terms"] = wrong
+    told = check(tmp_path, card, WEIGHTS[name])
+    assert not told.passed
+    assert mend(card, told.text) == 1
+    assert seen_with(card) == seen_with(example(name))
+
+
+@pytest.mark.assets
+@needs_assets
+@pytest.mark.parametrize("name", WEIGHTS)
+def test_joint_positions_that_the_training_counted_from_the_pose_are_told(tmp_path, name):
+    card = example(name)
+    terms = terms_of(card)
+    terms[terms.index("joint_pos")] = {"term": "joint_pos", "relative": False}
+    told = check(tmp_path, card, WEIGHTS[name])
+    assert "it walks with `joint_pos` counted from `default_pose`; if so trained" in told.text
+    assert "observations.obs.terms: - {term: joint_pos}" in told.text
+
+
+@pytest.mark.assets
+@needs_assets
+def test_a_missing_scale_of_the_action_is_told(tmp_path):
+    card = example("himloco-go2")
+    del card["control"]["scale"]
+    told = check(tmp_path, card, WEIGHTS["himloco-go2"])
+    assert "\n    control.scale: 0.25\n" in told.text
+
+
+@pytest.mark.assets
+@needs_assets
+@pytest.mark.parametrize(("kp", "is_still"), [(5, True), (10, False)])
+def test_a_robot_too_weak_to_stand_is_told_no_other_card(tmp_path, kp, is_still):
+    card = example("playground-go1")
+    card["control"]["kp"] = kp
+    told = check(tmp_path, card, WEIGHTS["playground-go1"])
+    assert not told.passed
+    assert "if so trained" not in told.text
+    assert "\nnote: nothing tried helps: orders, signs and scales of joints, history, " in told.text
+    assert (told.text.count("it stands still, whatever is commanded") == 1) == is_still
 
 
 @pytest.mark.assets

@@ -9,6 +9,7 @@ import pytest
 from nw_eval.errors import StoreError
 from nw_eval.gate import judge
 from nw_eval.report import render_markdown, write_report
+from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -207,3 +208,14 @@ def test_a_report_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match="cannot write"):
         write_report(tmp_path / "file" / "report.md", "# x\n")
+
+
+def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", 0, 4)]
+    own = dict(section(render(rows, {"a": 1}), "Provenance")[1:])
+    assert own["policy"] == "go1-parkour, checkpoint cccccccccccc"
+    far = PolicyInfo(name="far", checkpoint_digest="dd" * 32, origin="served dddddddddddddddd")
+    served = dict(section(render(rows, {"a": 1}, policy=far), "Provenance")[1:])
+    assert served["policy"] == "far, served dddddddddddddddd"

@@ -3,6 +3,7 @@ import pytest
 
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
+from nw_eval.sensors.heights import grid
 from nw_eval.sim import World
 
 DOTS = {"dots": {"sensor": "scandots"}}
@@ -60,6 +61,49 @@ def test_the_grid_is_the_cards(count, shape, place, card_of):
     card = card_of({"dots": {"sensor": "scandots", "x": [0.0, 1.0, count], "y": [-0.1, 0.1, 3]}})
     with World(get_robot("go1"), place()) as world:
         assert build_sensors(card, world)["dots"].shape == (shape,)
+
+
+# Two columns of three points, in the two orders, written out by hand: (ahead, left) in m.
+GRID = ((0.0, 2.0, 3), (-0.5, 0.5, 2))
+Y_FASTEST = [(0.0, -0.5), (0.0, 0.5), (1.0, -0.5), (1.0, 0.5), (2.0, -0.5), (2.0, 0.5)]
+X_FASTEST = [(0.0, -0.5), (1.0, -0.5), (2.0, -0.5), (0.0, 0.5), (1.0, 0.5), (2.0, 0.5)]
+
+
+def test_points_are_counted_in_the_order_of_the_card():
+    assert [tuple(point) for point in grid(*GRID, "y_fastest").tolist()] == Y_FASTEST
+    assert [tuple(point) for point in grid(*GRID, "x_fastest").tolist()] == X_FASTEST
+    np.testing.assert_array_equal(grid(*GRID), grid(*GRID, "y_fastest"))
+
+
+@pytest.mark.parametrize("protocol", ["strict", "neverwhere-2026"])
+@pytest.mark.parametrize(("order", "seen"), [("y_fastest", Y_FASTEST), ("x_fastest", X_FASTEST)])
+def test_a_box_is_seen_at_its_number_in_either_order(
+    order, seen, protocol, place, card_of, moment_of
+):
+    # The box stands under the point 1 m ahead and 0.5 m to the left alone. The published scan reads
+    # its farther points at 1.31 m, which is beyond the box too.
+    dots = {"sensor": "scandots", "x": GRID[0], "y": GRID[1], "order": order}
+    box = ((1.0, 0.5, 0.1), (0.2, 0.2, 0.1))
+    with World(get_robot("go1"), place(box), protocol=protocol) as world:
+        world.reset(position=(0.0, 0.0, 0.3), yaw=0.0)
+        sensor = build_sensors(card_of({"dots": dots}), world)["dots"]
+        sensor.reset(0)
+        numbers = sensor.read(moment_of(world))
+    low = 0.0143 - 0.2
+    wanted = [low if point == (1.0, 0.5) else 0.0143 for point in seen]
+    np.testing.assert_allclose(numbers, wanted, atol=2e-3)
+
+
+def test_a_card_that_leaves_the_order_out_is_the_card_that_it_was(card_of):
+    # The digest of a policy is made of these fields: a new key must not change it.
+    said, unsaid = ({"sensor": "scandots"} | more for more in ({"order": "y_fastest"}, {}))
+    fields = [
+        card_of({"dots": dots}).model_dump()["observations"]["dots"] for dots in (said, unsaid)
+    ]
+    assert fields[0] == fields[1]
+    assert "order" not in fields[1]
+    turned = card_of({"dots": {"sensor": "scandots", "order": "x_fastest"}})
+    assert turned.model_dump(mode="json")["observations"]["dots"]["order"] == "x_fastest"
 
 
 def test_the_published_scan_equals_the_exact_one_in_the_default_stance(scan, place):

@@ -64,7 +64,7 @@ def plan(
             fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
         )
     bundle = load_bundle(_policy_reference(told, policy), checkpoint=checkpoint)
-    vet_bundle(bundle, told.robot, protocol=told.protocol, allow_code=allow_code)
+    bundle = vet_bundle(bundle, told.robot, protocol=told.protocol, allow_code=allow_code)
     return Plan(
         suite=told,
         bundle=bundle,

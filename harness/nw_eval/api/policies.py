@@ -19,16 +19,21 @@ def list_policies() -> str:
     return policy_table()
 
 
-def show_policy(policy: str, *, allow_code: bool = False) -> str:
-    """Return what a card says: each observation term, each joint, the checkpoint.
+def show_policy(policy: str, *, checkpoint: Path | None = None, allow_code: bool = False) -> str:
+    """Return what a card says: each term, each joint, whatever is not by default, the checkpoint.
+
+    Args:
+        policy: a bundle's name, folder or card.
+        checkpoint: weights to use with the card.
+        allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        PolicyError: there is no such card, or it has problems.
+        PolicyError: there is no such card, or it has problems; `checkpoint` cannot be used.
     """
     from nw_eval.policies import find_card
     from nw_eval.rollout.probe.summary import card_summary
 
-    return card_summary(find_card(policy), allow_code=allow_code)
+    return card_summary(find_card(policy), checkpoint=checkpoint, allow_code=allow_code)
 
 
 def check_policy(
@@ -78,7 +83,7 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
     card = out or checkpoint.parent / CARD_FILE
     if card.exists():
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot))
+    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot), folder=card.parent)
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 
@@ -108,9 +113,12 @@ def serve_policy(
     """
     from nw_eval.policies import load_bundle
     from nw_eval.policies.serve import serving
+    from nw_eval.sensors import check_card
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
-    with serving(bundle, host=host, port=port, allow_code=allow_code) as address:
+    specs = check_card(bundle.card, code_from=bundle.folder if allow_code else None)
+    shapes = {spec.name: spec.shape for spec in specs}
+    with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
         yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
 
 
@@ -120,6 +128,6 @@ def schema(kind: Literal["suite", "policy"]) -> str:
         from nw_eval.suite import json_schema
 
         return json.dumps(json_schema(), indent=2)
-    from nw_eval.policies import Card
+    from nw_eval.policies.schema import json_schema as card_schema
 
-    return json.dumps(Card.model_json_schema(by_alias=True), indent=2)
+    return json.dumps(card_schema(), indent=2)

@@ -24,17 +24,19 @@ class List:
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """Say what a card says: every observation term, every joint, the checkpoint."""
+    """Say what a card says: every term, every joint, whatever is not by default, the checkpoint."""
 
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, or a card."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
     allow_code: bool = False
     """Let the card import Python code."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(api.show_policy(self.policy, allow_code=self.allow_code))
+        print(api.show_policy(self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code))
         return 0
 
 
@@ -44,7 +46,7 @@ class Check:
 
     In the flat room, a policy that sees a velocity command is also commanded ahead, sideways and in
     turns, and other cards are tried if it stumbles or misses a command; not so in another --scene.
-    Says PASS, or what is wrong and what the card should say (exit code 2).
+    Says `no fault found`, or what is wrong and what the card should say (exit code 2).
     """
 
     policy: tyro.conf.Positional[str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.run import default_workers
+from nw_eval.policies.code_digest import SCOPE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +49,8 @@ def forecast(
         f"suite     {suite.name}  ({suite.source.file})",
         f"digest    {suite.digest[:16]}",
         f"protocol  {suite.protocol}, robot {suite.robot}, seed {suite.seed}",
-        f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.checkpoint_sha256[:16]})",
+        f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
+        *([f"          {SCOPE}"] if bundle.code_sha256 else []),
         *(
             f"{'sees' if index == 0 else '':<9} {name}: {spec.sensor} at {spec.rate} Hz"
             for index, (name, spec) in enumerate(bundle.card.observations.items())

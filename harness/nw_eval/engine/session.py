@@ -60,14 +60,21 @@ def settings_of(run: Path) -> Settings:
     info = read_run_info(folder.run_json)
     return Settings(
         suite=info.suite_file,
-        robot=info.suite["robot"],
+        robot=_said(info, "robot"),
         policy=info.policy.card,
         checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
-        trials=info.suite["trials"],
+        trials=_said(info, "trials"),
         scenes=tuple(info.scenes),
-        record=info.suite["record"],
+        record=_said(info, "record"),
         collision="flex" if info.collision == "flex" else "terrain",
     )
+
+
+def _said(info: RunInfo, key: str) -> Any:
+    """Return what a run's suite says."""
+    if key not in info.suite:
+        raise StoreError(f"run.json of {info.id}: its suite has no {key!r}", fix="start a new run")
+    return info.suite[key]
 
 
 def run(
@@ -180,6 +187,7 @@ def _info(
             card_digest=bundle.digest,
             checkpoint_digest=bundle.checkpoint_sha256,
             card=str(bundle.card_path.resolve()),
+            origin="" if bundle.checkpoint is not None else bundle.origin,
             checkpoint="" if plan.checkpoint is None else str(plan.checkpoint.resolve()),
         ),
         scenes=_scene_infos(plan),

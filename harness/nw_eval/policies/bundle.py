@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.policies.card import Card
 from nw_eval.policies.card_file import CARD_FILE, load_card
+from nw_eval.policies.code_digest import code_digest
+from nw_eval.policies.observations.plugins import is_code
 from nw_eval.shipped import available, shipped
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""
 
+NOTHING = hashlib.sha256(b"").hexdigest()
+"""The digest of a policy that has neither weights nor code, or whose server gives none."""
 
 _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
@@ -29,7 +34,10 @@ class Bundle:
     checkpoint: Path | None
     """The weights; None for a policy without any."""
     checkpoint_sha256: str
-    """Hex digest of the weights; of nothing where there are none."""
+    """Hex digest of the weights; of the code, where there is code and no weights; what the server
+    says, for a remote policy, and empty until it was asked; else `NOTHING`."""
+    code_sha256: str = ""
+    """`code_digest` of the card's folder, if the card imports code; else empty."""
 
     @property
     def name(self) -> str:
@@ -42,8 +50,24 @@ class Bundle:
         return self.card_path.parent
 
     @property
+    def origin(self) -> str:
+        """What the digests say, short and in words."""
+        told: list[str] = []
+        if self.checkpoint_sha256 == NOTHING and self.card.adapter == "remote":
+            told.append("the server gives no digest")
+        elif self.card.adapter == "remote":
+            told.append(f"served {self.checkpoint_sha256[:16]}")
+        elif self.checkpoint is not None:
+            told.append(self.checkpoint_sha256[:16])
+        if self.code_sha256 == NOTHING:
+            told.append("no code in the card's folder")
+        elif self.code_sha256:
+            told.append(f"code {self.code_sha256[:16]}")
+        return ", ".join(told) or "no checkpoint"
+
+    @property
     def digest(self) -> str:
-        """Hex SHA-256 of everything that can change an action: the card and the weights."""
+        """Hex SHA-256 of all that can change an action: card, weights, code beside the card."""
         fields = self.card.model_dump(
             mode="json", by_alias=True, exclude={"title", "licence", "checkpoint"}
         )
@@ -51,7 +75,8 @@ class Bundle:
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
-        text = json.dumps([fields, self.checkpoint_sha256], sort_keys=True)
+        code = [self.code_sha256] if self.code_sha256 else []
+        text = json.dumps([fields, self.checkpoint_sha256, *code], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def read_checkpoint(self) -> bytes:
@@ -85,18 +110,26 @@ def load_bundle(
 
     Raises:
         PolicyError: there is no such bundle; the card has problems; the checkpoint is missing,
-            too large, outside the card's folder, or has another digest than the card says.
+            too large, outside the card's folder, or has another digest than the card says; the
+            code beside the card is too large or cannot be read.
     """
     card_path = find_card(name_or_path, search=search)
     card = load_card(card_path)
+    code = code_digest(card_path.parent) if _imports_code(card) else ""
     if card.checkpoint is None:
         if checkpoint is not None:
             raise PolicyError(
                 f"{card_path}: policy {card.name!r} has no weights, but --checkpoint gives some",
                 fix="drop --checkpoint",
             )
-        empty = hashlib.sha256(b"").hexdigest()
-        return Bundle(card=card, card_path=card_path, checkpoint=None, checkpoint_sha256=empty)
+        known = "" if card.adapter == "remote" else code or NOTHING
+        return Bundle(
+            card=card,
+            card_path=card_path,
+            checkpoint=None,
+            checkpoint_sha256=known,
+            code_sha256=code,
+        )
     path = checkpoint if checkpoint is not None else _inside(card_path, card.checkpoint.file)
     actual = hashlib.sha256(_read(path, card_path, card.checkpoint.source)).hexdigest()
     wanted = card.checkpoint.sha256
@@ -110,7 +143,13 @@ def load_bundle(
             f"{path}: the checkpoint's SHA-256 is {actual}, the card says {wanted}",
             fix="get the right file, or correct `checkpoint.sha256` if this one is meant",
         )
-    return Bundle(card=card, card_path=card_path, checkpoint=path, checkpoint_sha256=actual)
+    return Bundle(
+        card=card,
+        card_path=card_path,
+        checkpoint=path,
+        checkpoint_sha256=actual,
+        code_sha256=code,
+    )
 
 
 def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
@@ -145,6 +184,14 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
     raise PolicyError(f"unknown policy {str(name_or_path)!r}", fix=nearest(str(path), known))
 
 
+def _imports_code(card: Card) -> bool:
+    """Whether policy, sensors or wrappers are `module:Class`."""
+    return card.adapter.startswith("python:") or any(
+        is_code(spec.sensor) or any(is_code(wrap.wrapper) for wrap in spec.wrap)
+        for spec in card.observations.values()
+    )
+
+
 def _inside(card_path: Path, file: str) -> Path:
     """Return the path of a checkpoint, which may not leave the card's folder by a link either."""
     folder = card_path.parent.resolve()
@@ -159,7 +206,10 @@ def _inside(card_path: Path, file: str) -> Path:
 
 def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
     try:
-        size = path.stat().st_size
+        facts = path.stat()
+        if not stat.S_ISREG(facts.st_mode):  # A device or a pipe may never end.
+            raise PolicyError(f"{path}: the checkpoint is no file", fix="check the path")
+        size = facts.st_size
         if size > SIZE_LIMIT:
             raise PolicyError(
                 f"{path}: the checkpoint has {size / 2**20:.0f} MiB, over the limit of "

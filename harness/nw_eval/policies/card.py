@@ -129,6 +129,7 @@ class WaypointCommand(CardModel):
 
     source: Literal["waypoint"] = "waypoint"
     speed: float = Field(default=0.8, ge=0.0, le=5.0)
+    """What the term `speed` reads, m/s."""
 
 
 class TrailFollower(CardModel):
@@ -187,19 +188,26 @@ class Card(CardModel):
     """A policy card, valid in itself. `sensors.check_card` checks it against a robot."""
 
     schema_version: Literal[1] = Field(alias="nw-policy")
+    """Version of this kind of file."""
     name: Annotated[str, AfterValidator(_plain_name)]
+    """What reports call the policy: a-z, 0-9, '.', '_' and '-'."""
     title: str = ""
-    """One line for people."""
+    """One line for people; no part of the digest, nor is `licence`."""
     licence: str = ""
+    """Terms under which others may use the checkpoint."""
     robot: str
+    """The robot that the policy drives: go1 or go2."""
     adapter: Annotated[str, AfterValidator(_known_adapter)]
     """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
     has it on a server, `python:package.module:Class` is code and needs --allow-code."""
     checkpoint: Checkpoint | None = None
+    """The file of weights; `zero` and `remote` have none, Python code may have one."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control
+    """What an action means, and the motors that it drives."""
     command: Command = WaypointCommand()
+    """What the policy is told to do."""
     observations: dict[str, Observation] = Field(default_factory=dict[str, Observation])
     """By name, in the order in which a checkpoint with one input takes them."""
     inputs: dict[str, list[str]] | None = None

@@ -7,7 +7,7 @@ can use the policy, so it listens on this machine only unless told otherwise.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +35,12 @@ class Address:
 
 @contextmanager
 def serving(
-    bundle: Bundle, *, host: str = "127.0.0.1", port: int = 0, allow_code: bool = False
+    bundle: Bundle,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    allow_code: bool = False,
+    shapes: Mapping[str, tuple[int, ...]] | None = None,
 ) -> Generator[Address]:
     """Serve a bundle in threads of this process, and give the address.
 
@@ -44,6 +49,7 @@ def serving(
         host: address to listen on.
         port: 0 for a free one.
         allow_code: as `open_policy`.
+        shapes: of the card's observations by name, for clients to compare theirs with.
 
     Raises:
         PolicyError: the bundle cannot be opened.
@@ -67,7 +73,8 @@ def serving(
         "policy": bundle.name,
         "digest": bundle.digest,
         "joints": len(get_robot(bundle.card.robot).joints),
-        "observations": list(bundle.card.observations),
+        "observations": {name: (shapes or {}).get(name) for name in bundle.card.observations},
+        "control": bundle.card.control.model_dump(mode="json"),
     }
 
     def handle(connection: ServerConnection) -> None:

@@ -28,6 +28,7 @@ class AngularVelocity(_Term):
 
     term: Literal["ang_vel"]
     frame: Literal["trunk", "world"] = "trunk"
+    """Whose axes the numbers are along."""
 
 
 class LinearVelocity(_Term):
@@ -35,6 +36,7 @@ class LinearVelocity(_Term):
 
     term: Literal["lin_vel"]
     frame: Literal["trunk", "world", "yaw"] = "trunk"
+    """Whose axes the numbers are along."""
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point, in the trunk frame, m: where the velocity sensor of the training sat."""
 
@@ -62,6 +64,7 @@ class DeltaYaw(_Term):
 
     term: Literal["delta_yaw"]
     copies: int = Field(default=1, ge=1, le=8)
+    """How many times the angle stands there."""
 
 
 class Command(_Term):
@@ -107,6 +110,7 @@ class FootContacts(_Term):
 
     term: Literal["foot_contacts"]
     feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
+    """The order of the feet."""
     filter: Literal["two_steps", "none"] = "two_steps"
     """`two_steps`: on the ground now or one observation ago."""
 
@@ -116,6 +120,7 @@ class Constant(_Term):
 
     term: Literal["constant"]
     values: Annotated[list[float], Field(min_length=1, max_length=1000)]
+    """The numbers."""
 
 
 def _bare_word(value: Any) -> Any:

@@ -3,8 +3,8 @@
 An array is `{"__ndarray__": true, "dtype": "<f4", "shape": [1, 3], "data": bytes}`, C order. Only
 numbers and booleans travel; nothing is unpickled.
 
-    server, on connection   {"protocol": 1, "policy": name, "digest": hex, "joints": 12,
-                             "observations": [names]}
+    server, on connection   {"protocol": 2, "policy": name, "digest": hex, "joints": 12,
+                             "observations": {name: [sizes]}, "control": {as on the card}}
     client                  server
     {"call": "reset", "seed": n}                    {"done": true}
     {"call": "act", "observation": {name: array}}   {"action": array of 12 float64}
@@ -12,7 +12,9 @@ numbers and booleans travel; nothing is unpickled.
     {"call": "restore", "state": bytes}             {"done": true}
     any                                             {"error": text}
 
-Each connection has a policy of its own; closing the connection closes it.
+Each connection has a policy of its own; closing the connection closes it. `digest` is the SHA-256
+of all that can change an action; runs record it. A server may leave out `digest`, `observations`,
+`control` and keys of it, and give null for sizes: what it does not say is not compared.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ except ImportError:
         fix="pip install 'nw-eval[remote]'",
     ) from None
 
-PROTOCOL = 1
+PROTOCOL = 2
 MESSAGE_LIMIT = 2**26
 """Bytes of one message: 64 MiB, some 16 full camera images."""
 _MARK = "__ndarray__"

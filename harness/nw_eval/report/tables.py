@@ -218,12 +218,13 @@ def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
 
 def provenance_table(run: RunInfo) -> Table:
     """Return what ran on what."""
+    weights = f"checkpoint {run.policy.checkpoint_digest[:12]}"
     commit = f", commit {run.code.commit[:12]}{' with changes' if run.code.dirty else ''}"
     facts = {
         "run": run.id,
         "started": run.started,
         "suite": f"{run.suite_file} {run.suite_digest[:12]}",
-        "policy": f"{run.policy.name}, checkpoint {run.policy.checkpoint_digest[:12]}",
+        "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
         "renderer": run.renderer or "none",
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",

@@ -31,6 +31,7 @@ class PolicyInfo(_Model):
     card_digest: str = ""
     checkpoint_digest: str
     card: str = ""  # Path of the card, for --resume.
+    origin: str = ""  # What the digest is of where there are no weights: server, code.
     checkpoint: str = ""  # Weights that were given in place of the card's, for --resume.
 
 

@@ -29,8 +29,8 @@ class TrialJob:
     policy: str  # what policies.load_bundle understands
     policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it
     checkpoint: Path | None = None  # weights instead of those that the card names
-    checkpoint_digest: str  # hex SHA-256
-    allow_code: bool = False
+    checkpoint_digest: str  # hex SHA-256; empty = whatever a server serves
+    allow_code: bool = False  # the caller's word, which no file can give
     record: Record = "failures"  # camera images for which trials; the rest is always logged
     mcap: Path | None = None  # where the log goes; None = no log
     render: Backend = "cpu"

@@ -62,7 +62,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     Raises:
         SceneError: the scene cannot be loaded, or its splat not made.
         PolicyError: the bundle cannot be loaded, or is not the one that the job was planned with.
-        UsageError: no such robot or perturbation.
+        UsageError: no such robot or perturbation; a server serves something else now.
     """
     trial = job.trial
     robot = get_robot(job.robot)
@@ -83,6 +83,9 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(policy.close)
+        if bundle.card.adapter == "remote":
+            _check_served(job, policy)
+        with policy_at_fault():
             policy.reset(_seed(trial.seed_sequence("policy")))
         height = scene.spawn.position[2] + robot.spawn_height
         world.reset(position=(start.x, start.y, height), yaw=start.yaw)
@@ -128,9 +131,10 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
 
 def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
     """Refuse a scene or checkpoint that is not what the trial's identity and row say."""
-    if bundle.checkpoint_sha256 != job.checkpoint_digest:
+    if bundle.card.adapter != "remote" and bundle.checkpoint_sha256 != job.checkpoint_digest:
+        kind = "checkpoint" if bundle.checkpoint is not None else "code"
         raise PolicyError(
-            f"the checkpoint of {job.policy!r} is {bundle.checkpoint_sha256[:12]}, the trial was "
+            f"the {kind} of {job.policy!r} is {bundle.checkpoint_sha256[:12]}, the trial was "
             f"planned with {job.checkpoint_digest[:12]}",
             fix="name the bundle or the --checkpoint that it was planned with",
         )
@@ -139,6 +143,20 @@ def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
             f"scene {job.scene!r} is {scene.digest[:12]}, the trial was planned with "
             f"{job.trial.scene_digest[:12]}",
             fix="start a new run: the scene has changed",
+        )
+
+
+def _check_served(job: TrialJob, policy: Policy) -> None:
+    """Refuse a server that serves something else now; that is no fault of the policy."""
+    from nw_eval.policies.adapters.remote import RemotePolicy
+
+    assert isinstance(policy, RemotePolicy), "the card says so"
+    found, planned = policy.served.digest, job.checkpoint_digest
+    if planned and found != planned:
+        raise UsageError(
+            f"the server of {job.policy!r} serves {found[:12]}, the trial was planned with "
+            f"{planned[:12]}",
+            fix="serve what it was planned with, or start a new run",
         )
 
 

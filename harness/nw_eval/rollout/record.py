@@ -8,6 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from nw_eval import __version__
 from nw_eval.rollout.job import TrialJob
 from nw_eval.suite.trials import Trial
@@ -21,8 +23,9 @@ TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
 
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
 _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
-# Fields of a job that say how it was run and where to, not what it is.
-_CIRCUMSTANCE = frozenset({"attachments", "mcap", "record", "time_limit", "trial"})
+# Fields of a job that say how it was run, where to, and what its caller allowed, not what it is. A
+# log may be a stranger's: none of them is written, and none is believed.
+_CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
 
 
 def provenance() -> dict[str, str]:
@@ -39,9 +42,9 @@ def provenance() -> dict[str, str]:
 def trial_metadata(job: TrialJob) -> dict[str, str]:
     """Return the job as texts: the readable keys, and `job` with all of it as JSON."""
     trial = job.trial
-    fields = {name: value for name, value in vars(job).items() if name not in _CIRCUMSTANCE}
+    fields = _kept(vars(job))
     fields["checkpoint"] = None if job.checkpoint is None else str(job.checkpoint)
-    identity = {name: getattr(trial, name) for name in Trial.__dataclass_fields__}
+    fields["trial"] = {name: getattr(trial, name) for name in Trial.__dataclass_fields__}
     return {
         "trial": trial.id,
         "suite": trial.suite,
@@ -50,29 +53,29 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
         "index": str(trial.index),
         "seed": str(trial.seed),
         "policy": job.policy_name or job.policy,
-        "job": json.dumps({**fields, "trial": identity}, sort_keys=True),
+        "job": json.dumps(fields, sort_keys=True),
     }
 
 
 def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
-    """Return the job of `trial_metadata`; its log and record mode are not part of it.
+    """Return the job of `trial_metadata`: with no log, and no leave to run code.
 
     Raises:
         ValueError: the metadata is damaged or of another version.
     """
     try:
-        fields: dict[str, Any] = json.loads(metadata["job"])
-        identity: dict[str, Any] = fields.pop("trial")
-        cell = identity.pop("perturbation")
-        weights = fields.pop("checkpoint")
-        perturbation = tuple((str(axis), float(value)) for axis, value in cell)
-        return TrialJob(
-            trial=Trial(**identity, perturbation=perturbation),
-            checkpoint=None if weights is None else Path(weights),
-            **fields,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"its metadata {TRIAL!r} is damaged: {error!r}") from error
+        return TypeAdapter(TrialJob).validate_python(_kept(json.loads(metadata["job"])))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "job"
+        said = f"{place}: {first['msg'].lower()}"
+    except (AttributeError, KeyError, ValueError, RecursionError) as error:
+        said = repr(error)
+    raise ValueError(f"its metadata {TRIAL!r} is damaged: {said}")
+
+
+def _kept(fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if name not in _CIRCUMSTANCE}
 
 
 def verdict_metadata(result: TrialResult) -> dict[str, str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import PolicyError, StoreError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """What a log says about its trial, read back."""
+    """What a log says about its trial, read back; of a replay, with what its caller chose."""
 
     path: Path
     job: TrialJob
@@ -100,28 +100,37 @@ def replay(
 ) -> Replayed:
     """Run a recorded trial again and compare its end with the recorded one.
 
+    The log may be a stranger's, and so may the card that it names: what it says runs no code, opens
+    no connection and writes nothing but caches. Only the caller's `allow_code` lets code run, and
+    only a `policy` that the caller names is asked on a server.
+
     Args:
         path: the trial's log.
         start: seconds; greater than 0 restores the last recorded state at or before it.
-        policy: the bundle, where it has moved since.
+        policy: the bundle, where it has moved since, or is served elsewhere.
         checkpoint: weights that were used instead of the card's.
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
 
     Raises:
         StoreError: the log cannot be read, or has no state that early.
-        PolicyError: the bundle is missing, or is not the one that was recorded.
+        PolicyError: the bundle is missing, is not the one that was recorded, or needs the caller's
+            word.
         SceneError, UsageError: the scene is missing, or has changed.
         TrialError: the recorded state does not fit.
     """
     recording = read_recording(path)
+    recorded, library = recording.job, library or Library()
     job = replace(
-        recording.job,
-        policy=policy or _found(recording.job),
-        checkpoint=checkpoint or (None if policy else recording.job.checkpoint),
-        allow_code=allow_code or recording.job.allow_code,
+        recorded,
+        policy=policy or _found(recorded),
+        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
+        allow_code=allow_code,
     )
-    with open_trial(job, library or Library(), StageClock()) as trial:
+    recording = replace(recording, job=job)  # What is drawn of it is what the caller agreed to.
+    if policy is None:
+        _refuse_servers(recording, library)
+    with open_trial(job, library, StageClock()) as trial:
         if start > 0.0:
             restore(trial, recording, start)
         start_step = trial.episode.step
@@ -159,6 +168,15 @@ def run_on(trial: OpenTrial) -> TrialResult:
     except Exception as error:  # noqa: BLE001 - as in a run, it is the result.
         return failed(so_far(trial), error)
     return ended(trial, outcome)
+
+
+def _refuse_servers(recording: Recording, library: Library) -> None:
+    bundle = library.bundle(recording.job.policy, recording.job.checkpoint)
+    if bundle.card.adapter == "remote":
+        raise PolicyError(
+            f"{recording.path}: {bundle.card_path}, which the log names, asks a policy on a server",
+            fix=f"add --policy {bundle.card_path} if you trust it",
+        )
 
 
 def _found(job: TrialJob) -> str:

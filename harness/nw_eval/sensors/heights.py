@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.policies.observations.heights import Axis
+from nw_eval.policies.observations.heights import Axis, GridOrder
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.sensor import Moment
 
@@ -17,10 +17,12 @@ Rays = Callable[[], RayScene]
 """Gives the scene's static geometry, made when it is first asked for."""
 
 
-def grid(x: Axis, y: Axis) -> Array:
-    """Return the points of a grid, (N, 2) m: x forward, y left, x-major, both ascending."""
-    ahead, left = np.linspace(*x), np.linspace(*y)
-    return np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
+def grid(x: Axis, y: Axis, order: GridOrder = "y_fastest") -> Array:
+    """Return the points of a grid, (N, 2) m: x forward, y left, both ascending."""
+    rows = np.meshgrid(
+        np.linspace(*x), np.linspace(*y), indexing="ij" if order == "y_fastest" else "xy"
+    )
+    return np.stack(rows, axis=-1).reshape(-1, 2)
 
 
 class HeightGrid:
@@ -29,8 +31,8 @@ class HeightGrid:
     One ray goes straight down through each exact point.
     """
 
-    def __init__(self, x: Axis, y: Axis, rays: Rays) -> None:
-        self._points = grid(x, y)
+    def __init__(self, x: Axis, y: Axis, rays: Rays, order: GridOrder = "y_fastest") -> None:
+        self._points = grid(x, y, order)
         # The points turned by a quarter: any other turn is a sum of the two.
         self._quarter = np.stack([-self._points[:, 1], self._points[:, 0]], axis=1)
         self._rays = rays

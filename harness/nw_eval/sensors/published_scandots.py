@@ -46,7 +46,7 @@ class PublishedScandots(Stateless):
             rays: of the scene's static geometry.
             camera_offset: the camera minus the centre of mass, m.
         """
-        self._points = grid(observation.x, observation.y)
+        self._points = grid(observation.x, observation.y, observation.order)
         self._offset = observation.offset - _STANCE
         self._low, self._high = observation.clip
         self._rays = rays

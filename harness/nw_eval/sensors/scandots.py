@@ -24,7 +24,7 @@ class Scandots(Stateless):
     unit = "m"
 
     def __init__(self, observation: ScandotsObservation, rays: Rays) -> None:
-        self._grid = HeightGrid(observation.x, observation.y, rays)
+        self._grid = HeightGrid(observation.x, observation.y, rays, observation.order)
         self._offset = observation.offset
         self._low, self._high = observation.clip
         self.shape: tuple[int, ...] = (len(self._grid),)

@@ -22,6 +22,8 @@ from websockets.sync.server import serve
 
 from nw_eval.errors import PolicyError, TrialError, UsageError
 from nw_eval.policies import Bundle, Policy, load_bundle, open_policy
+from nw_eval.policies.adapters.remote import ask_server
+from nw_eval.policies.bundle import NOTHING
 from nw_eval.policies.serve import serving
 from nw_eval.policies.wire import decode, encode
 
@@ -53,6 +55,8 @@ control: {action: joint_position_offset, scale: 0.25}
 """
     + OBSERVATIONS
 )
+
+HELLO = {"protocol": 2, "policy": "x", "joints": 12}
 
 
 class Recurrent(nn.Module):
@@ -176,6 +180,12 @@ def test_the_served_digest_can_be_pinned(local, url, tmp_path):
         open_policy(remote(tmp_path, url, wrong))
 
 
+@pytest.mark.parametrize("fake", [(encode(HELLO), None)], indirect=True)
+def test_a_server_that_says_little_of_itself_is_not_compared(fake, tmp_path):
+    served = ask_server(remote(tmp_path, fake))
+    assert (served.digest, served.shapes) == (NOTHING, {})
+
+
 def test_a_card_without_the_served_observations_is_refused(url, tmp_path):
     card = REMOTE.replace(
         "  rgb: {sensor: splat_rgb, camera: ego, width: 16, height: 9, axes: chw}\n", ""
@@ -216,9 +226,6 @@ def test_an_address_that_cannot_be_is_a_usage_error(local, host, port):
         serving(local, host=host, port=port).__enter__()
 
 
-HELLO = {"protocol": 1, "policy": "x", "digest": "", "joints": 12, "observations": []}
-
-
 @pytest.fixture
 def fake(request) -> Iterator[str]:
     """A server that greets with `hello` and answers everything with `reply`."""
@@ -253,7 +260,15 @@ def fake(request) -> Iterator[str]:
         ((None, None), "no answer from ws://.* within 0.3 s"),
         ((b"\xc1", None), "cannot read what ws://.* sends: it is no msgpack"),
         (("hello", None), "it is text, not bytes"),
-        ((encode({**HELLO, "protocol": 2}), None), "speaks protocol 2, not 1"),
+        ((encode({**HELLO, "protocol": 1}), None), "speaks protocol 1, not 2"),
+        ((encode({**HELLO, "digest": "v7"}), None), "gives the digest 'v7'; give the SHA-256"),
+        ((encode({**HELLO, "joints": np.zeros(3)}), None), "cannot read the greeting of ws://"),
+        ((encode({**HELLO, "observations": {"rgb": 5}}), None), "cannot read the greeting of ws"),
+        ((encode({**HELLO, "observations": 5}), None), "'observations' as a int, not a map"),
+        (
+            (encode({**HELLO, "control": {"scale": 0.5}}), None),
+            "`control.scale` is 0.5, on this card it is 0.25; copy `control` from the served card",
+        ),
         ((encode({**HELLO, "joints": 8}), None), "a policy of 8 joints, the robot 'go1' has 12"),
     ],
     indirect=["fake"],

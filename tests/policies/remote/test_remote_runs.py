@@ -7,8 +7,13 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
+from nw_eval.engine.plan import plan_jobs
+from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import load_bundle
 from nw_eval.policies.serve import serving
+from nw_eval.results.provenance import read_run_info
+from nw_eval.results.run_folder import open_run_folder
+from nw_eval.rollout.trial import run_trial
 
 SUITE = """\
 nw-eval: 1
@@ -21,6 +26,27 @@ episode: {duration: 4.0}
 scenes: [hurdles/three_low]
 record: none
 """
+SHORT = """\
+nw-eval: 1
+name: short
+robot: go1
+policy: stand
+trials: 1
+seed: 5
+episode: {duration: 0.2}
+scenes: [flat/carpet_room]
+record: none
+"""
+STANDING = """\
+nw-policy: 1
+name: NAME
+robot: go1
+adapter: ADAPTER
+control: {action: joint_position_offset, scale: 0.25}
+observations:
+  body: {sensor: proprio, terms: TERMS}
+"""
+TERMS = "[joint_pos, joint_vel, gravity]"
 SAME = (
     "trial_id",
     "outcome",
@@ -66,6 +92,56 @@ def test_where_a_policy_is_served_is_no_part_of_its_digest(tmp_path):
         folder.mkdir()
         digests.add(load_bundle(remote_card(local, url, folder, more)).digest)
     assert len(digests) == 2
+
+
+def standing(folder: Path, name: str, **replaced: str) -> Path:
+    """Return a folder whose card stands still and sees a body."""
+    made = folder / name
+    made.mkdir()
+    text = STANDING.replace("NAME", name)
+    for key, value in replaced.items():
+        text = text.replace(key.upper(), value)
+    (made / "policy.yaml").write_text(text)
+    return made
+
+
+def test_a_run_keeps_to_what_its_server_said_that_it_serves(tmp_path):
+    (tmp_path / "suite.yaml").write_text(SHORT)
+    one = load_bundle(standing(tmp_path, "one", adapter="zero", terms=TERMS))
+    other = load_bundle(standing(tmp_path, "other", adapter="zero", terms=TERMS))
+    with serving(one) as address:
+        adapter = f"remote\noptions: {{url: '{address.url}'}}"
+        card = str(standing(tmp_path, "client", adapter=adapter, terms=TERMS))
+        made = api.plan(tmp_path / "suite.yaml", policy=card)
+        run = api.run(tmp_path / "suite.yaml", policy=card, workers=1, out=tmp_path / "run")
+        again = api.run(None, resume=tmp_path / "run", workers=1)
+    assert [(row.status, row.checkpoint_digest) for row in run.rows] == [("ok", one.digest)]
+    assert again.rows == run.rows
+    assert read_run_info(tmp_path / "run" / "run.json").policy.checkpoint_digest == one.digest
+    (job,) = plan_jobs(made, open_run_folder(tmp_path / "run"))
+    port = int(address.url.rsplit(":", 1)[1])
+    with serving(other, port=port):
+        with pytest.raises(IncomparableError, match=r"policy \(.*\) changed"):
+            api.run(None, resume=tmp_path / "run", workers=1)
+        result = run_trial(job)
+    assert (result.status, result.error_type) == ("error", "crashed")
+    assert f"serves {other.digest[:12]}, the trial was planned with {one.digest[:12]}" in (
+        result.error_text
+    )
+
+
+def test_a_card_of_other_sizes_than_the_served_one_fails_before_the_run(tmp_path):
+    (tmp_path / "suite.yaml").write_text(SHORT)
+    short = TERMS.replace(", gravity", "")
+    served = standing(tmp_path, "served", adapter="zero", terms=short)
+    with api.serve_policy(str(served), port=0) as where:
+        url = where.split()[3]
+        adapter = f"remote\noptions: {{url: '{url}'}}"
+        card = standing(tmp_path, "client", adapter=adapter, terms=TERMS)
+        with pytest.raises(PolicyError) as caught:
+            api.check(tmp_path / "suite.yaml", policy=str(card))
+    assert "`body` is 27 numbers; on the served card it is 24;" in str(caught.value)
+    assert "the card makes `body` 27 = 12 + 12 + 3; copy" in str(caught.value)
 
 
 @pytest.mark.parametrize("missing", ["msgpack", "websockets"])

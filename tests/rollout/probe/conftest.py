@@ -37,6 +37,7 @@ def walked(
         travelled=travelled,
         seconds=seconds,
         outcome=outcome,
+        inputs=(),
         sees_images=sees_images,
     )
 

@@ -36,8 +36,34 @@ def test_a_policy_that_follows_everything_is_asked_nothing_more(compared, obeys)
 
 def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obeys):
     _, findings, _ = compared(lambda card, _: obeys(card, (1.0, 0.4, 1.0)))
-    assert [kind for kind, _ in findings] == ["note", "note"]
+    assert [kind for kind, _ in findings] == ["note"] * 3
     assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
+    assert findings[2][1] == (
+        "nothing tried helps: orders, signs and scales of joints, history, "
+        "scales, signs and order of terms"
+    )
+
+
+def test_a_policy_that_stands_still_is_told_so_once(compared, obeys):
+    followed, findings, _ = compared(lambda card, _: obeys(card, (-0.001, 0.0, -0.002)))
+    assert len(followed) == 5
+    assert findings[0] == ("fault", "`command`: it stands still, whatever is commanded")
+    assert [kind for kind, _ in findings] == ["fault", "note"]
+    assert [one.words[2] for one in followed][:3] == ["0.00 m/s"] * 3
+
+
+def test_a_policy_that_turns_does_not_stand_still(compared, obeys):
+    _, findings, _ = compared(lambda card, _: obeys(card, (-0.001, 0.0, 1.0)))
+    assert [text.partition(";")[0] for _, text in findings[:3]] == [
+        "`command`: 0.8 m/s ahead, 0.00 m/s reached (0%)",
+        "`command`: 0.5 m/s to the left, 0.00 m/s reached (0%)",
+        "`command`: 0.5 m/s to the right, 0.00 m/s reached (0%)",
+    ]
+
+
+def test_a_policy_that_falls_does_not_stand_still(compared, obeys):
+    _, findings, _ = compared(lambda card, _: obeys(card, (0.0, 0.0, 0.0), outcome="fell"))
+    assert all("and it fell" in text for _, text in findings[:5])
 
 
 def test_a_card_with_which_everything_is_followed_is_a_fault_of_the_one_that_is_looked_at(
@@ -61,18 +87,18 @@ def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
     assert findings[0][1].startswith("it walks with the scale of the hips halved; if so trained")
 
 
-def test_what_was_found_before_the_budget_was_used_up_is_told(compared, obeys):
+def test_what_was_found_before_the_budget_was_used_up_is_told(commanded, compared, obeys):
     def walk(card, _):
-        # The first other card already does; a better one comes last.
-        order = card.control.joints is not None
-        return obeys(card, (1.0, 1.0 if halved_hips(card) else 0.8 if order else 0.4, 1.0))
+        # The first other card already does; a better one comes later.
+        first = card.observations != commanded.observations
+        return obeys(card, (1.0, 1.0 if halved_hips(card) else 0.8 if first else 0.4, 1.0))
 
     everything = compared(walk)
     cut = compared(walk, simulated=25.0)  # 10 s for the commands, 10 s for each card that follows.
     assert len(everything[0]) == len(cut[0]) == 5
     assert "the hips halved" in everything[1][-1][1]
     assert [kind for kind, _ in cut[1]] == ["note", "note", "fault", "note"]
-    assert "with the joints in the order" in cut[1][2][1]
+    assert "with the scale of `lin_vel` 2;" in cut[1][2][1]
     assert cut[1][3][1] == "cut off after 26 s of simulation: not every other card was tried"
     assert cut[2].asked == 13
 

@@ -3,8 +3,8 @@
 The class is called with the bundle and must have `act(observation) -> 12 numbers`. Whatever else
 of `Policy` it has is used: `reset(seed)`, `state()` with `restore(state)`, `close()`, `inputs`.
 A class without `state` promises that its next action depends on the next observation alone.
-Where the card names the class's file as `checkpoint`, its digest is verified, and counts for the
-identity of the policy.
+All Python files below the card's folder count for the identity of the policy; installed code does
+not. Where the card names a file as `checkpoint`, its digest is verified, and counts as well.
 """
 
 from __future__ import annotations

@@ -6,19 +6,22 @@ that the card gives them, and the action comes back bit for bit.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from nw_eval.errors import PolicyError, PrerequisiteError, TrialError
-from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.bundle import NOTHING, Bundle
 from nw_eval.policies.model import CardModel
 from nw_eval.policies.options import read_options
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, decode, encode
+from nw_eval.robots import get_robot
 
 try:
     from websockets.exceptions import InvalidHandshake, InvalidURI, WebSocketException
@@ -42,7 +45,29 @@ class RemoteOptions(CardModel):
     connect_timeout: float = Field(default=10.0, gt=0.0, le=600.0)
     """Longest wait for the connection and its greeting, s."""
     digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
-    """What the server must say that it serves; it makes runs comparable. null = anything."""
+    """What the server must say that it serves. null = anything; a run records what it is, and
+    keeps to it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Served:
+    """What a server says that it serves."""
+
+    digest: str
+    """Hex SHA-256 of all that can change an action; `NOTHING` if the server gives none."""
+    shapes: Mapping[str, tuple[int, ...]]
+    """Shapes of observations by name, where the server says them."""
+
+
+def ask_server(bundle: Bundle) -> Served:
+    """Connect for a moment and return what is served.
+
+    Raises:
+        PolicyError: as `RemotePolicy`.
+    """
+    joints = len(get_robot(bundle.card.robot).joints)
+    with closing(RemotePolicy(bundle, joints=joints)) as policy:
+        return policy.served
 
 
 class RemotePolicy:
@@ -55,8 +80,8 @@ class RemotePolicy:
         """Connect.
 
         Raises:
-            PolicyError: there is no server, it speaks another protocol, serves another policy, or
-                wants observations that the card does not name.
+            PolicyError: there is no server, it speaks another protocol, serves another policy,
+                wants observations that the card does not name, or its card has another `control`.
         """
         self._name = bundle.name
         self._joints = joints
@@ -65,13 +90,19 @@ class RemotePolicy:
         self._connection: ClientConnection | None = _connect(bundle, self._options, self._cleanup)
         try:
             hello = self._receive(self._options.connect_timeout)
-            _check(hello, bundle, self._options, joints)
+            self.served = _check(hello, bundle, self._options, joints)
         except TrialError as error:
             self.close()
             raise PolicyError(f"{bundle.card_path}: {error}", fix=_START) from None
         except PolicyError:
             self.close()
             raise
+        except (TypeError, ValueError, OverflowError) as error:  # Arrays in place of words, say.
+            self.close()
+            raise PolicyError(
+                f"{bundle.card_path}: cannot read the greeting of {self._options.url}: {error}",
+                fix="speak the protocol of nw_eval.policies.wire",
+            ) from None
 
     def reset(self, seed: int) -> None:
         """Begin a trial on the server."""
@@ -185,8 +216,8 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
         ) from None
 
 
-def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joints: int) -> None:
-    """Compare what the server says of itself with the card."""
+def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joints: int) -> Served:
+    """Compare what the server says of itself with the card, and return it."""
     where = f"{bundle.card_path}: the server at {options.url}"
     if "error" in hello:
         raise PolicyError(f"{where} says: {str(hello['error'])[:300]}", fix=_START)
@@ -207,10 +238,37 @@ def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joi
             f"{options.digest}",
             fix="serve the policy that is meant, or correct `options.digest`",
         )
-    wanted = [str(name) for name in hello.get("observations") or ()]
-    absent = [name for name in wanted if name not in bundle.card.observations]
+    digest = hello.get("digest") or NOTHING
+    if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+        raise PolicyError(
+            f"{where} gives the digest {str(digest)[:64]!r}",
+            fix="give the SHA-256 of what is served in hex, or none",
+        )
+    sizes, control = (_map(hello, key, where) for key in ("observations", "control"))
+    absent = [name for name in sizes if name not in bundle.card.observations]
     if absent:
         raise PolicyError(
             f"{where} wants the observation {', '.join(absent)}, which the card does not name",
             fix="copy `observations` from the served card",
         )
+    own = bundle.card.control.model_dump(mode="json")
+    for key, value in control.items():
+        if own.get(key, value) != value:
+            raise PolicyError(
+                f"{where} serves a card whose `control.{key}` is {str(value)[:200]}, on this card "
+                f"it is {own[key]}",
+                fix="copy `control` from the served card",
+            )
+    said = {name: shape for name, shape in sizes.items() if shape is not None}
+    shapes = {name: tuple(int(side) for side in shape) for name, shape in said.items()}
+    return Served(digest=digest, shapes=shapes)
+
+
+def _map(hello: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
+    value = hello.get(key) or {}
+    if not isinstance(value, dict):
+        raise PolicyError(
+            f"{where} greets with {key!r} as a {type(value).__name__}, not a map",
+            fix="speak the protocol of nw_eval.policies.wire",
+        )
+    return value

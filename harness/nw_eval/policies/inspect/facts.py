@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies.inspect.exporter import ExporterMetadata, read_exporter_metadata
+from nw_eval.policies.inspect.script import ScriptInput, script_inputs
 from nw_eval.policies.recurrence import state_pairs
 from nw_eval.policies.safety import (
     FileKind,
@@ -20,6 +22,9 @@ from nw_eval.policies.safety import (
     file_kind,
     tensor_facts,
 )
+
+EXPORT = "export the policy as ONNX or with torch.export"
+_STATE_DICTS = "a plain state dict is enough for extreme-parkour, LucidSim and ACT only"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +48,8 @@ class CheckpointFacts:
     """The adapter of a card that reads it; None if the file holds weights of an unknown network."""
     inputs: tuple[ArrayFacts, ...] = ()
     """What it takes at each step, without recurrent state; empty where the format does not say."""
+    script: tuple[ScriptInput, ...] = ()
+    """What the code of a TorchScript file says that it takes, without shapes."""
     outputs: tuple[ArrayFacts, ...] = ()
     recurrent: tuple[str, ...] = ()
     """Names of the state that it carries from step to step."""
@@ -79,6 +86,18 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
         raise PolicyError(
             f"{where}: the checkpoint cannot be read: {error.strerror}", fix="check the path"
         ) from None
+    try:
+        return _facts(data, path)
+    except PolicyError as error:
+        if error.fix is None or not re.search("state.dict", error.fix):
+            raise
+        # A state dict helps whoever has a card; here it would be refused as an unknown network.
+        what = str(error).removesuffix(f"; {error.fix}")
+        raise PolicyError(what, fix=f"{EXPORT} where you trust the file; {_STATE_DICTS}") from None
+
+
+def _facts(data: bytes, path: Path) -> CheckpointFacts:
+    where = str(path)
     sha256 = hashlib.sha256(data).hexdigest()
     kind = file_kind(data, where)
     match kind:
@@ -94,6 +113,7 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
                 sha256=sha256,
                 format=kind,
                 adapter="torchscript",
+                script=script_inputs(data, where, tensors),
                 recurrent=_recurrent_weights(tensors),
                 parameters=_count(tensors),
                 tensors=tensors,

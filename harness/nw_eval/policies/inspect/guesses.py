@@ -1,9 +1,17 @@
-"""Which terms a vector of an unknown policy may be made of."""
+"""Which terms and scans a vector of an unknown policy may be made of."""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 
+_LEGS = ("FL", "FR", "RL", "RR")
+_KINDS = ("hip", "thigh", "calf")
+LEG_BY_LEG = tuple(f"{leg}_{kind}" for leg in _LEGS for kind in _KINDS)
+"""Joints of Unitree's robots in Isaac Gym, which sorts their names."""
+TYPE_BY_TYPE = tuple(f"{leg}_{kind}" for kind in _KINDS for leg in _LEGS)
+"""The same in Isaac Lab: hips of all legs first."""
 _VELOCITY_SCALES = "[2.0, 2.0, 0.25]"
 
 
@@ -16,6 +24,33 @@ class FrameGuess:
     size: int
     layout: str | None = None
     """A published layout that stands for the terms."""
+    joints: tuple[str, ...] = ()
+    """The order of joints there; empty where it is the robots' own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanGuess:
+    """A grid of heights, and who measures it so."""
+
+    source: str
+    x: int
+    """Points ahead."""
+    y: int
+    """Points to the left."""
+
+    @property
+    def size(self) -> int:
+        """Points of the grid."""
+        return self.x * self.y
+
+
+ISAAC_LAB = "Isaac Lab"
+PARKOUR = ScanGuess(source="extreme-parkour", x=12, y=11)
+SCANS: tuple[ScanGuess, ...] = (
+    ScanGuess(source=ISAAC_LAB, x=17, y=11),
+    PARKOUR,
+    ScanGuess(source=ISAAC_LAB, x=21, y=11),
+)
 
 
 FRAMES: tuple[FrameGuess, ...] = (
@@ -27,6 +62,7 @@ FRAMES: tuple[FrameGuess, ...] = (
     ),
     FrameGuess(
         source="legged_gym",
+        joints=LEG_BY_LEG,
         terms=(
             "{term: lin_vel, scale: 2.0}",
             "{term: ang_vel, scale: 0.25}",
@@ -40,11 +76,13 @@ FRAMES: tuple[FrameGuess, ...] = (
     ),
     FrameGuess(
         source="Isaac Lab",
+        joints=TYPE_BY_TYPE,
         terms=("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
         size=48,
     ),
     FrameGuess(
         source="HIMLoco, rl_sar",
+        joints=LEG_BY_LEG,
         terms=(
             f"{{term: command, scale: {_VELOCITY_SCALES}}}",
             "{term: ang_vel, scale: 0.25}",
@@ -57,6 +95,7 @@ FRAMES: tuple[FrameGuess, ...] = (
     ),
     FrameGuess(
         source="Isaac Lab without linear velocity",
+        joints=TYPE_BY_TYPE,
         terms=("ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
         size=45,
     ),
@@ -86,6 +125,27 @@ TERM_OF: dict[str, tuple[str, int]] = {
 """Names that mjlab and Isaac Lab give to observation terms, with our term and its size."""
 
 
+_SCAN = re.compile(r"scan|height_?map|elevation|^(measured_|terrain_)?heights$", re.IGNORECASE)
+_NO_SCAN = re.compile(r"foot|feet|lidar|laser", re.IGNORECASE)
+
+
+def is_scan(name: str) -> bool:
+    """Return whether an input or a term of this name holds heights of the ground."""
+    return bool(_SCAN.search(name)) and not _NO_SCAN.search(name)
+
+
+def scan_of(size: int) -> ScanGuess | None:
+    """Return the known grid of `size` points, or one of similar sides; None where there is none."""
+    for scan in SCANS:
+        if scan.size == size:
+            return scan
+    sides = [(size // y, y) for y in range(1, 501) if size % y == 0 and 1 <= size // y <= 500]
+    if not sides:
+        return None
+    x, y = min(sides, key=lambda xy: abs(math.log(xy[0] / xy[1] / 1.5)))
+    return ScanGuess(source="a guess", x=x, y=y)
+
+
 def frames_of(size: int) -> tuple[tuple[FrameGuess, int], ...]:
     """Return known frames that make a vector of `size` numbers, with how many of them it takes.
 
@@ -93,3 +153,14 @@ def frames_of(size: int) -> tuple[tuple[FrameGuess, int], ...]:
     """
     fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
     return tuple(sorted((fit for fit in fits if 1 <= fit[1] <= 20), key=lambda fit: fit[1]))
+
+
+def frames_before_a_scan(size: int) -> tuple[tuple[tuple[FrameGuess, int], ...], ScanGuess | None]:
+    """Return known frames that make `size` numbers together with a known grid after them.
+
+    Frames of those who measure the grid come first.
+    """
+    for scan in SCANS:
+        if frames := frames_of(size - scan.size):
+            return tuple(sorted(frames, key=lambda fit: scan.source not in fit[0].source)), scan
+    return (), None

@@ -17,8 +17,11 @@ class SplatRgbObservation(BaseObservation):
 
     sensor: Literal["splat_rgb"]
     camera: str = "ego"
+    """Name of a camera of the robot."""
     width: Columns = 80
+    """Columns of the image, pixels."""
     height: Rows = 45
+    """Rows of the image, pixels; they span the camera's vertical field of view."""
     sampling: Literal["full", "published"] = "full"
     """`full`: a camera of this size. `published`: 80 x 45 from the centres of 16 x 16 cells of a
     1280 x 720 image, truncated to bytes before averaging, as the published evaluation does it."""
@@ -31,10 +34,13 @@ class SplatRgbObservation(BaseObservation):
     stack_axis: Literal["new", "channel"] = "new"
     """`new`: a leading axis of its own (none for a stack of 1). `channel`: along the channels."""
     axes: Literal["hwc", "chw"] = "hwc"
+    """Whether the three colours come last or first."""
     dtype: Literal["uint8", "float32"] = "uint8"
+    """uint8 images are sRGB bytes, float32 images (byte - mean) / std."""
     mean: float = 0.0
+    """Subtracted from the bytes of float32 images."""
     std: float = 255.0
-    """float32 images are (byte - mean) / std."""
+    """What float32 images are divided by after that."""
 
     @model_validator(mode="after")
     def _published_size(self) -> SplatRgbObservation:
@@ -50,8 +56,11 @@ class SplatRgbObservation(BaseObservation):
 
 class _GeometryView(BaseObservation):
     camera: str = "ego"
+    """Name of a camera of the robot."""
     width: Columns = 80
+    """Columns of the image, pixels."""
     height: Rows = 45
+    """Rows of the image, pixels; they span the camera's vertical field of view."""
     cones: bool = False
     """Whether a traffic cone stands on each waypoint."""
     robot: bool = False

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from nw_eval.policies.model import Limits
 from nw_eval.policies.observations.base import BaseObservation
 
 Axis = tuple[float, float, Annotated[int, Field(ge=1, le=500)]]
 """First, last and number of points, m."""
+GridOrder = Literal["y_fastest", "x_fastest"]
+"""Which coordinate changes from each number of a row to the next."""
 
 
 class ScandotsObservation(BaseObservation):
     """Heights of the ground around the robot: clip(trunk_z + offset - ground_z), m.
 
-    The points stand in a frame at the trunk origin that turns with the yaw only, x-major, both
-    axes ascending.
+    The points stand in a frame at the trunk origin that turns with the yaw only. Both axes ascend:
+    the first number lies behind and to the right of the robot.
     """
 
     sensor: Literal["scandots"]
@@ -29,7 +31,19 @@ class ScandotsObservation(BaseObservation):
     """Added to the trunk's height, m. The 0.3 is extreme-parkour's; the 0.0143 is how far the
     published virtual camera on a Go1 stands from 25 m above the trunk in the default stance (it
     follows the centre of mass; on a Go2 it is 0.0170)."""
+    order: GridOrder = "y_fastest"
+    """`y_fastest`: from right to left, then the next row ahead. `x_fastest`: from behind to ahead,
+    then the next column to the left, as the grids of Isaac Lab and mjlab (their ordering `xy`)."""
     clip: Limits = (-1.0, 1.0)
+    """Limits of every number, m; where there is no ground, the upper one is read."""
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_order(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the default `order` out, so that cards without the key keep their digest."""
+        fields = dump(self)
+        if self.order == "y_fastest":
+            fields.pop("order", None)
+        return fields
 
 
 class HeightmapObservation(BaseObservation):
@@ -41,7 +55,9 @@ class HeightmapObservation(BaseObservation):
 
     sensor: Literal["heightmap"]
     x: Axis = (-1.0, 2.0, 31)
+    """First, last and number of points ahead, m."""
     y: Axis = (-1.0, 1.0, 21)
+    """First, last and number of points to the left, m."""
     relative_to: Literal["trunk", "ground", "world"] = "trunk"
     """Heights are those above the trunk's origin, above the ground under it, or above z = 0."""
     clip: Limits = (-2.0, 2.0)

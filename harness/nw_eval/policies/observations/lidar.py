@@ -32,13 +32,16 @@ class LidarObservation(BaseObservation):
     the whole circle, beginning behind the sensor. `solid_state`: a rectangle, equally spaced in
     the plane ahead, as flash sensors have it."""
     channels: int = Field(default=16, ge=1, le=512)
+    """Rays above one another."""
     columns: int = Field(default=1800, ge=1, le=4096)
+    """Rays beside one another."""
     elevation: Limits = (-0.2618, 0.2618)
     """Lowest and highest channel, rad."""
     azimuth: Limits | None = None
     """Rightmost and leftmost column, rad; null = the whole circle, or -0.6 to 0.6 of a rectangle.
     """
     mount: Mount = Mount()
+    """Where it sits on the trunk."""
     min_range: float = Field(default=0.1, ge=0.0)
     """Nearer surfaces give no point, m."""
     max_range: float = Field(default=30.0, gt=0.0)
@@ -48,5 +51,6 @@ class LidarObservation(BaseObservation):
     miss: Literal["nan", "max_range"] = "nan"
     """What a ray gives that meets nothing within range: NaN, or a point at `max_range`."""
     cones: bool = False
+    """Whether a traffic cone stands on each waypoint."""
     robot: bool = False
     """Whether the robot's own legs are seen; never the trunk that carries the sensor."""

@@ -30,6 +30,7 @@ class PluginObservation(BaseObservation):
     model_config = ConfigDict(extra="allow", frozen=True)
 
     sensor: str
+    """Name of an installed sensor, or `module:Class`."""
 
     @model_validator(mode="after")
     def _known(self) -> PluginObservation:

@@ -18,6 +18,7 @@ class History(CardModel):
     steps: int = Field(ge=1, le=100)
     """Number of frames."""
     order: Literal["oldest_first", "newest_first"] = "oldest_first"
+    """Which frame stands at the front."""
     by: Literal["step", "term"] = "step"
     """`step`: frame after frame. `term`: all frames of the first term, then of the second, ..."""
     current: bool = True
@@ -39,12 +40,15 @@ class ProprioObservation(BaseObservation):
 
     sensor: Literal["proprio"]
     layout: LayoutName | None = None
+    """A published list of terms, in place of `terms`."""
     terms: Annotated[list[Term], Field(min_length=1, max_length=100)] | None = None
+    """The groups of numbers that make a frame, in this order."""
     clip: Limits | None = None
     """Limits of every number after scaling."""
     select: Annotated[list[int | str], Field(min_length=1)] | None = None
     """Which numbers of a frame are kept: indices and ranges such as "13:53" (end excluded)."""
     history: Annotated[History, BeforeValidator(_steps_only)] | None = None
+    """Earlier frames that go along, or just their number; null = the present frame alone."""
 
     @model_validator(mode="after")
     def _one_source(self) -> ProprioObservation:

@@ -48,9 +48,13 @@ class Crop(CardModel):
 
     wrapper: Literal["crop"]
     top: Pixels = 0
+    """Rows cut off at the top."""
     bottom: Pixels = 0
+    """Rows cut off at the bottom."""
     left: Pixels = 0
+    """Columns cut off on the left."""
     right: Pixels = 0
+    """Columns cut off on the right."""
 
 
 class Resize(CardModel):
@@ -58,7 +62,9 @@ class Resize(CardModel):
 
     wrapper: Literal["resize"]
     width: int = Field(ge=1, le=4096)
+    """New number of columns, pixels."""
     height: int = Field(ge=1, le=4096)
+    """New number of rows, pixels."""
     method: Literal["area", "bilinear", "nearest"] = "area"
     """`area`: the mean of what a new pixel covers. `bilinear`: between pixel centres, without
     antialiasing. `nearest`: the pixel under the new one's centre."""
@@ -69,7 +75,9 @@ class Normalize(CardModel):
 
     wrapper: Literal["normalize"]
     mean: float | list[float] = 0.0
+    """What is subtracted."""
     std: float | list[float] = 255.0
+    """What is divided by after that."""
 
     @model_validator(mode="after")
     def _divisible(self) -> Normalize:
@@ -83,7 +91,9 @@ class Scale(CardModel):
 
     wrapper: Literal["scale"]
     scale: float = 1.0
+    """Factor of every number."""
     offset: float = 0.0
+    """Added after scaling."""
 
 
 class Clip(CardModel):
@@ -91,6 +101,7 @@ class Clip(CardModel):
 
     wrapper: Literal["clip"]
     limits: Limits
+    """Lowest and highest number."""
     nan: float | None = None
     """What NaN becomes; null = it stays."""
 
@@ -114,6 +125,7 @@ class Stack(CardModel):
 
     wrapper: Literal["stack"]
     steps: int = Field(ge=2, le=100)
+    """Number of samples."""
     axis: Literal["first", "last", "channel"] = "first"
     """`first`, `last`: a new axis there. `channel`: along the last axis, which grows."""
 
@@ -123,7 +135,9 @@ class Channels(CardModel):
 
     wrapper: Literal["channels"]
     axis: Literal["first", "last"] = "first"
+    """Where the colours go."""
     repeat: int = Field(default=1, ge=1, le=16)
+    """Number of equal colours of an image without any."""
 
 
 class Flatten(CardModel):
@@ -138,6 +152,7 @@ class PluginWrap(CardModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
     wrapper: str
+    """Name of an installed wrapper, or `module:Class`."""
 
     @model_validator(mode="after")
     def _known(self) -> PluginWrap:

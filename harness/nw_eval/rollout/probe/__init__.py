@@ -6,6 +6,7 @@ findings    what is wrong with it, in words
 following   whether the policy does what it is commanded
 hypotheses  what else the card might have meant
 joint_signs other signs and scales of joints
+other_terms other scales, signs and places of terms
 search      which of these mends it
 comparison  the policy under its card and under others
 budget      how long commands and other cards are tried

@@ -7,7 +7,7 @@ from nw_eval.robots import RobotSpec
 from nw_eval.rollout.probe.budget import Metered, SpentError
 from nw_eval.rollout.probe.findings import Finding, command_findings
 from nw_eval.rollout.probe.following import Followed, follow, motions
-from nw_eval.rollout.probe.hypotheses import Hypothesis
+from nw_eval.rollout.probe.hypotheses import TRIED, Hypothesis
 from nw_eval.rollout.probe.recording import Recording
 from nw_eval.rollout.probe.search import better_cards
 
@@ -31,12 +31,14 @@ def compare(
     followed: list[Followed] = []
     missed: list[Followed] = []
     better: Hypothesis | None = None
+    is_searched = False
     cut: list[Finding] = []
     try:
         for one in follow(stage, card, tried):
             followed.append(one)
             missed += [one] if one.is_missed else []
-        if (recording.stumbles or missed) and not recording.sees_images:
+        is_searched = (recording.stumbles or bool(missed)) and not recording.sees_images
+        if is_searched:
             for hypothesis in better_cards(stage, card, robot, missed):
                 better = hypothesis
     except SpentError:
@@ -45,8 +47,10 @@ def compare(
             cut = [Finding(kind="fault", text=f"{text}not every command was tried")]
         else:
             cut = [Finding(kind="note", text=f"{text}not every other card was tried")]
-    found = command_findings(missed)
+    found = command_findings(followed)
     if better is not None:
         text = f"it {'follows' if missed else 'walks'} {better.advice(card)}"
         found.append(Finding(kind="fault", text=text))
+    elif is_searched and not cut:
+        found.append(Finding(kind="note", text=f"nothing tried helps: {TRIED}"))
     return followed, [*found, *cut]

@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Card
+from nw_eval.policies.inputs import resolve_inputs
 from nw_eval.policies.joints import short_name
+from nw_eval.policies.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.probe.following import Followed
+from nw_eval.rollout.probe.following import Followed, stands_still
 from nw_eval.rollout.probe.parts import Part
 from nw_eval.rollout.probe.recording import STUMBLES, Recording
 
 Array = NDArray[np.float64]
 
 _OFTEN = 0.2  # Share of control steps from which on a limit is a fault, not a moment.
+_MOVES = 0.05  # rad; a target that moves less tells nothing of how its joint follows.
 _LARGE = 30.0  # No scaled observation of a policy that learned is larger for long.
 _MAY_REST = {"foot_contacts", "applied_action", "last_output", "speed", "command", "direction"}
 
@@ -77,7 +80,7 @@ def observation_findings(ranges: list[Range], recording: Recording) -> list[Find
             found.append(Finding(kind=kind, text=f"{name}: {value.broken} values are NaN or inf"))
         if value.constant == value.size and not part.is_fixed:
             kind = "note" if part.kind in _MAY_REST else "fault"
-            text = f"{name}: dead, it reads {value.mean:.4g} from beginning to end"
+            text = f"{name}: dead, it reads {value.mean:z.4g} from beginning to end"
             found.append(Finding(kind=kind, text=text))
         largest = max(abs(value.low), abs(value.high))
         if part.limits is not None and _share_at(part, recording) > _OFTEN:
@@ -87,6 +90,29 @@ def observation_findings(ranges: list[Range], recording: Recording) -> list[Find
         elif largest > _LARGE and part.kind in _TERMS_OF_ORDER_ONE:
             text = f"{name}: reaches {largest:.3g}; a scale may be missing"
             found.append(Finding(kind="note", text=text))
+    return found
+
+
+def input_findings(card: Card, ranges: list[Range], recording: Recording) -> list[Finding]:
+    """Return which inputs are not what a checkpoint is likely to have been trained on."""
+    found: list[Finding] = []
+    for spec, names in resolve_inputs(card, recording.inputs) if recording.inputs else ():
+        for name in names:
+            is_rgb = isinstance(card.observations[name], SplatRgbObservation)
+            is_bytes = recording.observations[name].dtype == np.uint8
+            if is_rgb and is_bytes and spec.dtype.kind == "f":
+                text = f"`{name}` gives bytes 0..255 to a {spec.dtype} input; "
+                found.append(Finding(kind="note", text=f"{text}`dtype: float32` gives 0..1"))
+    zeros: dict[str, int] = {}
+    for value in ranges:
+        name, observation = value.part.observation, card.observations[value.part.observation]
+        is_listed = isinstance(observation, ProprioObservation) and observation.terms is not None
+        if is_listed and value.part.kind == "constant" and value.low == value.high == 0.0:
+            zeros[name] = zeros.get(name, 0) + value.size
+    for name, count in zeros.items():
+        number = "1 zero" if count == 1 else f"{count} zeros"
+        text = f"`{name}` holds {number} in place of what the checkpoint was trained on"
+        found.append(Finding(kind="note", text=text))
     return found
 
 
@@ -131,12 +157,16 @@ def body_findings(recording: Recording) -> list[Finding]:
     return []
 
 
-def command_findings(missed: list[Followed]) -> list[Finding]:
-    """Return which commands are not followed; a fault where trials command it."""
+def command_findings(followed: list[Followed]) -> list[Finding]:
+    """Return which commands are missed; a fault where trials command it."""
+    missed = [one for one in followed if one.is_missed]
+    if stands_still(followed):
+        kind = "fault" if any(one.motion.is_used for one in missed) else "note"
+        return [Finding(kind=kind, text="`command`: it stands still, whatever is commanded")]
     found: list[Finding] = []
     for one in missed:
         direction, asked, reached = one.words
-        text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:.0%})"
+        text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:z.0%})"
         text += ", and it fell" if one.fell else ""
         text += "; mind `control.scale` and the `scale` of `command`"
         found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
@@ -150,7 +180,7 @@ def _against(robot: RobotSpec, recording: Recording) -> list[Finding]:
     found: list[Finding] = []
     for index, joint in enumerate(robot.joints):
         pull, motion = wanted[:, index], moved[:, index]
-        if pull.std() < 1e-4 or motion.std() < 1e-4:
+        if np.ptp(recording.targets[:, index]) < _MOVES or motion.std() < 1e-4:
             continue
         agreement = float(np.corrcoef(pull, motion)[0, 1])
         if agreement < -_OFTEN:

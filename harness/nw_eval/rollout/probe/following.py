@@ -28,6 +28,7 @@ _SIDEWAYS = 0.5  # m/s
 _TURNING = 1.0  # rad/s
 _SPEED = 0.8  # m/s ahead while it goes sideways or turns: some policies stand still without.
 _LEAST = 0.1  # m/s or rad/s; of less, the sway of the steps is too large a share.
+_STILL = 0.1  # Share of a command; who stands sways with less.
 _UNITS = ("m/s", "m/s", "rad/s")
 _WAYS = (("ahead", "backwards"), ("to the left", "to the right"), ("turning left", "turning right"))
 
@@ -72,7 +73,7 @@ class Followed:
         """The direction, what was commanded, what was reached."""
         unit = _UNITS[self.motion.axis]
         reached = self.ratio * self.motion.asked
-        return self.motion.words, f"{self.motion.asked:g} {unit}", f"{reached:.2f} {unit}"
+        return self.motion.words, f"{self.motion.asked:g} {unit}", f"{reached:z.2f} {unit}"
 
 
 def motions(card: Card) -> list[Motion]:
@@ -138,6 +139,11 @@ def follow(stage: Recorder, card: Card, tried: Sequence[Motion]) -> Iterator[Fol
         for motion in same:
             ratio = float(reached[motion.axis]) / velocity[motion.axis]
             yield Followed(motion=motion, ratio=ratio, fell=made.outcome == "fell")
+
+
+def stands_still(followed: Sequence[Followed]) -> bool:
+    """Whether a policy moves under none of its commands, and stays on its feet."""
+    return bool(followed) and all(abs(one.ratio) < _STILL and not one.fell for one in followed)
 
 
 def deviation(followed: Sequence[Followed]) -> float:

@@ -1,4 +1,4 @@
-"""What else a card might have meant: other joint orders, signs and scales, other histories."""
+"""What else a card might have meant: other scales, orders and signs, other histories."""
 
 from __future__ import annotations
 
@@ -6,12 +6,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
-from nw_eval.policies import Card
+import numpy as np
+
+from nw_eval.policies import Card, JointControl
 from nw_eval.policies.joints import joint_order, short_name
 from nw_eval.policies.observations import ProprioObservation
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.probe.joint_signs import scaled_cards, turned_cards
+from nw_eval.rollout.probe.other_terms import (
+    absolute_terms,
+    scaled_terms,
+    swapped_terms,
+    turned_terms,
+)
 from nw_eval.rollout.probe.written import changed_lines
+
+TRIED = "orders, signs and scales of joints, history, scales, signs and order of terms"
+"""What `hypotheses` changes, in words."""
 
 _LEGS = (
     ("FR", "FL", "RR", "RL"),
@@ -20,7 +31,6 @@ _LEGS = (
     ("RL", "RR", "FL", "FR"),
 )
 _KINDS = ("hip", "thigh", "calf")
-_LEGGED_GYM = [2.0, 2.0, 0.25]  # Its scales of a velocity command, which many took over.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,22 +47,34 @@ class Hypothesis:
 
 
 def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
-    """Yield the changes that are worth a try."""
-    yield from _orders(card, robot)
-    for words, changed in (*turned_cards(card, robot), *scaled_cards(card, robot)):
-        yield Hypothesis(words=words, card=changed)
-    for name, observation in card.observations.items():
-        if not isinstance(observation, ProprioObservation):
-            continue
-        for words, changed in (*_histories(observation), *_other_terms(observation)):
-            observations = {**card.observations, name: changed}
-            yield Hypothesis(
-                words=f"`{name}` with {words}",
-                card=card.model_copy(update={"observations": observations}),
-            )
+    """Yield the changes that are worth a try, likely ones first.
+
+    A robot that cannot take its default pose was trained in no stack, so none of them has a
+    default pose outside the ranges of the joints.
+    """
+    for words, changed in (
+        *scaled_terms(card),
+        *_orders(card, robot),
+        *_histories(card),
+        *turned_terms(card),
+        *scaled_cards(card, robot),
+        *turned_cards(card, robot),
+        *absolute_terms(card),
+        *swapped_terms(card),
+    ):
+        if _can_stand(changed, robot):
+            yield Hypothesis(words=words, card=changed)
 
 
-def _orders(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
+def _can_stand(card: Card, robot: RobotSpec) -> bool:
+    joints = JointControl.from_card(card, robot)
+    ranges = np.array(robot.joint_ranges)[joints.order]
+    return bool(
+        ((ranges[:, 0] <= joints.default_pose) & (joints.default_pose <= ranges[:, 1])).all()
+    )
+
+
+def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     own = joint_order(card.control.joints or robot.joints, robot.joints)
     for legs, by_leg in product(_LEGS, (True, False)):
         pairs = product(legs, _KINDS) if by_leg else ((leg, k) for k, leg in product(_KINDS, legs))
@@ -63,35 +85,23 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
         control = card.control.model_copy(update={"joints": joints})
         kinds = "leg by leg" if by_leg else "all hips, then all thighs, then all calves"
         words = f"the joints in the order {' '.join(legs)}, {kinds}"
-        yield Hypothesis(words=words, card=card.model_copy(update={"control": control}))
+        yield words, card.model_copy(update={"control": control})
 
 
-def _histories(observation: ProprioObservation) -> Iterator[tuple[str, ProprioObservation]]:
-    history = observation.history
-    if history is None or history.steps == 1:
-        return
-    order = "oldest_first" if history.order == "newest_first" else "newest_first"
-    changed = history.model_copy(update={"order": order})
-    yield f"order: {order}", observation.model_copy(update={"history": changed})
-    if observation.select is None:
-        by = "term" if history.by == "step" else "step"
-        changed = history.model_copy(update={"by": by})
-        yield f"by: {by}", observation.model_copy(update={"history": changed})
-
-
-def _other_terms(observation: ProprioObservation) -> Iterator[tuple[str, ProprioObservation]]:
-    terms = list(observation.terms or ())
-    for index, term in enumerate(terms):
-        scales: list[float | list[float]] = []
-        words = f"the sign of `{term.term}` turned"
-        if term.term in {"gravity", "ang_vel", "delta_yaw"} and isinstance(term.scale, float):
-            scales = [-term.scale]
-        elif term.term == "command":
-            words = "another scale of `command`"
-            x, y, yaw = term.scale if isinstance(term.scale, list) else [term.scale] * 3
-            scales = [1.0, _LEGGED_GYM, [x, -y, yaw], [x, y, -yaw], [x, -y, -yaw]]
-        for scale in scales:
-            if scale != term.scale:
-                other = term.model_copy(update={"scale": scale})
-                changed = [*terms[:index], other, *terms[index + 1 :]]
-                yield words, observation.model_copy(update={"terms": changed})
+def _histories(card: Card) -> Iterator[tuple[str, Card]]:
+    for name, observation in card.observations.items():
+        if not isinstance(observation, ProprioObservation):
+            continue
+        history = observation.history
+        if history is None or history.steps == 1:
+            continue
+        changes = {"order": "oldest_first" if history.order == "newest_first" else "newest_first"}
+        if observation.select is None:
+            changes["by"] = "term" if history.by == "step" else "step"
+        for key, value in changes.items():
+            other = observation.model_copy(
+                update={"history": history.model_copy(update={key: value})}
+            )
+            observations = {**card.observations, name: other}
+            words = f"`{name}` with {key}: {value}"
+            yield words, card.model_copy(update={"observations": observations})

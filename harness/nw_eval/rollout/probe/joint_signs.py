@@ -20,7 +20,7 @@ from nw_eval.policies.joints import short_name
 from nw_eval.policies.observations import AnyObservation, ProprioObservation
 from nw_eval.policies.terms import AnyTerm, JointPosition, JointVelocity
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.probe.written import per_joint
+from nw_eval.rollout.probe.written import listed, per_joint
 
 _Place = Literal["targets", "observations", "default pose"]
 
@@ -32,6 +32,12 @@ _GROUPS = {
     "the right legs": ("?R_*",),
     "all joints": ("*",),
 }
+_SCALES = (
+    ("the hips", 2.0, "doubled"),
+    ("the hips", 0.5, "halved"),
+    ("all joints", 2.0, "doubled"),
+    ("all joints", 0.5, "halved"),
+)
 _PLACES: tuple[tuple[_Place, ...], ...] = (
     ("targets", "observations"),
     ("targets",),
@@ -46,16 +52,16 @@ def turned_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     for group, patterns in _GROUPS.items():
         for places in _PLACES:
             signs = _factors(card, robot, patterns, -1.0)
-            yield f"{group} turned round in {_listed(places)}", _times(card, robot, signs, places)
+            yield f"{group} turned round in {listed(places)}", _times(card, robot, signs, places)
 
 
 def scaled_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     """Yield cards with other scales of the action, and what they are in words."""
-    for group in ("the hips", "all joints"):
-        for factor, words in ((2.0, "doubled"), (0.5, "halved")):
-            factors = _factors(card, robot, _GROUPS[group], factor)
-            changed = _times(card, robot, factors, ("targets",))
-            yield f"the scale of {group} {words}", changed
+    # Without a scale on the card, it may be the one that most stacks have.
+    missing = [("all joints", 0.25, "divided by 4")] if card.control.scale == 1.0 else []
+    for group, factor, words in (*missing, *_SCALES):
+        factors = _factors(card, robot, _GROUPS[group], factor)
+        yield f"the scale of {group} {words}", _times(card, robot, factors, ("targets",))
 
 
 def _factors(
@@ -100,7 +106,3 @@ def _term(term: AnyTerm, factors: NDArray[np.float64]) -> AnyTerm:
 
 def _names(card: Card, robot: RobotSpec) -> list[str]:
     return [short_name(robot.joints[i]) for i in JointControl.from_card(card, robot).order]
-
-
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Card, JointControl
 from nw_eval.policies.observations import AnyObservation, ProprioObservation
-from nw_eval.policies.terms import AnyTerm, term_size
+from nw_eval.policies.terms import AnyTerm, Constant, term_size
 from nw_eval.robots import RobotSpec
+from nw_eval.rollout.probe.written import settings
 from nw_eval.sensors import ObservationSpec
 from nw_eval.sensors.proprio import Proprio
 from nw_eval.sensors.wrappers.link import Shot
@@ -107,6 +109,7 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
 
 
 def _form(term: AnyTerm) -> str:
+    """Return all of a term that is not by default."""
     words: list[str] = []
     if term.clip is not None:
         words.append(f"clip {term.clip[0]:g}..{term.clip[1]:g}")
@@ -116,7 +119,16 @@ def _form(term: AnyTerm) -> str:
         words.append(f"x {term.scale:g}")
     if term.offset:
         words.append(f"{term.offset:+g}")
+    if isinstance(term, Constant):
+        words.append(_runs(term.values))
+    words += settings(term, but={"term", "scale", "offset", "clip", "copies", "values"})
     return " ".join(words)
+
+
+def _runs(values: list[float]) -> str:
+    """Return numbers with equal ones counted: `132 x 0`."""
+    runs = [(value, len(list(same))) for value, same in groupby(values)]
+    return ", ".join(f"{count} x {value:g}" if count > 1 else f"{value:g}" for value, count in runs)
 
 
 def _limits(term: AnyTerm, observation: ProprioObservation) -> tuple[float, float] | None:

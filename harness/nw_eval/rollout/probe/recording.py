@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Bundle, Card
+from nw_eval.policies.policy import InputSpec
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
@@ -56,6 +57,8 @@ class Recording:
     seconds: float
     outcome: Outcome | None
     """How the trial ended before its time; None if it did not."""
+    inputs: tuple[InputSpec, ...]
+    """What the checkpoint declares to take; empty where its format does not say."""
     sees_images: bool
     """Whether images were rendered for the policy, which takes far longer than all else."""
 
@@ -177,6 +180,7 @@ def record(
         travelled=travelled,
         seconds=world.time,
         outcome=None if outcome in {"timeout", "completed"} else outcome,
+        inputs=episode.policy.inputs,
         sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
     )
 

@@ -10,17 +10,27 @@ from numpy.typing import NDArray
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Card, JointControl, actuator_values, load_bundle, load_card
 from nw_eval.policies.joints import short_name
+from nw_eval.policies.observations import AnyObservation
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.probe.parts import parts_of
 from nw_eval.rollout.probe.report import aligned
+from nw_eval.rollout.probe.written import flow, settings
 from nw_eval.sensors import check_card
 
+_MORE = ("options", "output", "recurrent")
+_MOTOR = ("torque_limits", "armature", "friction_loss")
 
-def card_summary(path: Path, *, allow_code: bool = False) -> str:
-    """Return what a card says, as lines of text. Its checkpoint may be missing.
+
+def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool = False) -> str:
+    """Return what a card says, as lines of text. The checkpoint that it names may be missing.
+
+    Args:
+        path: the card.
+        checkpoint: weights to use with the card.
+        allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        PolicyError: the card has problems, alone or with its robot.
+        PolicyError: the card has problems, alone or with its robot; `checkpoint` cannot be used.
     """
     card = load_card(path)
     robot = get_robot(card.robot)
@@ -34,18 +44,19 @@ def card_summary(path: Path, *, allow_code: bool = False) -> str:
         elif len(spec.shape) > 1:
             size = " x ".join(str(side) for side in spec.shape)
         rows.append((part.observation, part.kind, size, part.form, f"{spec.rate} Hz"))
-    sums = [f"  {spec.reckoning}" for spec in specs]
+    about = [f"  {spec.reckoning}{_settings(card.observations[spec.name])}" for spec in specs]
     lines = [
         f"{card.name}: {card.title}" if card.title else card.name,
         f"card        {path}",
         f"licence     {card.licence or 'not said'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
-        f"checkpoint  {_checkpoint(card, path)}",
+        f"checkpoint  {_checkpoint(card, path, checkpoint)}",
         f"command     {_command(card)}",
+        *(f"{key:10}  {flow(value)}" for key in _MORE if (value := getattr(card, key))),
         "",
         *aligned(rows, right=set()),
-        *sums,
+        *about,
         "",
         *_inputs(card),
         *_actions(card, robot),
@@ -53,21 +64,33 @@ def card_summary(path: Path, *, allow_code: bool = False) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _checkpoint(card: Card, path: Path) -> str:
-    if card.checkpoint is None:
-        return "none"
+def _checkpoint(card: Card, path: Path, given: Path | None) -> str:
     try:
-        bundle = load_bundle(path)
+        bundle = load_bundle(path, checkpoint=given)
     except PolicyError as error:
+        if given is not None or card.checkpoint is None:
+            raise
         return f"{card.checkpoint.file}: not usable: {error}"
-    size = 0 if bundle.checkpoint is None else bundle.checkpoint.stat().st_size
-    return f"{card.checkpoint.file}, {size / 1e6:.2f} MB, SHA-256 {bundle.checkpoint_sha256[:16]}"
+    if bundle.checkpoint is None or card.checkpoint is None:
+        return "none"
+    size, digest = bundle.checkpoint.stat().st_size, bundle.checkpoint_sha256
+    words = f"{given or card.checkpoint.file}, {size / 1e6:.2f} MB, SHA-256 {digest[:16]}"
+    said = card.checkpoint.sha256 or digest
+    if said != digest:
+        words += f", not the card's {said[:16]}"
+    return words
 
 
 def _command(card: Card) -> str:
     fields = card.command.model_dump(exclude={"source"})
-    settings = ", ".join(f"{key} {value}" for key, value in fields.items())
-    return f"{card.command.source} ({settings})"
+    words = ", ".join(f"{key} {flow(value)}" for key, value in fields.items())
+    return f"{card.command.source} ({words})"
+
+
+def _settings(observation: AnyObservation) -> str:
+    """Return what is not by default; terms and rates stand in the table."""
+    words = settings(observation, but={"sensor", "layout", "terms", "rate"})
+    return f"; {', '.join(words)}" if words else ""
 
 
 def _inputs(card: Card) -> list[str]:
@@ -84,17 +107,21 @@ def _actions(card: Card, robot: RobotSpec) -> list[str]:
         "kp": np.full(len(robot.joints), robot.kp),
         "kd": np.full(len(robot.joints), robot.joint_damping),
         "torque_limits": np.array(robot.torque_limits),
+        "armature": np.full(len(robot.joints), robot.armature),
+        "friction_loss": np.full(len(robot.joints), robot.friction_loss),
     }
-    rows = [("joint", "default", "scale", "kp", "kd", "torque limit")]
+    rows: list[tuple[str, ...]] = [
+        ("joint", "default", "scale", "kp", "kd", "torque limit", "armature", "friction loss")
+    ]
     for place, index in enumerate(joints.order.tolist()):
         rows.append(
             (
                 short_name(robot.joints[index]),
-                f"{joints.default_pose[place]:g}",
+                f"{joints.default_pose[place]:zg}",
                 f"{joints.scale[place]:g}",
                 "" if control.action == "joint_torque" else _number(motors["kp"], index),
                 _number(motors["kd"], index),
-                _number(motors["torque_limits"], index),
+                *(_number(motors[key], index) for key in _MOTOR),
             )
         )
     words = [control.action]
@@ -102,13 +129,13 @@ def _actions(card: Card, robot: RobotSpec) -> list[str]:
         words.append(f"limited to {control.clip[0]:g}..{control.clip[1]:g}")
     words.append(f"{control.rate} Hz")
     if control.delay_steps:
-        words.append(f"{control.delay_steps} late")
+        words.append(f"delayed by {control.delay_steps}")
     words.append(f"physics at {control.physics_rate} Hz")
     return [
         f"actions: {', '.join(words)}",
-        *aligned(rows, right={1, 2, 3, 4, 5}),
+        *aligned(rows, right={1, 2, 3, 4, 5, 6, 7}),
     ]
 
 
 def _number(values: NDArray[np.float64], index: int) -> str:
-    return f"{values[index]:g}"
+    return f"{values[index]:zg}"

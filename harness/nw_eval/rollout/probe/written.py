@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, cast
 
 from pydantic import BaseModel
@@ -16,7 +16,8 @@ from nw_eval.policies.observations import AnyObservation, ProprioObservation
 def changed_lines(old: Card, new: Card) -> list[str]:
     """Return what is written differently in `control` and in proprioceptive observations.
 
-    Each line is the place of a key, and its new value in YAML; of `terms`, the entry that changes.
+    Each line is the place of a key, and its new value in YAML; of `terms`, the entry that
+    changes, or all of them in another order.
     """
     fields = type(new.control).model_fields
     lines = [
@@ -37,6 +38,8 @@ def _observation_lines(place: str, old: AnyObservation, new: AnyObservation) -> 
     lines: list[str] = []
     if old.layout != new.layout:
         lines.append(f"{place}.terms: {flow(new.terms)}  # in place of `layout: {old.layout}`")
+    elif [term.term for term in old.frame_terms] != [term.term for term in new.frame_terms]:
+        lines.append(f"{place}.terms: {flow(new.terms)}")
     else:
         pairs = zip(old.frame_terms, new.frame_terms, strict=True)
         lines += [f"{place}.terms: - {flow(term)}" for was, term in pairs if was != term]
@@ -57,7 +60,31 @@ def flow(value: Any) -> str:
         return "[" + ", ".join(flow(item) for item in cast("Sequence[Any]", value)) + "]"
     if value is None or isinstance(value, bool):
         return json.dumps(value)
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:z.9g}"
+    # Unquoted, some readers of YAML take a range such as 6:8 for a number of base 60.
+    return json.dumps(value) if ":" in str(value) else str(value)
+
+
+def settings(model: BaseModel, *, but: Collection[str] = ()) -> list[str]:
+    """Return `key value` for every key of a card's part that has another value than by default."""
+    given = {**{key: getattr(model, key) for key in type(model).model_fields}, **_extra(model)}
+    defaults = type(model).model_fields
+    return [
+        f"{key} {flow(value)}"
+        for key, value in given.items()
+        if key not in but
+        and not (key in defaults and value == defaults[key].get_default(call_default_factory=True))
+    ]
+
+
+def _extra(model: BaseModel) -> dict[str, Any]:
+    return dict(model.model_extra or {})
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as a sentence lists them: `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def per_joint(names: Sequence[str], values: Sequence[float]) -> PerJoint:

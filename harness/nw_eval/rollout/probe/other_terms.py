@@ -1,0 +1,112 @@
+"""The same policy whose terms have other scales, signs, another order or another meaning.
+
+Each change is made in every observation of the card that lists terms: what a stack does with a
+number, it does everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+
+from nw_eval.policies import Card
+from nw_eval.policies.observations import AnyObservation, ProprioObservation
+from nw_eval.policies.terms import AnyTerm, JointPosition, term_size
+from nw_eval.rollout.probe.written import flow, listed
+
+Scale = float | list[float]
+
+_LEGGED_GYM: dict[str, Scale] = {
+    "joint_vel": 0.05,
+    "ang_vel": 0.25,
+    "lin_vel": 2.0,
+    "command": [2.0, 2.0, 0.25],
+}
+"""Its scales, which many stacks took over, and many others did not."""
+_SIGNED = {"gravity", "ang_vel", "delta_yaw"}
+
+
+def scaled_terms(card: Card) -> Iterator[tuple[str, Card]]:
+    """Yield cards with or without the scales of legged_gym: each alone, then several together."""
+    terms = {term.term: term for term in _terms(card)}
+    known = {name: _LEGGED_GYM[name] for name in terms if name in _LEGGED_GYM}
+    missing = {name: scale for name, scale in known.items() if terms[name].scale != scale}
+    written: dict[str, Scale] = {name: 1.0 for name in known if terms[name].scale != 1.0}
+    for count in range(1, len(known) + 1):
+        for wanted in (missing, written):
+            for names in combinations(wanted, count):
+                scales = {name: wanted[name] for name in names}
+                words = [f"`{name}` {flow(scale)}" for name, scale in scales.items()]
+                yield f"the scale of {listed(words)}", _with_scales(card, scales)
+
+
+def turned_terms(card: Card) -> Iterator[tuple[str, Card]]:
+    """Yield cards in which a term, or a side of the command, has the other sign."""
+    for name, term in {term.term: term for term in _terms(card)}.items():
+        if name in _SIGNED and isinstance(term.scale, float):
+            yield f"the sign of `{name}` turned", _with_scales(card, {name: -term.scale})
+        elif name == "command":
+            x, y, yaw = term.scale if isinstance(term.scale, list) else [term.scale] * 3
+            for scale in ([x, -y, yaw], [x, y, -yaw], [x, -y, -yaw]):
+                yield "the sign of a part of `command` turned", _with_scales(card, {name: scale})
+
+
+def absolute_terms(card: Card) -> Iterator[tuple[str, Card]]:
+    """Yield the card whose joint positions are counted from the other place."""
+    own = [term.relative for term in _terms(card) if isinstance(term, JointPosition)]
+    if own:
+        relative = not own[0]
+        counted = "from `default_pose`" if relative else "from 0"
+        yield f"`joint_pos` counted {counted}", _changed(card, lambda term: _from(term, relative))
+
+
+def swapped_terms(card: Card) -> Iterator[tuple[str, Card]]:
+    """Yield cards in which two terms of equal size are exchanged, neighbours first."""
+    for name, observation in card.observations.items():
+        if not isinstance(observation, ProprioObservation) or observation.terms is None:
+            continue
+        terms = observation.terms
+        pairs = sorted(combinations(range(len(terms)), 2), key=lambda pair: pair[1] - pair[0])
+        for i, j in pairs:
+            one, other = terms[i], terms[j]
+            is_change = one.term != other.term and "constant" not in {one.term, other.term}
+            if is_change and term_size(one) == term_size(other):
+                swapped = list(terms)
+                swapped[i], swapped[j] = other, one
+                changed = observation.model_copy(update={"terms": swapped})
+                words = f"`{one.term}` and `{other.term}` of `{name}` exchanged"
+                yield words, _with_observations(card, {name: changed})
+
+
+def _terms(card: Card) -> Iterator[AnyTerm]:
+    for observation in card.observations.values():
+        if isinstance(observation, ProprioObservation):
+            yield from observation.terms or ()
+
+
+def _with_scales(card: Card, scales: dict[str, Scale]) -> Card:
+    def change(term: AnyTerm) -> AnyTerm:
+        if term.term not in scales:
+            return term
+        return term.model_copy(update={"scale": scales[term.term]})
+
+    return _changed(card, change)
+
+
+def _from(term: AnyTerm, relative: bool) -> AnyTerm:
+    if not isinstance(term, JointPosition):
+        return term
+    return term.model_copy(update={"relative": relative})
+
+
+def _changed(card: Card, change: Callable[[AnyTerm], AnyTerm]) -> Card:
+    changed: dict[str, AnyObservation] = {}
+    for name, observation in card.observations.items():
+        if isinstance(observation, ProprioObservation) and observation.terms is not None:
+            terms = [change(term) for term in observation.terms]
+            changed[name] = observation.model_copy(update={"terms": terms})
+    return _with_observations(card, changed)
+
+
+def _with_observations(card: Card, changed: dict[str, AnyObservation]) -> Card:
+    return card.model_copy(update={"observations": {**card.observations, **changed}})

@@ -1,0 +1,48 @@
+"""What is said of recordings that somebody made by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nw_eval.policies import Card
+from nw_eval.policies.policy import InputSpec
+from nw_eval.robots import get_robot
+from nw_eval.rollout.probe.findings import action_findings, input_findings
+
+GO1 = get_robot("go1")
+
+
+def bytes_of(walked, uncommanded, given, wanted):
+    """What is noted of images of one type that go into an input of another type."""
+    plain = uncommanded.model_dump(by_alias=True)
+    plain["observations"] = {"rgb": {"sensor": "splat_rgb", "dtype": given}}
+    image = np.zeros((100, 45, 80, 3), dtype=given)
+    spec = InputSpec(name="image", shape=(1, 45, 80, 3), dtype=np.dtype(wanted))
+    inputs = () if wanted is None else (spec,)
+    made = replace(walked(), observations={"rgb": image}, inputs=inputs)
+    card = Card.model_validate(plain | {"inputs": None})
+    return [(finding.kind, finding.text) for finding in input_findings(card, [], made)]
+
+
+def test_bytes_that_go_into_an_input_of_floats_are_noted(walked, uncommanded):
+    text = "`rgb` gives bytes 0..255 to a float32 input; `dtype: float32` gives 0..1"
+    assert bytes_of(walked, uncommanded, "uint8", "float32") == [("note", text)]
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"), [("uint8", "uint8"), ("float32", "float32"), ("uint8", None)]
+)
+def test_images_of_the_inputs_own_type_are_not(walked, uncommanded, given, wanted):
+    assert bytes_of(walked, uncommanded, given, wanted) == []
+
+
+@pytest.mark.parametrize(("swing", "is_said"), [(0.04, False), (0.06, True)])
+def test_a_joint_moves_against_its_targets_only_if_these_move(walked, uncommanded, swing, is_said):
+    wave = np.sin(np.arange(101) * 0.3)
+    targets, positions = np.zeros((100, 12)), np.zeros((101, 12))
+    targets[:, 4] = swing / 2 * wave[:-1]
+    positions[1:, 4] = -0.3 * np.cumsum(targets[:, 4])
+    made = replace(walked(), targets=targets, positions=positions)
+    texts = [finding.text for finding in action_findings(uncommanded, GO1, made)]
+    assert any("FL_thigh: moves against its targets" in text for text in texts) == is_said
