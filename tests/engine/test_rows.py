@@ -90,7 +90,7 @@ def test_a_log_gives_no_leave_and_no_place_to_write(job):
     metadata = trial_metadata(replace(job, allow_code=True, mcap=Path("here.mcap")))
     fields = json.loads(metadata["job"])
     assert {"allow_code", "mcap", "record"}.isdisjoint(fields)
-    forged = {**fields, "allow_code": True, "mcap": "/tmp/there.mcap", "time_limit": 1e9}
+    forged = {**fields, "allow_code": True, "mcap": "/elsewhere/there.mcap", "time_limit": 1e9}
     read = job_from_metadata({**metadata, "job": json.dumps(forged)})
     assert (read.allow_code, read.mcap, read.time_limit) == (False, None, 600.0)
     with pytest.raises(ValueError, match="damaged: policy: input should be a valid string"):
