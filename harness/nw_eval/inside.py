@@ -1,0 +1,47 @@
+"""The one way to resolve a path that a stranger's file names, within a folder of ours or theirs."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+_PATH, _NAME = 2048, 255  # bytes of a path, and of one name in it, that file systems take
+
+
+class OutsideError(ValueError):
+    """A name leads out of its folder; the message says how, for an error of the caller's kind."""
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a name below a folder, links followed.
+
+    Args:
+        folder: which nothing may leave; it need not exist.
+        name: relative, with slashes; what it names need not exist.
+
+    Raises:
+        OutsideError: the name is empty or too long, is absolute, has `..`, a drive, a backslash or
+            a zero byte, or a link on its way leads out of the folder.
+    """
+    if not name or "\0" in name:
+        raise OutsideError("it is empty" if not name else "it has a zero byte")
+    if "\\" in name or PureWindowsPath(name).drive:
+        raise OutsideError("it has a backslash or a drive")
+    relative = PurePosixPath(name)
+    if relative.is_absolute():
+        raise OutsideError("it is an absolute path")
+    if ".." in relative.parts:
+        raise OutsideError("it has `..`")
+    if _bytes(name) > _PATH or max(map(_bytes, relative.parts), default=0) > _NAME:
+        raise OutsideError("it is longer than a file system allows")
+    root = folder.resolve()
+    try:
+        path = (root / relative).resolve()
+    except (OSError, RuntimeError) as error:  # A circle of links, a name that is too long.
+        raise OutsideError(f"it cannot be resolved: {error}") from None
+    if not path.is_relative_to(root):
+        raise OutsideError(f"a link on its way leads to {path}")
+    return path
+
+
+def _bytes(part: str) -> int:
+    return len(part.encode(errors="replace"))
