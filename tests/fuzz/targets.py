@@ -1,0 +1,666 @@
+"""Every reader of strangers' files, with valid files to start from.
+
+A target says how to make its seeds (each a mapping of names to bytes), which of those files are
+mutated, and how to read them. `read` raises an error of ours or returns; where a file carries a
+checksum, it raises `AcceptedError` if something was read that no seed holds.
+"""
+
+import io
+import itertools
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nw_eval.errors import PolicyError
+
+CARD = """\
+nw-policy: 1
+name: gift
+title: a gift
+licence: MIT
+robot: go1
+adapter: {adapter}
+checkpoint: {{file: {file}}}
+control: {{action: joint_position_offset, scale: 0.25, kp: 20, kd: 0.5, delay_steps: 1}}
+command: {{source: trail_follower, speed: 0.8}}
+observations:
+  obs:
+    sensor: proprio
+    terms:
+      - {{term: ang_vel, scale: 0.25}}
+      - gravity
+      - command
+      - joint_pos
+      - {{term: joint_vel, scale: 0.05}}
+      - last_output
+"""
+SUITE = """\
+nw-eval: 1
+name: mine
+robot: go1
+policy: go1-parkour
+protocol: strict
+trials: 3
+seed: 7
+episode: {duration: 5.0, contact_termination: true}
+scenes: [hurdles/one_low_carpet, "stairs/*", ./place]
+perturb: {friction: [0.5, 1.0]}
+record: failures
+gate: {success_rate: 0.75, confidence: 0.95, tiers: {hurdles/one_low_carpet: critical}}
+"""
+SCENE = """\
+nw-scene: 1
+name: mine/kerb
+task: hurdles
+title: A kerb
+licence: CC-BY-4.0
+trail: [[1.5, 0, 0.2], [3, 0, 0]]
+spawn: {position: [0, 0, 0], yaw: 0.1, x_jitter: 0.1, y_jitter: 0.1, yaw_jitter: 0.1}
+waypoint_noise: [0.0, 0.1]
+ground: 0.0
+collision: COLLISION
+splat: splat.ply
+T_world_splat: {scale: 2.0, quat: [1, 0, 0, 0], translation: [1, 2, 3]}
+"""
+BOXES = """\
+boxes:
+  - {center: [1.5, 0, 0.1], half_size: [0.2, 1.0, 0.1], quat: [1, 0, 0, 0]}
+  - {center: [2.5, 0, 0.1], half_size: [0.1, 1.0, 0.1], friction: [1.0, 0.3, 0.3], kind: clutter}
+"""
+PUBLISHED = """\
+<mujoco model="go1 scene">
+  <option timestep="0.005"/>
+  <asset>
+    <material name="stone" rgba="1 1 1 0"/>
+  </asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 0.05" friction="1.25 0.3 0.3"/>
+    <body name="start" pos="0 0 0" euler="0 0 0"><geom type="box" size="1 1 0.05" pos="0 0 -0.05"/>
+    </body>
+    <body name="bar" pos="1.5 0 0"><geom name="bar-0" type="box" size="0.1 1 0.1" pos="0 0 0.1"/>
+    </body>
+    <body name="waypoint-0" mocap="true" pos="1.5 0 0.2"/>
+    <body name="waypoint-1" mocap="true" pos="3 0 0"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+class AcceptedError(AssertionError):
+    """A damaged file was read as something that it never held."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """One reader under fire."""
+
+    name: str
+    seeds: object  # folder -> list of {name: bytes}
+    read: object  # folder -> anything
+    only: tuple = ()  # names that are mutated; all if empty
+    lists: bool = False  # whether its errors may have several lines, one a fault
+
+    def mutable(self, name):
+        return not self.only or any(name.endswith(end) for end in self.only)
+
+    def names(self, folder):
+        return [path.name for path in folder.rglob("*") if path.is_file()]
+
+    def warm(self, seeds):
+        """Read every seed once here, so that forks inherit imports; the first one must be good."""
+        import tempfile
+
+        for number, files in enumerate(seeds):
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name)
+                for path, content in files.items():
+                    (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                    (folder / path).write_bytes(content)
+                try:
+                    self.read(folder)
+                except PolicyError:
+                    if number == 0:
+                        raise
+                except Exception as error:
+                    raise AssertionError(f"seed {number} of {self.name}: {error!r}") from error
+
+
+def _mesh():
+    """A floor of 3 x 3 m with a bump, and its triangles."""
+    x, y = np.meshgrid(np.linspace(-1, 4, 11), np.linspace(-1.5, 1.5, 7))
+    z = np.where((x > 1.4) & (x < 2.1), 0.1, 0.0)
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return np.stack([x, y, z], -1).reshape(-1, 3), faces
+
+
+def _mesh_files():
+    import trimesh
+
+    vertices, faces = _mesh()
+    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
+    made = {}
+    for name, options in (
+        ("a.obj", {}), ("a.stl", {}), ("a.ply", {}),
+        ("b.ply", {"encoding": "ascii"}), ("b.stl", {"file_type": "stl_ascii"}),
+    ):  # fmt: skip
+        kind = options.pop("file_type", name.rsplit(".", 1)[1])
+        content = mesh.export(file_type=kind, **options)
+        made[name] = content if isinstance(content, bytes) else content.encode()
+    return made
+
+
+def _cloud(count=30, degree=1):
+    from nw_eval.splat.gaussians import Gaussians
+
+    rng = np.random.default_rng(5)
+    return Gaussians(
+        means=rng.normal(size=(count, 3)).astype(np.float32),
+        log_scales=np.full((count, 3), -3.0, np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        opacity_logits=np.full(count, 2.0, np.float32),
+        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def _splat_files(folder):
+    import torch
+
+    from nw_eval.splat import write_splat
+    from nw_eval.splat.files.spz import write_spz
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_splat(folder / "a.ply", _cloud())
+    write_splat(folder / "a.splat", _cloud(degree=0))
+    write_spz(folder / "two.spz", _cloud(), version=2)
+    write_spz(folder / "three.spz", _cloud(), version=3)
+    cloud = _cloud()
+    splats = {
+        "means": cloud.means, "scales": cloud.log_scales, "quats": cloud.quats,
+        "opacities": cloud.opacity_logits, "sh0": cloud.sh[:, :1], "shN": cloud.sh[:, 1:],
+    }  # fmt: skip
+    plain = {name: torch.from_numpy(np.array(array)) for name, array in splats.items()}
+    torch.save({"step": 1, "splats": plain}, folder / "a.pt")
+    fixture = Path(__file__).parents[1] / "splat" / "fixtures" / "cloud.compressed.ply"
+    (folder / "c.ply").write_bytes(fixture.read_bytes())
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def _torch_networks():
+    """Networks of 45 observations and 12 actions: plain, with a memory, with a convolution."""
+    import torch
+    from torch import nn
+
+    class Remembering(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.rnn = nn.GRU(45, 8)
+            self.head = nn.Linear(8, 12)
+            self.register_buffer("hidden", torch.zeros(1, 1, 8))
+
+        def forward(self, obs):
+            output, hidden = self.rnn(obs[None], self.hidden)
+            self.hidden.copy_(hidden)
+            return self.head(output[0])
+
+    torch.manual_seed(1)
+    return nn.Sequential(nn.Linear(45, 8), nn.ELU(), nn.Linear(8, 12)), Remembering()
+
+
+def _scripts():
+    import torch
+
+    plain, remembering = _torch_networks()
+    for module in (
+        torch.jit.trace(plain, torch.zeros(1, 45)),
+        torch.jit.script(plain),
+        torch.jit.script(remembering),
+    ):
+        packed = io.BytesIO()
+        torch.jit.save(module, packed)
+        yield packed.getvalue()
+
+
+def _exported():
+    import torch
+
+    for module in _torch_networks():
+        packed = io.BytesIO()
+        torch.export.save(torch.export.export(module, (torch.zeros(1, 45),)), packed)
+        yield packed.getvalue()
+
+
+def _state_dicts():
+    import torch
+
+    for module in _torch_networks():
+        packed = io.BytesIO()
+        torch.save({"model_state_dict": module.state_dict(), "iter": 3}, packed)
+        yield packed.getvalue()
+
+
+def _safetensors():
+    state = {name: tensor.numpy() for name, tensor in _torch_networks()[0].state_dict().items()}
+    header, body = {}, b""
+    for name, array in state.items():
+        raw = array.tobytes()
+        header[name] = {"dtype": "F32", "shape": list(array.shape),
+                        "data_offsets": [len(body), len(body) + len(raw)]}  # fmt: skip
+        body += raw
+    text = json.dumps(header).encode()
+    yield len(text).to_bytes(8, "little") + text + body
+
+
+def _onnx():
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    rng = np.random.default_rng(2)
+    weights = numpy_helper.from_array(rng.normal(size=(45, 12)).astype(np.float32), "w")
+    obs = helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 45])
+    action = helper.make_tensor_value_info("action", TensorProto.FLOAT, [1, 12])
+    plain = helper.make_graph(
+        [
+            helper.make_node("MatMul", ["obs", "w"], ["h"]),
+            helper.make_node("Tanh", ["h"], ["action"]),
+        ],
+        "plain", [obs], [action], [weights],
+    )  # fmt: skip
+    hidden = [
+        helper.make_tensor_value_info(f"h_{end}", TensorProto.FLOAT, [1, 12])
+        for end in ("in", "out")
+    ]
+    memory = helper.make_graph(
+        [
+            helper.make_node("MatMul", ["obs", "w"], ["m"]),
+            helper.make_node("Add", ["m", "h_in"], ["sum"]),
+            helper.make_node("Tanh", ["sum"], ["h_out"]),
+            helper.make_node("Identity", ["h_out"], ["action"]),
+        ],
+        "memory", [obs, hidden[0]], [action, hidden[1]], [weights],
+    )  # fmt: skip
+    for graph in (plain, memory):
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        onnx.checker.check_model(model)
+        yield model.SerializeToString()
+
+
+def _bundles(contents, adapter, file):
+    card = CARD.format(adapter=adapter, file=file).encode()
+    return [{"policy.yaml": card, file: content} for content in contents]
+
+
+def _open_bundle(folder, file):
+    """Load a bundle with the mutated weights, as `--checkpoint` does, and ask it for an action."""
+    from nw_eval.policies import load_bundle
+    from nw_eval.sensors import check_bundle
+
+    check_bundle(load_bundle(folder / "policy.yaml", checkpoint=folder / file))
+
+
+def _inspect(folder):
+    from nw_eval.policies.inspect.facts import inspect_checkpoint
+
+    (path,) = folder.iterdir()
+    return inspect_checkpoint(path)
+
+
+def _tensors(folder):
+    from nw_eval.policies.safety import read_tensors, tensor_facts
+
+    (path,) = folder.iterdir()
+    tensor_facts(path.read_bytes(), str(path))
+    for tensor in read_tensors(path.read_bytes(), str(path)).values():
+        tensor.sum()
+
+
+def _card(folder):
+    from nw_eval.policies.card_file import load_card
+    from nw_eval.robots import get_robot
+    from nw_eval.sensors import check_card
+
+    card = load_card(folder / "policy.yaml")
+    check_card(card, get_robot(card.robot))
+
+
+def _suite(folder):
+    from nw_eval import scenes
+    from nw_eval.suite import check_scenes, check_tiers, load_suite
+
+    suite = load_suite(folder / "mine.yaml")
+    check_scenes(suite, scenes.names())
+    check_tiers(suite, ["hurdles/one_low_carpet", "stairs/x", "mine/kerb"])
+
+
+def _suite_seeds(_folder):
+    place = {"place/scene.yaml": SCENE.replace("COLLISION", "boxes.yaml").encode()}
+    return [{"mine.yaml": SUITE.encode(), **place}]
+
+
+def _scene_seeds(folder):
+    splat = _splat_files(folder)["a.ply"]
+    meshes = _mesh_files()
+    seeds = []
+    for file, content in (("boxes.yaml", BOXES.encode()), ("a.obj", meshes["a.obj"]),
+                          ("a.ply", meshes["a.ply"])):  # fmt: skip
+        text = SCENE.replace("COLLISION", file).encode()
+        seeds.append({"scene.yaml": text, file: content, "splat.ply": splat})
+    return seeds
+
+
+def _scene(folder):
+    """Load a place, compile its world, cast a ray and read its splat, as a run would."""
+    from nw_eval.robots import get_robot
+    from nw_eval.scenes import get_scene
+    from nw_eval.scenes.rays import RayScene
+    from nw_eval.sim import World
+
+    scene = get_scene(folder)
+    RayScene(scene.mesh()).height(scene.trail[:, :2])
+    world = World(get_robot("go1"), scene)
+    world.reset(position=(0.0, 0.0, 0.5), yaw=0.0)
+    if scene.splat is not None:
+        scene.splat_store()
+
+
+def _published(folder):
+    from nw_eval.scenes import get_scene
+    from nw_eval.scenes.rays import RayScene
+
+    (path,) = folder.rglob("*.xml")
+    scene = get_scene(f"neverwhere:{path if path.parent == folder else path.parent}")
+    RayScene(scene.mesh()).height(scene.trail[:, :2])
+
+
+def _published_seeds(folder):
+    """A course of boxes in one XML, and a scanned place as the label tool writes it."""
+    import runpy
+
+    made = runpy.run_path(str(Path(__file__).parents[1] / "scenes" / "neverwhere" / "conftest.py"))
+    vertices, faces = _mesh()
+    scan = folder / "real_scenes" / "kerb"
+    made["Writer"](
+        folder=scan, label=made["random_label"](np.random.default_rng(7)), normalise=None,
+        vertices=vertices, faces=faces, trail=np.array([[1.7, 0, 0.1], [3, 0.1, 0]]),
+        robots=("go1",),
+    ).write()  # fmt: skip
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in scan.rglob("*.*")}
+    return [{"parkour.xml": PUBLISHED.encode()}, files]
+
+
+def _read_mesh(folder):
+    from nw_eval.scenes.terrain.mesh_file import read_mesh
+
+    (path,) = folder.iterdir()
+    read_mesh(path)
+
+
+def _read_splat(folder):
+    from nw_eval.splat import memory_store, read_splat
+
+    (path,) = folder.iterdir()
+    memory_store(read_splat(path))
+
+
+def _store_seeds(folder):
+    from nw_eval.splat import compile_store
+
+    folder.mkdir(parents=True, exist_ok=True)
+    compile_store(_cloud(), folder / "a.nwsplat")
+    return [{"a.nwsplat": (folder / "a.nwsplat").read_bytes()}]
+
+
+def _store(folder):
+    from nw_eval.splat import memory_store, open_store
+
+    found, good = open_store(folder / "a.nwsplat").layout.arrays(), memory_store(_cloud()).layout
+    for name, array in good.arrays().items():
+        if not np.array_equal(found[name], array):
+            raise AcceptedError(f"{name} of a damaged store was accepted")
+
+
+def _rows(count=4):
+    from nw_eval.results.row import Row
+
+    for index in range(count):
+        yield Row(
+            trial_id=f"hurdles-one-{index:03}", suite="hurdles", scene="hurdles/one",
+            task="hurdles",
+            seed_index=index, seed=2**63 + index, policy="gift", status="ok", outcome="fell",
+            end_reason="roll", completed=False, fraction=0.75, waypoints_reached=3,
+            waypoints_total=4, waypoint_times=(1.1, 2.2, 3.3), steps=200, sim_s=4.0, physics_s=0.5,
+            render_s=1.0, policy_s=0.1, log_s=0.2, wall_s=2.0, checkpoint_digest="cc" * 32,
+            scene_digest="dd" * 32, mcap_path=f"mcap/hurdles/one/{index}.mcap", mcap_bytes=9,
+        )  # fmt: skip
+
+
+def _check_rows(found):
+    from nw_eval.results.row import to_dict
+
+    good = {row.trial_id: to_dict(row) for row in _rows()}
+    for row in found:
+        if to_dict(row) != good.get(row.trial_id):
+            raise AcceptedError(f"another row was accepted for {row.trial_id!r}: {to_dict(row)}")
+
+
+def _journal_seeds(folder):
+    from nw_eval.results.journal import Journal, JournalHeader
+
+    header = JournalHeader(
+        suite_digest="aa" * 32, policy_digest="bb" * 32, scene_digests={"hurdles/one": "dd" * 32},
+        engine={"mujoco": "4.0.0"},
+    )  # fmt: skip
+    path = folder / "journal.jsonl"
+    with Journal.create(path, header) as journal:
+        for row in _rows():
+            journal.append(row)
+    return [{"journal.jsonl": path.read_bytes()}]
+
+
+def _journal(folder):
+    from nw_eval.results.journal import read_journal
+
+    _check_rows(read_journal(folder / "journal.jsonl").rows)
+
+
+def _run_seeds(folder):
+    """A finished run of one real trial, with its log."""
+    from nw_eval import api
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tiny.yaml").write_text(
+        "nw-eval: 1\nname: tiny\nrobot: go1\npolicy: stand\ntrials: 2\nseed: 3\n"
+        "episode: {duration: 0.3}\nscenes: [flat/carpet_room]\nrecord: none\n"
+        "gate: {success_rate: 0.5}\n"
+    )
+    report = api.run(folder / "tiny.yaml", out=folder / "run", workers=1)
+    keep = ("run.json", "journal.jsonl", "trials.parquet")
+    files = {name: (report.folder / name).read_bytes() for name in keep}
+    files["good.json"] = json.dumps({"effect": report.verdict.effect}).encode()
+    (log, *_) = sorted(report.folder.rglob("*.mcap"))
+    return files, log.read_bytes()
+
+
+def _run_folder(folder):
+    from nw_eval import api
+
+    good = json.loads((folder / "good.json").read_text())
+    told = api.report(folder)
+    if told.verdict.effect not in {good["effect"], None}:
+        raise AcceptedError(f"success {told.verdict.effect} in place of {good['effect']}")
+
+
+def _log_seeds(folder):
+    return [{"trial.mcap": _run_seeds(folder)[1]}]
+
+
+def _log(folder):
+    from nw_eval.rollout.mcap.reader import LogReader
+    from nw_eval.rollout.replay import read_recording
+
+    path = folder / "trial.mcap"
+    reader = LogReader(path)
+    read_recording(path)
+    reader.attachments()
+    reader.topics()
+    reader.states()
+    for stream in (reader.messages(), reader.frames(), reader.poses()):
+        for _ in itertools.islice(stream, 100_000):
+            pass
+
+
+def _parquet_seeds(folder):
+    from nw_eval.results.parquet import write_rows
+    from nw_eval.results.row import rows_digest
+
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = list(_rows())
+    write_rows(folder / "trials.parquet", rows, {"run_id": "x", "rows_digest": rows_digest(rows)})
+    return [{"trials.parquet": (folder / "trials.parquet").read_bytes()}]
+
+
+def _parquet(folder):
+    from nw_eval.results.parquet import read_rows
+
+    _check_rows(read_rows(folder / "trials.parquet")[0])
+
+
+def _wire_seeds(_folder):
+    from nw_eval.policies.wire import encode
+
+    hello = {
+        "protocol": 2, "policy": "x", "joints": 12, "digest": "ab" * 32,
+        "observations": {"obs": [45]}, "control": {"scale": 0.25},
+    }  # fmt: skip
+    return [
+        {"hello.bin": encode(hello), "answer.bin": encode({"action": np.zeros(12)})},
+        {"hello.bin": encode(hello), "answer.bin": encode({"error": "no"})},
+    ]
+
+
+class _Server:
+    """A policy server's side of a connection, whose every message lies in a file."""
+
+    def __init__(self, messages):
+        self._messages = iter(messages)
+
+    def send(self, _data):
+        pass
+
+    def recv(self, timeout=None):  # noqa: ARG002
+        return next(self._messages)
+
+    def close(self):
+        pass
+
+
+def _wire(folder):
+    """Hold a conversation with a server that says what the files say; no socket is needed."""
+    from nw_eval.policies import load_bundle
+    from nw_eval.policies.adapters import remote
+
+    text = CARD.format(adapter="remote", file="x").replace("checkpoint: {file: x}\n", "")
+    card = folder / "policy.yaml"
+    card.write_text(text + "options: {url: 'ws://localhost:1', timeout: 1.0}\n")
+    answers = ((folder / name).read_bytes() for name in ("hello.bin", "answer.bin"))
+    server = _Server(answers)
+    remote._connect = lambda *_: server
+    policy = remote.RemotePolicy(load_bundle(card), joints=12)
+    try:
+        policy.act({"obs": np.zeros(45, np.float32)})
+    except Exception as error:
+        # What a trial says of it names the policy; what a check says names the card.
+        if "'gift'" in str(error):
+            raise PolicyError(f"hello.bin: {error}") from error
+        raise
+
+
+_ALL = (
+    Target(name="suite", seeds=_suite_seeds, read=_suite, only=("mine.yaml",), lists=True),
+    Target(
+        name="card",
+        seeds=lambda _: [
+            {"policy.yaml": CARD.format(adapter="onnx", file="x.onnx").encode()},
+            {
+                "policy.yaml": Path(__file__)
+                .parents[2]
+                .joinpath("policies", "go1-parkour", "policy.yaml")
+                .read_bytes()
+            },
+        ],
+        read=_card,
+        lists=True,
+    ),
+    Target(
+        name="onnx",
+        seeds=lambda _: _bundles(_onnx(), "onnx", "policy.onnx"),
+        read=lambda folder: _open_bundle(folder, "policy.onnx"),
+        only=("policy.onnx",),
+        lists=True,
+    ),
+    Target(
+        name="torchscript",
+        seeds=lambda _: _bundles(_scripts(), "torchscript", "policy.pt"),
+        read=lambda folder: _open_bundle(folder, "policy.pt"),
+        only=("policy.pt",),
+        lists=True,
+    ),
+    Target(
+        name="torch-export",
+        seeds=lambda _: _bundles(_exported(), "torch-export", "policy.pt2"),
+        read=lambda folder: _open_bundle(folder, "policy.pt2"),
+        only=("policy.pt2",),
+        lists=True,
+    ),
+    Target(
+        name="tensors",
+        seeds=lambda _: (
+            [{"a.pt": data} for data in _state_dicts()]
+            + [{"a.safetensors": data} for data in _safetensors()]
+        ),
+        read=_tensors,
+    ),
+    Target(
+        name="inspect",
+        seeds=lambda _: [
+            {name: data}
+            for name, made in (
+                ("a.onnx", _onnx),
+                ("a.pt", _scripts),
+                ("a.pt2", _exported),
+                ("b.pt", _state_dicts),
+                ("a.safetensors", _safetensors),
+            )
+            for data in made()
+        ],
+        read=_inspect,
+    ),
+    Target(name="scene", seeds=_scene_seeds, read=_scene, lists=True),
+    Target(name="published", seeds=_published_seeds, read=_published, lists=True),
+    Target(
+        name="mesh",
+        seeds=lambda _: [{name: data} for name, data in _mesh_files().items()],
+        read=_read_mesh,
+    ),
+    Target(
+        name="splat",
+        seeds=lambda folder: [{name: data} for name, data in _splat_files(folder).items()],
+        read=_read_splat,
+    ),
+    Target(name="store", seeds=_store_seeds, read=_store),
+    Target(name="journal", seeds=_journal_seeds, read=_journal),
+    Target(name="parquet", seeds=_parquet_seeds, read=_parquet),
+    Target(
+        name="run",
+        seeds=lambda folder: [_run_seeds(folder)[0]],
+        read=_run_folder,
+        only=("run.json", "journal.jsonl", "trials.parquet"),
+        lists=True,
+    ),
+    Target(name="mcap", seeds=_log_seeds, read=_log),
+    Target(name="remote", seeds=_wire_seeds, read=_wire, only=(".bin",)),
+)
+TARGETS = {target.name: target for target in _ALL}
