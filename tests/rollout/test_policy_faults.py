@@ -1,16 +1,24 @@
 """Whose fault it is that a trial ended: told by where an exception comes from."""
 
+import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nw_eval.errors import ServerError, UsageError
 from nw_eval.policies.adapters.zero import ZeroPolicy
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata
 from nw_eval.rollout.result import TrialResult, policy_fault
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sim import World
+from nw_eval.suite.trials import Trial
+
+ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
+RUNAWAY = ASSETS / "policies" / "chenci-go2"
 
 
 class OddError(BaseException):
@@ -166,3 +174,37 @@ def test_only_an_error_that_says_how_is_a_failure_of_the_policy():
     gone = TrialResult(status="error", error_type="crashed", end_reason="exit")
     assert policy_fault(gone) == "exit"
     assert policy_fault(TrialResult(status="ok", outcome="fell", end_reason="exit")) is None
+
+
+@pytest.mark.assets
+@pytest.mark.skipif(not RUNAWAY.exists(), reason="the checkpoint is not there")
+def test_a_walking_policy_that_runs_away_under_a_carpet_fails_in_the_same_step_every_time():
+    """It is fed its own unclipped output, which grows without end once the head is caught."""
+    library = Library()
+    scene = library.scene("hurdles/one_low_carpet")
+    trial = Trial(
+        suite="s",
+        suite_digest="0" * 64,
+        suite_seed=1,
+        scene=scene.name,
+        scene_digest=scene.digest,
+        task=scene.task,
+        index=0,
+    )
+    job = TrialJob(
+        trial=trial,
+        robot="go2",
+        duration=12.0,
+        contact_termination=False,
+        scene=scene.name,
+        policy=str(RUNAWAY),
+        checkpoint_digest=library.bundle(str(RUNAWAY), None).checkpoint_sha256,
+    )
+    one, two = (run_trial(job, library=library) for _ in range(2))
+    assert (one.status, policy_fault(one), one.fraction) == ("error", "action", 0.5)
+    assert "the policy's action makes a target of" in one.error_text
+    assert (one.steps, one.action_digest, one.error_text) == (
+        two.steps,
+        two.action_digest,
+        two.error_text,
+    )
