@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.rollout.result import as_outcome, policy_fault
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from nw_eval.rollout.result import TrialResult
 
 _BEFORE = "; the attempt before: "
+_NOW, _EARLIER = 600, 300  # Characters of each, so that no later cut loses one of them.
 
 
 def settled(result: TrialResult, before: Row | None) -> TrialResult:
@@ -35,8 +37,8 @@ def settled(result: TrialResult, before: Row | None) -> TrialResult:
         return as_outcome(result)
     if (result.error_type, fault) == (before.error_type, policy_fault(before)):
         return result
-    earlier = f"{before.error_type}: {before.error_text.partition(_BEFORE)[0]}"
-    return replace(result, error_text=f"{result.error_text}{_BEFORE}{earlier}")
+    earlier = clean(before.error_text.partition(_BEFORE)[0], at_most=_EARLIER)
+    return replace(result, error_text=f"{clean(result.error_text, at_most=_NOW)}{_BEFORE}{earlier}")
 
 
 def is_open(row: Row, before: Row | None) -> bool:
