@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.errors import ServerError, UsageError
+from nw_eval.errors import PolicyError, ServerError, UsageError
 from nw_eval.policies.adapters.zero import ZeroPolicy
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
@@ -149,6 +149,25 @@ def test_code_that_fails_as_it_is_made_is_the_policys_and_a_lost_file_is_not(
         "policy_error",
         None,
     )
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [(lambda: throw(SystemExit(0)), "SystemExit: 0"), (lambda: np.full(12, np.nan), "nan")],
+    ids=["exit", "nan"],
+)
+def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(monkeypatch, act, said):
+    from nw_eval.policies import load_bundle
+    from nw_eval.rollout.probe.report import probe_here
+
+    calls = iter(range(1000))
+    monkeypatch.setattr(
+        ZeroPolicy, "act", lambda _self, _seen: act() if next(calls) > 4 else np.zeros(12)
+    )
+    with pytest.raises(PolicyError, match=r"stand.policy\.yaml: ") as caught:
+        probe_here(load_bundle("stand"))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_log_says_that_the_policy_failed(acting, tmp_path):
