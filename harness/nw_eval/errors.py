@@ -5,8 +5,12 @@
     ├─ SuiteError          exit 2   problems in a suite file, all of them, each with its place
     ├─ SceneError          exit 2   a place that cannot be loaded or built
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
+    │  └─ CodeError        exit 2   Python code that a card names failed
     ├─ PrerequisiteError   exit 2   an extra, a driver or a backend that is not installed
     ├─ TrialError          exit 4   a trial that could not be run to a result
+    │  ├─ ActionError      exit 4   an action that is none: the policy's own failure
+    │  ├─ DivergedError    exit 4   physics that left all bounds
+    │  └─ ServerError      exit 4   a policy's server that cannot be asked: no failure of it
     ├─ StoreError          exit 4   results that cannot be written, or that are damaged
     └─ IncomparableError   exit 5   runs that do not pair
 
@@ -75,6 +79,10 @@ class PolicyError(NwEvalError):
     exit_code = 2
 
 
+class CodeError(PolicyError):
+    """Python code that a card names (policy, sensor, wrapper) raised, or is not what it says."""
+
+
 class PrerequisiteError(NwEvalError):
     """Something that the chosen options need is not installed."""
 
@@ -85,6 +93,18 @@ class TrialError(NwEvalError):
     """A trial could not be run to a result; the policy is not to blame for a score of 0."""
 
     exit_code = 4
+
+
+class ActionError(TrialError):
+    """A policy's action is not one finite number for each joint."""
+
+
+class DivergedError(TrialError):
+    """A position, velocity, acceleration or control became NaN, infinite or huge."""
+
+
+class ServerError(TrialError):
+    """A policy's server does not answer, or not to the question; the policy may be all right."""
 
 
 class StoreError(NwEvalError):

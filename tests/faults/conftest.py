@@ -188,8 +188,10 @@ class TinyRun:
 def tiny_run(tmp_path):
     """Return a maker of runs: `tiny_run("slow", trials=4)`."""
 
-    def make(model, *, name="run", trials=4, duration=0.2, time_limit=60.0, record="none"):
-        bundles: Path = tmp_path / "policies" / model
+    def make(
+        model, *, name="run", trials=4, duration=0.2, time_limit=60.0, record="none", code=None
+    ):
+        bundles: Path = code or tmp_path / "policies" / model
         if not bundles.exists():
             write_bundle(bundles, model)
         bundle = load_bundle(bundles)
@@ -214,6 +216,7 @@ def tiny_run(tmp_path):
             scenes=(scene,),
             references={},
             trials=expand(suite, [scene]),
+            allow_code=code is not None,
         )
         jobs = plan_jobs(plan, folder, time_limit=time_limit)
         header = JournalHeader(

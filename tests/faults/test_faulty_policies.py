@@ -1,4 +1,4 @@
-"""Policies that hang or answer nonsense cost their own trials, as errors, and nothing else."""
+"""Policies that hang or answer nonsense cost their own trials and nothing else."""
 
 import time
 
@@ -26,21 +26,16 @@ def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     assert time.perf_counter() - began < 120.0
 
 
-def test_a_nan_action_is_an_error_of_the_policy_and_not_a_failure(tiny_run):
-    run = tiny_run("nan", trials=4)
-    ok, wrong = by_status(run.go(workers=1))
-    assert ok
-    assert wrong
-    assert {row.outcome for row in wrong} == {"policy_error"}
-    assert all("nan" in row.error_text for row in wrong)
-    assert all("\n" not in row.error_text for row in wrong)
-    assert all(row.mcap_bytes > 0 for row in wrong), "the log of an error is evidence"
-
-
-def test_an_error_is_announced_once_and_its_retry_counts_as_the_trial(tiny_run):
+def test_a_nan_action_that_repeats_is_a_failure_of_the_policy_told_once(tiny_run):
     run = tiny_run("nan", trials=4)
     outcome = run.go(workers=1)
-    _, wrong = by_status(outcome)
+    wrong = [row for row in outcome.rows if row.outcome == "policy_failed"]
+    assert wrong
+    assert {row.status for row in outcome.rows} == {"ok"}
+    assert {(row.end_reason, row.error_type) for row in wrong} == {("action", "policy_error")}
+    assert all("nan" in row.error_text for row in wrong)
+    assert all("\n" not in row.error_text for row in wrong)
+    assert all(row.mcap_bytes > 0 for row in wrong), "the log of a failure is evidence"
     again = [text for text in run.ears.messages if "again in a fresh process" in text]
     assert len(again) == len(wrong)
     assert sorted(row.trial_id for row in run.ears.rows) == sorted(job.trial.id for job in run.jobs)

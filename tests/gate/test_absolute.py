@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -162,6 +163,22 @@ def test_a_scene_score_counts_everything_once(run_scene: Callable[..., Any]) -> 
     assert (item.planned, item.n, item.errors, item.missing, item.completed) == (6, 3, 1, 2, 2)
     assert item.mean == pytest.approx(2.5 / 3)
     assert item.outcomes == {"completed": 2, "fell": 1, "crashed": 1}
+
+
+def test_a_policy_that_only_fails_has_regressed_and_one_fault_of_the_machine_hides_nothing(
+    run_scene: Callable[..., Any],
+) -> None:
+    failed = [
+        replace(row, outcome="policy_failed", end_reason="exception", error_type="policy_error")
+        for row in run_scene("a", [0] * 12)
+    ]
+    verdict = judge(failed, BAR, {"a": 12})
+    assert (verdict.verdict, verdict.effect, verdict.errors) == ("REGRESSED", 0.0, 0)
+    assert verdict.per_scene[0].outcomes == {"policy_failed": 12}
+    killed = run_scene("a", [0] * 12 + [None])[-1]
+    verdict = judge([*failed, killed], BAR, {"a": 13})
+    assert (verdict.verdict, verdict.errors) == ("INFRASTRUCTURE", 1)
+    assert "1 trial ended in errors (1 crashed)" in verdict.reasons[0]
 
 
 def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> None:

@@ -80,6 +80,26 @@ def test_a_scene_that_lacks_trials_says_so(
     assert "* 4 trials missing (a 2, b 2); --resume runs them" in text
 
 
+def test_failures_of_the_policy_and_of_the_machine_are_told_apart(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    failed = {
+        "outcome": "policy_failed",
+        "end_reason": "diverged",
+        "error_text": "physics diverged",
+    }
+    rows = [make_row("a", 0, 4), make_row("a", 1, 1, **failed), make_row("a", 2, None)]
+    text = render(rows, {"a": 3})
+    assert section(text, "Policy failures")[1:] == [
+        ["a-001", "diverged", "0.250", "physics diverged"]
+    ]
+    assert section(text, "Errors")[1:] == [["a-002", "crashed", "1", "signal 11"]]
+    outcomes = {line[0].replace("\\", ""): line for line in section(text, "Outcomes")[1:]}
+    assert outcomes["policy_failed"][1:4] == ["1", "33 %", "0.250"]
+    assert "crashed (error)" in outcomes
+    assert "Policy failures" not in render([make_row("a", 0, 4), make_row("a", 1, 2)], {"a": 2})
+
+
 def test_the_worst_trials_come_with_a_command_that_a_shell_understands(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:

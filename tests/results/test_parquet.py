@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
 from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, write_rows
-from nw_eval.results.row import FAULTS, OUTCOMES, Row
+from nw_eval.results.row import Row
+from nw_eval.words import FAULTS, OUTCOMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

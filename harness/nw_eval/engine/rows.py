@@ -6,6 +6,7 @@ import platform
 from typing import TYPE_CHECKING
 
 from nw_eval.results.row import Row
+from nw_eval.rollout.result import policy_fault
 
 if TYPE_CHECKING:
     from nw_eval.results.run_folder import RunFolder
@@ -21,7 +22,7 @@ def make_row(
     Args:
         job: what was to be run.
         result: what it came to.
-        attempt: 1, or 2 for a trial that was run again after an error.
+        attempt: 1, or more for a trial that was run again after an error.
         policy: the policy's name.
         folder: of the run, which the row's log path starts from.
     """
@@ -43,8 +44,8 @@ def make_row(
         perturbation=trial.perturbation,
         status=result.status,
         outcome=outcome,
-        end_reason=result.end_reason if is_ok else "error",
-        completed=is_ok and result.waypoints_reached == result.waypoints_total,
+        end_reason=result.end_reason if is_ok else policy_fault(result) or "error",
+        completed=is_ok and result.fraction == 1.0,
         fraction=result.fraction if is_ok else None,
         waypoints_reached=result.waypoints_reached,
         waypoints_total=result.waypoints_total,

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.repeat import is_open, settled
 from nw_eval.engine.rows import make_row
+from nw_eval.rollout.result import policy_fault
 
 if TYPE_CHECKING:
     import signal
@@ -55,9 +57,9 @@ def run_trials(
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
-    A trial that ends in an error is run once more in a process of its own. The first Ctrl-C or
-    SIGTERM kills the trials in flight and returns what is finished; the journal can be resumed.
-    A second one raises KeyboardInterrupt.
+    A trial that ends in an error is run again in a process of its own (`engine.repeat`). The first
+    Ctrl-C or SIGTERM kills the trials in flight and returns what is finished; the journal can be
+    resumed. A second one raises KeyboardInterrupt.
 
     Args:
         jobs: in the order in which to start them; their trials' ids differ.
@@ -81,15 +83,18 @@ def run_trials(
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
-        attempts={name: row.attempt for name, row in latest.items() if row.status == "error"},
+        errors={name: row for name, row in latest.items() if row.status == "error"},
     )
     run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
     count = max(1, min(workers or default_workers(), len(todo)))
+    # Where a policy failed before a run was cut, what is missing is the attempt in a fresh process.
+    first = [job for job in todo if not run.awaits_repeat(job)]
+    again = [job for job in todo if run.awaits_repeat(job)]
     with Interrupts() as interrupts:
-        failed = run.work(todo, interrupts, workers=count, is_last=False)
-        if failed:
-            again = [_with_evidence(job) for job in failed]
-            run.work(again, interrupts, workers=min(count, len(again)), is_last=True)
+        again += run.work(first, interrupts, workers=count, fresh=False)
+        while again:
+            repeated = [_with_evidence(job) for job in again]
+            again = run.work(repeated, interrupts, workers=min(count, len(again)), fresh=True)
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
         rows=journal.rows,
@@ -109,48 +114,63 @@ def _with_evidence(job: TrialJob) -> TrialJob:
 
 @dataclass(kw_only=True)
 class _Run:
-    """What both passes over the jobs share."""
+    """What all passes over the jobs share."""
 
     journal: Journal
     folder: RunFolder
     policy: str
     listener: Listener
-    attempts: dict[str, int]  # made so far, by trial id
+    errors: dict[str, Row]  # the latest attempt that ended in an error, by trial id
+
+    def awaits_repeat(self, job: TrialJob) -> bool:
+        """Whether the policy failed in a trial's latest attempt."""
+        row = self.errors.get(job.trial.id)
+        return row is not None and policy_fault(row) is not None
 
     def work(
-        self, jobs: Sequence[TrialJob], interrupts: Interrupts, *, workers: int, is_last: bool
+        self, jobs: Sequence[TrialJob], interrupts: Interrupts, *, workers: int, fresh: bool
     ) -> list[TrialJob]:
-        """Run jobs until they are done or a signal came; return those that ended in an error."""
-        failed: list[TrialJob] = []
+        """Run jobs until they are done or a signal came; return those that are to run again.
+
+        Args:
+            jobs: any.
+            interrupts: heard ten times a second.
+            workers: processes.
+            fresh: these are further attempts, each in a process of its own.
+        """
+        again: list[TrialJob] = []
         if not jobs or interrupts.requested is not None:
-            return failed
-        recycle = 1 if is_last else RECYCLE_AFTER
+            return again
+        recycle = 1 if fresh else RECYCLE_AFTER
         with LocalWorkers(workers, recycle_after=recycle) as pool:
             pool.submit(jobs)
             for ended in pool.finished():
                 if ended is not None:
-                    row = self._keep(ended)
-                    if row.status == "ok" or is_last:
-                        self.listener.trial(row)
-                    else:
-                        failed.append(ended.job)
+                    before = self.errors.get(ended.job.trial.id)
+                    row = self._keep(ended, before)
+                    if is_open(row, before if fresh else None):
+                        again.append(ended.job)
                         self._announce_retry(row)
+                    else:
+                        self._announce_failure(row)
+                        self.listener.trial(row)
                 if interrupts.requested is not None:
                     break
-        return failed
+        return again
 
-    def _keep(self, ended: Finished) -> Row:
-        """Write a result down."""
+    def _keep(self, ended: Finished, before: Row | None) -> Row:
+        """Write an attempt down."""
         name = ended.job.trial.id
-        self.attempts[name] = self.attempts.get(name, 0) + 1
         row = make_row(
             ended.job,
-            ended.result,
-            attempt=self.attempts[name],
+            settled(ended.result, before),
+            attempt=1 if before is None else before.attempt + 1,
             policy=self.policy,
             folder=self.folder,
         )
         self.journal.append(row)
+        if row.status == "error":
+            self.errors[name] = row
         if ended.result.mcap_error:
             self.listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
         return row
@@ -158,3 +178,10 @@ class _Run:
     def _announce_retry(self, row: Row) -> None:
         said = f"{row.error_type}: {row.error_text}"
         self.listener.message(f"trial {row.trial_id}: {said}; it will run again in a fresh process")
+
+    def _announce_failure(self, row: Row) -> None:
+        if row.outcome == "policy_failed":
+            self.listener.message(
+                f"trial {row.trial_id}: the policy failed again ({row.end_reason}): that is its "
+                "result"
+            )

@@ -21,9 +21,10 @@ def start() -> None:
 
     It must not outlive the process that started it, however that died. And SIGTERM must end it at
     once: a handler in Python waits for a policy that hangs in native code, and there is nothing to
-    tidy up.
+    tidy up. Ctrl-C is the parent's business.
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import TrialError
+from nw_eval.errors import ActionError
 
 Observation = Mapping[str, NDArray[Any]]
 """Observation names of the card to arrays, without a batch axis."""
@@ -47,7 +47,9 @@ class Policy(Protocol):
         """Return the raw action for an observation.
 
         Raises:
-            TrialError: the checkpoint failed, or its action has another shape, inf or NaN.
+            ActionError: the action has another shape, inf or NaN.
+            ServerError: the policy's server could not be asked, which is no failure of the policy.
+            TrialError: the checkpoint failed otherwise.
         """
         ...
 
@@ -80,18 +82,18 @@ def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
         policy: name of the policy, for errors.
 
     Raises:
-        TrialError: the output has another size or is not finite.
+        ActionError: the output has another size or is not finite.
     """
     array = np.asarray(raw)
     if array.size != joints or array.shape[-1:] != (joints,):
-        raise TrialError(
+        raise ActionError(
             f"policy {policy!r} returned an action of shape {array.shape}",
             fix=f"the card's robot has {joints} joints: check `output` on the card",
         )
     action = np.array(array.reshape(joints), dtype=np.float64)
     if not all_finite(action):
         index = int(np.argmin(np.isfinite(action)))
-        raise TrialError(
+        raise ActionError(
             f"policy {policy!r} returned {action[index]} for joint {index} of its action",
             fix="check the checkpoint, and the observations' scales on its card",
         )

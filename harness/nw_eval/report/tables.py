@@ -13,8 +13,9 @@ import numpy as np
 from nw_eval.gate.verdict import Verdict
 from nw_eval.report.throughput import throughput
 from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import OUTCOMES, Row
+from nw_eval.results.row import Row
 from nw_eval.stats import Interval, mean_of_scenes
+from nw_eval.words import OUTCOMES
 
 WORST = 8
 """Trials that the table of worst ones names."""
@@ -116,7 +117,7 @@ def perturbations_table(rows: Sequence[Row], confidence: float) -> Table:
 
 
 def errors_table(rows: Sequence[Row]) -> Table:
-    """Return the trials without a result."""
+    """Return the trials without a result: faults of the machine, not of the policy."""
     failed = [row for row in rows if row.status == "error"]
     return Table(
         title="Errors",
@@ -127,6 +128,22 @@ def errors_table(rows: Sequence[Row]) -> Table:
         ),
         numbers=frozenset({"attempts"}),
         note=_more(len(failed)) + "An error is no failure of the policy; it is counted apart.",
+    )
+
+
+def failures_table(rows: Sequence[Row]) -> Table:
+    """Return the trials in which the policy itself failed, twice in the same way."""
+    failed = [row for row in rows if row.outcome == "policy_failed"]
+    return Table(
+        title="Policy failures",
+        columns=("trial", "kind", "success", "what happened"),
+        rows=tuple(
+            (row.trial_id, row.end_reason, _mean([row.fraction]), row.error_text)
+            for row in failed[:WORST]
+        ),
+        numbers=frozenset({"success"}),
+        note=_more(len(failed)) + "The policy failed in a fresh process again: these trials are "
+        "results, and count with the waypoints reached until then.",
     )
 
 
@@ -250,6 +267,7 @@ def all_tables(
         perturbations_table(ordered, verdict.confidence),
         outcomes_table(ordered),
         contacts_table(ordered, run),
+        failures_table(ordered),
         errors_table(ordered),
         worst_table(ordered, folder),
         throughput_table(ordered, run),

@@ -10,16 +10,10 @@ from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any, Literal, get_args
 
+from nw_eval.words import FAULTS, OUTCOMES, Fault, Outcome
+
 Arm = Literal["candidate", "baseline"]
 Status = Literal["ok", "error"]
-Outcome = Literal["completed", "fell", "collided", "stuck", "off_course", "timeout"]
-Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
-
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""How a trial that ran can end: results, good or bad."""
-
-FAULTS: tuple[Fault, ...] = get_args(Fault)
-"""How a trial can fail to run: never counted as a failure of the policy."""
 
 MEASURED = frozenset(
     {
@@ -59,7 +53,9 @@ class Row:
     perturbation: tuple[tuple[str, float], ...] = ()
     status: Status
     outcome: Outcome | Fault
-    end_reason: str  # What the outcome was decided by: "roll", "contact face", "time".
+    end_reason: str
+    """What the outcome was decided by: "roll", "contact face", "time"; where the policy itself
+    failed, one of `words.POLICY_FAULTS`."""
     completed: bool
     fraction: float | None
     waypoints_reached: int
@@ -95,8 +91,14 @@ class Row:
 
     @property
     def digest(self) -> str:
-        """Hex sha256 of the result: all columns but the measured ones."""
+        """Hex sha256 of the result: all columns but the measured ones.
+
+        What a policy said as it failed is no part of it: that may name a process, a path or the
+        time. How it failed, where and after which actions, is.
+        """
         kept = {name: value for name, value in to_dict(self).items() if name not in MEASURED}
+        if self.outcome == "policy_failed":
+            kept["error_text"] = ""
         text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return sha256(text.encode()).hexdigest()
 

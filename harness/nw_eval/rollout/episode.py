@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import NwEvalError, PolicyError, TrialError
+from nw_eval.errors import DivergedError, TrialError
 from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy import all_finite
 from nw_eval.rollout.digest import ChainDigest
+from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
 from nw_eval.rollout.mcap.messages import Part, SimState
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sim import Limits
@@ -30,38 +31,19 @@ if TYPE_CHECKING:
 
     from nw_eval.policies import JointControl, Policy
     from nw_eval.rollout.clock import StageClock
-    from nw_eval.rollout.result import Outcome
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import Termination, TrailProgress, World
+    from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
 
+HUGE = 1e6
+"""A joint target, rad, or torque, N m, beyond any sense, after the card's own scale and clip.
 
-class PolicyFailedError(TrialError):
-    """The policy failed, not the physics."""
-
-
-class policy_at_fault:  # noqa: N801 - it reads like a function, and costs less than one.
-    """Turn whatever a checkpoint or an adapter throws into a fault of the policy.
-
-    Raises:
-        PolicyFailedError: anything was raised inside but a PolicyError, which says it already.
-    """
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
-    ) -> None:
-        if not isinstance(error, Exception) or isinstance(error, PolicyError | PolicyFailedError):
-            return
-        if isinstance(error, NwEvalError):
-            raise PolicyFailedError(str(error)) from error
-        raise PolicyFailedError(
-            f"the policy raised {type(error).__name__}: {error}",
-            fix="run the checkpoint on its own with an observation of the card's shapes",
-        ) from error
+Joints turn by less than 2 pi, and motors of such robots give some hundred N m. Training stacks clip
+raw actions at 100 (legged_gym's `clip_actions`), which is some 25 rad; MuJoCo itself gives up at
+1e10. A target this large is a network that ran away.
+"""
 
 
 class Decision(NamedTuple):
@@ -124,7 +106,9 @@ class Episode:
         and applies zeros in that step.
 
         Raises:
-            PolicyFailedError: the policy raised, or its action is not twelve finite numbers.
+            PolicyFailedError: the policy raised, or its action is not twelve finite numbers, or
+                huge.
+            ServerError: a served policy could not be asked.
         """
         if self.step == 0 and self.world.protocol == "neverwhere-2026":
             nothing = np.zeros_like(self._output)
@@ -162,17 +146,21 @@ class Episode:
             observation=observation,
             action=action,
             applied=applied,
-            targets=self._control.targets(applied),
+            targets=self._targets(applied),
         )
 
     def advance(self, decision: Decision) -> tuple[Outcome | None, bool]:
         """Run one control step; return how the trial ends now, and if a waypoint was credited.
 
         Raises:
-            TrialError: the physics failed.
+            PolicyFailedError: the physics diverged under the policy's targets.
+            TrialError: the physics failed otherwise.
         """
         with self._clock("physics"):
-            self.world.step(decision.targets)
+            try:
+                self.world.step(decision.targets)
+            except DivergedError as error:
+                raise PolicyFailedError(str(error), kind="diverged") from error
             self._applied, self._output = decision.applied, decision.action
             self.step += 1
             credited = self.progress.update(self.world.trunk_position)
@@ -265,9 +253,23 @@ class Episode:
         if action.shape != self._applied.shape or not all_finite(action):
             raise PolicyFailedError(
                 f"the policy's action is not {self._applied.size} finite numbers: {action}",
+                kind="action",
                 fix="check the checkpoint, and the observations' scales on its card",
             )
         return action
+
+    def _targets(self, applied: Array) -> Array:
+        """Return what the motors are told, as long as there is sense in it."""
+        targets = self._control.targets(applied)
+        index = int(np.abs(targets).argmax())
+        if not abs(targets[index]) < HUGE:
+            joint = self.world.robot.joints[index]
+            raise PolicyFailedError(
+                f"the policy's action makes a target of {targets[index]:.3g} for joint {joint}",
+                kind="action",
+                fix="check the checkpoint, and `scale` and `clip` on its card",
+            )
+        return targets
 
 
 class Coverage:

@@ -19,7 +19,8 @@ from nw_eval.policies import (
     physics_steps,
 )
 from nw_eval.robots import RobotSpec, get_robot
-from nw_eval.rollout.episode import Episode, policy_at_fault
+from nw_eval.rollout.episode import Episode
+from nw_eval.rollout.fault import is_interrupt, policy_at_fault
 from nw_eval.rollout.spawn import draw_start
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
@@ -63,6 +64,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         SceneError: the scene cannot be loaded, or its splat not made.
         PolicyError: the bundle cannot be loaded, or is not the one that the job was planned with.
         UsageError: no such robot or perturbation; a server serves something else now.
+        PolicyFailedError: the policy raised as it was opened or reset.
     """
     trial = job.trial
     robot = get_robot(job.robot)
@@ -82,7 +84,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         world = cleanup.enter_context(_open_world(job, robot, scene, bundle))
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
-            cleanup.callback(policy.close)
+            cleanup.callback(_close, policy)
         if bundle.card.adapter == "remote":
             _check_served(job, policy)
         with policy_at_fault():
@@ -158,6 +160,15 @@ def _check_served(job: TrialJob, policy: Policy) -> None:
             f"{planned[:12]}",
             fix="serve what it was planned with, or start a new run",
         )
+
+
+def _close(policy: Policy) -> None:
+    """Close a policy. Its trial is over, and nothing that it raises now can change that."""
+    try:
+        policy.close()
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
 
 
 def _open_world(job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle) -> World:

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from nw_eval import __version__
 from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.result import as_outcome, policy_fault
 from nw_eval.suite.trials import Trial
 
 if TYPE_CHECKING:
@@ -79,7 +80,12 @@ def _kept(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def verdict_metadata(result: TrialResult) -> dict[str, str]:
-    """Return a result as texts, without anything that a second run would measure anew."""
+    """Return a result as texts, without anything that a second run would measure anew.
+
+    A log tells of one attempt: a policy's own failure is its outcome, the first time too.
+    """
+    if policy_fault(result) is not None:
+        result = as_outcome(result)
     return {
         "status": result.status,
         "outcome": result.outcome or "",

@@ -12,6 +12,7 @@ from nw_eval.rollout.cameras import Cameras
 from nw_eval.rollout.episode import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
+from nw_eval.rollout.result import policy_fault
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.episode import Decision
     from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.result import Outcome, TrialResult
+    from nw_eval.rollout.result import TrialResult
+    from nw_eval.words import Outcome
 
 # Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
 # stacks of images, which would otherwise be most of the file.
@@ -105,7 +107,9 @@ class Recorder:
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
             self._event("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
-            self._event("error", f"{result.error_type}: {result.error_text}")
+            fault = policy_fault(result)
+            kind = result.error_type if fault is None else f"policy_failed ({fault})"
+            self._event("error", f"{kind}: {result.error_text}")
         failed = result.outcome != "completed"
         keep = self._trial.job.record == "all" or failed
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))

@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import PolicyError, StoreError
 from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata, provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
-from nw_eval.rollout.result import Outcome, TrialResult
 from nw_eval.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
+    from nw_eval.rollout.result import TrialResult
+    from nw_eval.words import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,7 @@ class Replayed:
         trial = self.recording.job.trial.id
         start = "" if self.start_step == 0 else f" from step {self.start_step}"
         if self.is_identical:
-            end = self.result.outcome or self.result.error_type
+            end = as_metadata(self.result)["outcome"] or self.result.error_type
             return f"{trial}{start}: {end} after {self.result.steps} steps, identical bit for bit"
         said = "; ".join(self.differences)
         if self.version_differences:
@@ -165,8 +167,10 @@ def run_on(trial: OpenTrial) -> TrialResult:
         outcome: Outcome | None = None
         while outcome is None:
             outcome, _ = episode.advance(episode.decide())
-    except Exception as error:  # noqa: BLE001 - as in a run, it is the result.
-        return failed(so_far(trial), error)
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
+        return failed(so_far(trial), error)  # As in a run, it is the result.
     return ended(trial, outcome)
 
 

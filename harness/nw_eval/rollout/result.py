@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
-Outcome = Literal["completed", "fell", "collided", "stuck", "off_course", "timeout"]
-ErrorType = Literal["policy_error", "physics_error", "crashed", "hung"]
+from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault
+
+if TYPE_CHECKING:
+    from nw_eval.results.row import Row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +25,11 @@ class StageSeconds:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialResult:
-    """One trial's outcome. An error is never a failure of the policy: it has no outcome.
+    """One attempt at a trial. An error has no outcome; it says who failed.
+
+    Where the policy itself failed, `end_reason` of the error is how, a `PolicyFault`. That is an
+    error until it has happened twice (`engine.repeat`). An `exit` leaves nobody to say how far the
+    trial was: it has reached 0 of 0 waypoints in 0 steps, whatever was reached in truth.
 
     Digests chain SHA-256 over the control steps: `state_digest` over qpos and qvel,
     `action_digest` over the applied actions, so equal digests mean equal trajectories bit for bit.
@@ -31,8 +37,8 @@ class TrialResult:
 
     status: Literal["ok", "error"]
     outcome: Outcome | None = None
-    end_reason: str = ""  # what decided it: "roll", "contact face", "time"
-    error_type: ErrorType | None = None
+    end_reason: str = ""  # what decided it: "roll", "contact face", "time", or a PolicyFault
+    error_type: Fault | None = None
     error_text: str = ""  # one line
 
     waypoints_reached: int = 0
@@ -56,3 +62,15 @@ class TrialResult:
     def fraction(self) -> float:
         """Share of the trail's waypoints reached, 0..1."""
         return self.waypoints_reached / self.waypoints_total if self.waypoints_total else 0.0
+
+
+def policy_fault(ended: TrialResult | Row) -> PolicyFault | None:
+    """Return how the policy itself failed in an attempt that ended in an error, or None."""
+    if ended.status != "error":
+        return None
+    return next((fault for fault in POLICY_FAULTS if fault == ended.end_reason), None)
+
+
+def as_outcome(result: TrialResult) -> TrialResult:
+    """Return a policy's own failure as what it is once it has repeated: a result."""
+    return replace(result, status="ok", outcome="policy_failed")

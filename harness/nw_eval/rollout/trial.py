@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import traceback
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import NwEvalError, PolicyError, TrialError
+from nw_eval.errors import PolicyError, ServerError, TrialError
 from nw_eval.rollout.clock import StageClock
-from nw_eval.rollout.episode import PolicyFailedError
+from nw_eval.rollout.fault import fault_of, is_interrupt, told
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.recorder import Recorder
-from nw_eval.rollout.result import ErrorType, Outcome, TrialResult
+from nw_eval.rollout.result import TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.words import Fault, Outcome
 
 
 def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
@@ -29,15 +28,18 @@ def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
         library: scenes and bundles that this process has loaded already.
 
     Returns:
-        The result. A fault of policy, physics or of this program is a result with status `error`;
-        it is never raised, and never counted as the policy's failure.
+        The result. A fault of policy, physics or of this program is a result with status `error`,
+        which says whether the policy itself failed. Nothing is raised, whatever a policy throws,
+        but the user's Ctrl-C.
     """
     began = perf_counter()
     clock = StageClock()
     try:
         with clock("setup"):
             trial = open_trial(job, library or Library(), clock)
-    except Exception as error:  # noqa: BLE001 - whatever it is, it costs this trial only.
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
         result = failed(TrialResult(status="error"), error)
     else:
         with trial:
@@ -56,13 +58,18 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
         while outcome is None:
             outcome = recorder.step()
         result = ended(trial, outcome)
-    except Exception as error:  # noqa: BLE001 - it becomes the trial's result.
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
         result = failed(so_far(trial), error)
     try:
         with clock("log"):
             recorder.end(result)
-    except Exception as error:  # noqa: BLE001 - the trial is over: only its log can be lost now.
-        log.lose(OSError(f"its end could not be written: {_one_line(error)}"))
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
+        # The trial is over: only its log can be lost now.
+        log.lose(OSError(f"its end could not be written: {told(error)}"))
     return replace(result, mcap_bytes=log.bytes, mcap_error=log.error)
 
 
@@ -72,14 +79,17 @@ def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
     return replace(so_far(trial), status="ok", outcome=outcome, end_reason=reason)
 
 
-def failed(so_far: TrialResult, error: Exception) -> TrialResult:
+def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
     """Return the result of a trial that an exception ended."""
-    kind: ErrorType = "crashed"
-    if isinstance(error, PolicyFailedError | PolicyError):
+    fault = fault_of(error)
+    kind: Fault = "crashed"
+    if fault in {"exception", "action"} or isinstance(error, PolicyError | ServerError):
         kind = "policy_error"
     elif isinstance(error, TrialError):
         kind = "physics_error"
-    return replace(so_far, status="error", error_type=kind, error_text=_one_line(error))
+    return replace(
+        so_far, status="error", end_reason=fault or "", error_type=kind, error_text=told(error)
+    )
 
 
 def so_far(trial: OpenTrial) -> TrialResult:
@@ -98,13 +108,3 @@ def so_far(trial: OpenTrial) -> TrialResult:
         state_digest=episode.states.hex,
         action_digest=episode.actions.hex,
     )
-
-
-def _one_line(error: Exception) -> str:
-    """Return an error's text; one that nobody raised on purpose also says where it came from."""
-    text = " ".join(str(error).split())
-    if isinstance(error, NwEvalError):
-        return text
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return f"{type(error).__name__}: {text}{place}"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.errors import CodeError, NwEvalError
 from nw_eval.policies.observations import PluginObservation
 from nw_eval.policies.observations.plugins import SENSORS
 from nw_eval.robots import RobotSpec
@@ -25,7 +25,7 @@ class PluginSensor:
     `memory()` with `remember(memory)`, `unit`, `is_image`.
 
     Raises:
-        PolicyError: the class cannot be imported or made, or is no sensor.
+        CodeError: the class cannot be imported or made, or is no sensor.
     """
 
     coverage: float | None = None
@@ -45,12 +45,12 @@ class PluginSensor:
         )
         for needed in ("shape", "dtype", "measure"):
             if not hasattr(made, needed):
-                raise PolicyError(
+                raise CodeError(
                     f"`{name}`: sensor {self._sensor} has no `{needed}`",
                     fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
                 )
         if hasattr(made, "memory") != hasattr(made, "remember"):
-            raise PolicyError(
+            raise CodeError(
                 f"`{name}`: sensor {self._sensor} has only one of `memory` and `remember`",
                 fix="write both, or neither if it remembers nothing between samples",
             )
@@ -72,7 +72,7 @@ class PluginSensor:
         """Ask it.
 
         Raises:
-            PolicyError: it raised, or returned another shape or type than it said.
+            CodeError: it raised, or returned another shape or type than it said.
         """
         sample = self._call("measure", moment)
         if not isinstance(sample, np.ndarray):
@@ -81,7 +81,7 @@ class PluginSensor:
             told = f"{sample.shape} {sample.dtype}"
         else:
             return sample
-        raise PolicyError(
+        raise CodeError(
             f"`{self._name}`: sensor {self._sensor} returned {told}",
             fix=f"it says that it returns {self.shape} {self.dtype}",
         )
@@ -104,7 +104,7 @@ class PluginSensor:
         except NwEvalError:
             raise
         except Exception as error:
-            raise PolicyError(
+            raise CodeError(
                 f"`{self._name}`: sensor {self._sensor}: {method} raised "
                 f"{type(error).__name__}: {error}"
             ) from error

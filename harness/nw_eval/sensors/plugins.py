@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.policies.observations.plugins import distribution, installed, is_code
 
 
@@ -41,8 +41,9 @@ def make_plugin(
         code_from: folder whose modules `module:Class` may name; None = it may name none.
 
     Raises:
-        PolicyError: code is not allowed; the class cannot be imported, or does not take these
-            parameters. The message names the plug-in and its package.
+        PolicyError: code is not allowed, or the plug-in is not installed.
+        CodeError: the class cannot be imported, or does not take these parameters. The message
+            names the plug-in and its package.
     """
     if is_code(name):
         if code_from is None:
@@ -64,7 +65,7 @@ def make_plugin(
         raise
     except Exception as error:
         where = f"in {code_from} or " if is_code(name) else ""
-        raise PolicyError(
+        raise CodeError(
             f"{told} cannot be opened: {type(error).__name__}: {error}",
             fix=f"its module must be {where}installed, and its class take the card's parameters"
             + (f" {sorted(parameters)}" if parameters else ""),

@@ -3,14 +3,13 @@
 from nw_eval.sim.actuators import Actuators
 from nw_eval.sim.protocol import Protocol
 from nw_eval.sim.rays import RobotRays
-from nw_eval.sim.termination import Limits, Outcome, Termination
+from nw_eval.sim.termination import Limits, Termination
 from nw_eval.sim.trail import TrailProgress
 from nw_eval.sim.world import World
 
 __all__ = [
     "Actuators",
     "Limits",
-    "Outcome",
     "Protocol",
     "RobotRays",
     "Termination",

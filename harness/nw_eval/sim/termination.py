@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.sim.protocol import Protocol
     from nw_eval.sim.trail import TrailProgress
     from nw_eval.sim.world import World
-
-Outcome = Literal["completed", "fell", "collided", "stuck", "off_course", "timeout"]
+    from nw_eval.words import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)

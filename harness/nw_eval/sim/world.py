@@ -162,7 +162,7 @@ class World:
         # Nothing has been sensed before the first step.
         self._contacts[:] = False
         self._read_forces()
-        health.check(data)
+        health.check(data, self.time)
 
     def step(self, targets: Sequence[float] | Array) -> None:
         """Run one control step.
@@ -172,7 +172,8 @@ class World:
                 motors that follow them.
 
         Raises:
-            TrialError: a target is not finite, or the physics diverged.
+            DivergedError: the physics diverged.
+            TrialError: a target is not finite, or the physics failed otherwise.
         """
         self._require_open()
         model, data = self.model, self.data
@@ -196,7 +197,7 @@ class World:
             mujoco.mj_step1(model, data)
         self.steps += 1
         self._read_forces(solved)
-        health.check(data)
+        health.check(data, self.time)
 
     def state(self) -> bytes:
         """Return everything that the future depends on, for `restore`."""

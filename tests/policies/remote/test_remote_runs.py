@@ -2,17 +2,22 @@
 
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from nw_eval import api
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import load_bundle
+from nw_eval.policies.adapters.zero import ZeroPolicy
 from nw_eval.policies.serve import serving
 from nw_eval.results.provenance import read_run_info
-from nw_eval.results.run_folder import open_run_folder
+from nw_eval.results.run_folder import RunFolder, open_run_folder
+from nw_eval.rollout.result import policy_fault
 from nw_eval.rollout.trial import run_trial
 
 SUITE = """\
@@ -128,6 +133,40 @@ def test_a_run_keeps_to_what_its_server_said_that_it_serves(tmp_path):
     assert f"serves {other.digest[:12]}, the trial was planned with {one.digest[:12]}" in (
         result.error_text
     )
+
+
+def test_what_a_served_policy_does_is_its_own_and_what_its_server_does_is_not(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "suite.yaml").write_text(SHORT)
+    local = load_bundle(standing(tmp_path, "local", adapter="zero", terms=TERMS))
+    results = {}
+    with serving(local) as address:
+        adapter = f"remote\noptions: {{url: '{address.url}', timeout: 0.3}}"
+        card = str(standing(tmp_path, "client", adapter=adapter, terms=TERMS))
+        (job,) = plan_jobs(
+            api.plan(tmp_path / "suite.yaml", policy=card), RunFolder(path=tmp_path / "run")
+        )
+        job = replace(job, mcap=None)
+        acts = {
+            "nan": lambda: np.full(12, np.nan),
+            "raises": lambda: 1 / 0,
+            "sleeps": lambda: time.sleep(0.6),
+        }
+        for name, act in acts.items():
+            monkeypatch.setattr(ZeroPolicy, "act", lambda _self, _seen, act=act: act())
+            results[name] = run_trial(job)
+    results["gone"] = run_trial(job)
+    assert {result.status for result in results.values()} == {"error"}
+    assert {name: policy_fault(result) for name, result in results.items()} == {
+        "nan": "action",
+        "raises": "exception",
+        "sleeps": None,
+        "gone": None,
+    }
+    assert "ZeroDivisionError" in results["raises"].error_text
+    assert "no answer from" in results["sleeps"].error_text
+    assert "no policy server at" in results["gone"].error_text
 
 
 def test_a_card_of_other_sizes_than_the_served_one_fails_before_the_run(tmp_path):

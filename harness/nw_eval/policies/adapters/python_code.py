@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from nw_eval.errors import NwEvalError, PolicyError, TrialError
+from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 
@@ -28,7 +28,8 @@ class PythonPolicy:
         """Import the module and make the object.
 
         Raises:
-            PolicyError: code is not allowed, or the class cannot be imported or made.
+            PolicyError: code is not allowed.
+            CodeError: the class cannot be imported or made, or is no policy.
         """
         self._name = bundle.name
         self._joints = joints
@@ -41,7 +42,7 @@ class PythonPolicy:
         self._policy = _make(bundle)
         self.inputs: tuple[InputSpec, ...] = getattr(self._policy, "inputs", ())
         if hasattr(self._policy, "state") != hasattr(self._policy, "restore"):
-            raise PolicyError(
+            raise CodeError(
                 f"{bundle.card_path}: {bundle.card.adapter} has only one of `state` and `restore`",
                 fix="write both, or neither if the policy has no memory",
             )
@@ -109,14 +110,14 @@ def _make(bundle: Bundle) -> Any:
     except NwEvalError:
         raise
     except Exception as error:  # noqa: BLE001 - the user's code may raise anything.
-        raise PolicyError(
+        raise CodeError(
             f"{bundle.card_path}: {bundle.card.adapter} cannot be opened: "
             f"{type(error).__name__}: {error}",
             fix=f"the module must lie in {bundle.folder} or be installed, and the class take the "
             "bundle",
         ) from None
     if not callable(getattr(policy, "act", None)):
-        raise PolicyError(
+        raise CodeError(
             f"{bundle.card_path}: {bundle.card.adapter} has no method `act`",
             fix="write `act(self, observation)`",
         )

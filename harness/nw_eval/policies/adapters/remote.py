@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from nw_eval.errors import PolicyError, PrerequisiteError, TrialError
+from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
 from nw_eval.policies.bundle import NOTHING, Bundle
 from nw_eval.policies.model import CardModel
 from nw_eval.policies.options import read_options
@@ -112,7 +112,8 @@ class RemotePolicy:
         """Ask the server for an action.
 
         Raises:
-            TrialError: no answer in time, the connection is gone, or the policy failed there.
+            ServerError: no answer in time, or the connection is gone.
+            TrialError: the policy failed there, or its action is none.
         """
         arrays = {name: np.ascontiguousarray(array) for name, array in observation.items()}
         answer = self._ask({"call": "act", "observation": arrays})
@@ -122,7 +123,7 @@ class RemotePolicy:
         """Return the server's state of this policy."""
         state = self._ask({"call": "state"}).get("state")
         if not isinstance(state, bytes):
-            raise TrialError(
+            raise ServerError(
                 f"policy {self._name!r}: the server at {self._options.url} has no state",
                 fix="answer `state` with bytes, empty for a policy without memory",
             )
@@ -161,22 +162,22 @@ class RemotePolicy:
         except TimeoutError:
             # A late answer would be taken for that of the next question.
             self.close()
-            raise TrialError(
+            raise ServerError(
                 f"policy {self._name!r}: no answer from {self._options.url} within {timeout:g} s",
                 fix="look at the server, or raise `options.timeout` on the card",
             ) from None
         except ValueError as error:
             self.close()
-            raise TrialError(
+            raise ServerError(
                 f"policy {self._name!r}: cannot read what {self._options.url} sends: {error}",
                 fix="speak the protocol of nw_eval.policies.wire",
             ) from None
         except (WebSocketException, OSError) as error:
             raise self._lost(error) from error
 
-    def _lost(self, error: Exception) -> TrialError:
+    def _lost(self, error: Exception) -> ServerError:
         self.close()
-        return TrialError(
+        return ServerError(
             f"policy {self._name!r}: the connection to {self._options.url} is lost: {error}",
             fix="look at the server: its policy may have crashed",
         )

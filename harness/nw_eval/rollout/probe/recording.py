@@ -16,10 +16,10 @@ from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import Outcome
 from nw_eval.scenes import Scene
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
+from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, Card, JointControl, load_bundle
 from nw_eval.policies.joints import short_name
 from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.rollout.isolated import call_isolated
 from nw_eval.rollout.probe.budget import Metered
 from nw_eval.rollout.probe.comparison import compare
@@ -49,7 +50,7 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
     two seconds each, and other cards are tried if it stumbles or misses a command.
 
     Raises:
-        PolicyError, SceneError: it cannot be run at all.
+        PolicyError, SceneError: it cannot be run at all, or fails as it runs.
     """
     answer = call_isolated(
         _probe,
@@ -75,14 +76,17 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     """As `probe_policy`, in this process: for checkpoints that one trusts.
 
     Raises:
-        PolicyError, SceneError: it cannot be run at all.
+        PolicyError, SceneError: it cannot be run at all, or fails as it runs.
     """
     # What begins in the first third of the time ends in time, even if a step takes 4 s.
     deadline = monotonic() + _TIME_LIMIT / 3.0
     card, robot = bundle.card, get_robot(bundle.card.robot)
     specs = check_bundle(bundle, robot, allow_code=allow_code)
     stage = Stage(bundle, scene=scene, allow_code=allow_code)
-    recording = stage.record(card, seconds=SECONDS)
+    try:
+        recording = stage.record(card, seconds=SECONDS)
+    except PolicyFailedError as error:
+        raise PolicyError(f"{bundle.card_path}: {error}") from error
     ranges = [measure(part, recording) for part in parts_of(card, robot, specs)]
     followed: list[Followed] = []
     findings = [

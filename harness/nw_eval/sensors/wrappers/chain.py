@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.link import Link, Memory, Sample, Shot, Spec
 
@@ -105,13 +105,13 @@ class Chain:
         except NwEvalError as error:
             raise PolicyError(f"`{self._observation}`: {error}") from None
         except Exception as error:
-            raise PolicyError(
+            raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
                 f"{_told(sample)}: {error}",
                 fix="see what it is given with `python -m nw_eval.sensors`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
-            raise PolicyError(
+            raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} returned a {type(result).__name__}",
                 fix="return a NumPy array",
             )
