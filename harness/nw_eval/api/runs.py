@@ -61,19 +61,23 @@ def run(
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
+    from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
+    card: Path | None = None
     if resume is not None:
         if out is not None:
             raise UsageError("--out and --resume exclude each other", fix="drop --out")
-        settings = session.settings_of(resume)
-        suite = suite or settings.suite
-        robot = robot or settings.robot
-        policy = policy or settings.policy
+        settings = settings_of(resume)
+        asked = settings.suite
+        suite = suite or asked
+        robot = robot or asked.robot
+        card = None if policy else settings.card
+        policy = policy or asked.policy
         checkpoint = checkpoint or settings.checkpoint
-        trials = trials or settings.trials
+        trials = trials or asked.trials
         scenes = scenes or settings.scenes
         record = record or settings.record
         collision = settings.collision
@@ -83,6 +87,7 @@ def run(
         suite,
         robot=robot,
         policy=policy,
+        card=card,
         checkpoint=checkpoint,
         trials=trials,
         scenes=scenes,

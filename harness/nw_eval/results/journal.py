@@ -226,7 +226,7 @@ def has_begun(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
             return stream.readline(_LONGEST_LINE).endswith(b"\n")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error

@@ -83,7 +83,6 @@ class RunInfo(_Model):
     machine: MachineInfo
     versions: dict[str, str] = {}
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
-    trials_sha256: str = ""  # Of trials.parquet, likewise.
 
     @property
     def planned(self) -> dict[str, int]:
