@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
 from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, sealed, write_rows
-from nw_eval.results.row import FAULTS, OUTCOMES, Row
+from nw_eval.results.row import FAULTS, OUTCOMES, Row, rows_digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,6 +111,36 @@ def test_a_missing_damaged_or_foreign_file_is_told_apart(
     write_as_another_version(foreign, pq.read_table(good).drop_columns(["outcome"]))
     with pytest.raises(StoreError, match="lacks the columns outcome"):
         read_rows(foreign)
+
+
+def test_rows_that_are_not_those_of_the_digest_beside_them_are_refused(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row()], {"rows_digest": rows_digest([make_row(seed=1)])})
+    with pytest.raises(StoreError, match="not those of its rows_digest; `nw-eval report`"):
+        read_rows(path)
+
+
+def test_measured_columns_are_covered_too(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row(wall_s=2.0)], {})
+    table = pq.read_table(path)
+    wall = table.schema.get_field_index("wall_s")
+    pq.write_table(table.set_column(wall, SCHEMA.field("wall_s"), pa.array([1.0])), path)
+    with pytest.raises(StoreError, match="its checksum is that of other bytes"):
+        read_rows(path)
+
+
+def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(
+    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row(trial_id=f"t{k}") for k in range(5)], {})
+    monkeypatch.setattr("nw_eval.results.parquet._MOST_ROWS", 4)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    with pytest.raises(StoreError, match="is damaged: 5 rows of"):
+        read_rows(path)
 
 
 def test_a_failed_write_leaves_the_older_file_whole(
