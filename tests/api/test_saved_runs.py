@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from nw_eval import api
@@ -13,6 +15,7 @@ from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.parquet import SCHEMA, sealed
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
@@ -145,7 +148,7 @@ def test_a_damaged_parquet_file_is_written_again_from_the_journal(saved):
     assert again.rows == first.rows
     assert again.verdict.verdict == "PASS"
     [said] = [text for text in again.verdict.reasons if "written again" in text]
-    assert "trials.parquet is damaged" in said
+    assert "trials.parquet is missing or damaged" in said
     assert folder.trials.read_bytes() == whole
     assert api.report(folder.path).verdict == first.verdict
 
@@ -173,6 +176,20 @@ def test_two_damaged_copies_are_no_result(saved, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_a_parquet_file_that_kills_its_reader_is_no_result_and_kills_nobody_else(saved):
+    folder = saved(ROWS)
+    folder.journal.unlink()
+    table = pq.read_table(folder.trials)
+    # One long word in every row: a few kilobytes that unpack to gigabytes.
+    words = pa.DictionaryArray.from_arrays(pa.array([0] * 20_000, pa.int32()), ["x" * 10**6])
+    column = table.schema.get_field_index("host")
+    many = table.take([0] * 20_000)
+    pq.write_table(many.set_column(column, SCHEMA.field("host"), words), folder.trials)
+    folder.trials.write_bytes(sealed(folder.trials.read_bytes()))
+    with pytest.raises(StoreError, match=r"no journal at .*; and .*trials\.parquet"):
+        api.report(folder.path)
+
+
 def test_rows_of_another_run_are_noticed_by_their_digest(saved, tmp_path):
     folder = saved(ROWS)
     worse = [row(trial(index), reached=0) for index in range(6)]
@@ -183,6 +200,7 @@ def test_rows_of_another_run_are_noticed_by_their_digest(saved, tmp_path):
         for one in worse:
             journal.append(one)
     write_trials(folder, info, worse)
+    write_run_info(folder.run_json, info)
     with pytest.raises(StoreError, match=r"other rows than run\.json says"):
         api.report(folder.path)
     (tmp_path / "trials.parquet").replace(folder.trials)

@@ -1,19 +1,20 @@
 """A run's rows, from whichever of its two copies is whole: the journal, and the Parquet file.
 
 The journal has every row from the moment on which its trial ended. trials.parquet has those that
-are judged, once the run has ended, and run.json has their digest. A copy that is damaged costs
-nothing while the other is whole; what neither can show is no result.
+are judged, once the run has ended, and run.json has the digests of both. A copy that is damaged
+costs nothing while the other is whole; what neither can show is no result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from hashlib import file_digest
 
 from nw_eval.errors import StoreError
 from nw_eval.results.journal import read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
-from nw_eval.results.provenance import RunInfo
+from nw_eval.results.provenance import RunInfo, write_run_info
 from nw_eval.results.row import Row, rows_digest
 from nw_eval.results.run_folder import RunFolder
 
@@ -48,7 +49,7 @@ def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunIn
         "rows_digest": ended.rows_digest,
     }
     write_rows(folder.trials, kept, metadata)
-    return ended
+    return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 
 def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> RunRows:
@@ -70,13 +71,13 @@ def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]
         if not info.rows_digest:
             raise
         rows = _from_parquet(folder, info, trials, error)
-        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error}",))
+        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error.said}",))
     if contents.dropped:
         told.append(contents.dropped)
     if others:
         told.append(_left_out(others))
     if info.rows_digest:
-        told += _mended(folder, info, rows, trials)
+        told += _mended(folder, info, rows)
     return RunRows(rows=tuple(rows), told=tuple(told))
 
 
@@ -86,28 +87,36 @@ def _from_parquet(
     try:
         return _parquet(folder, info, trials)
     except StoreError as error:
-        raise StoreError(f"{fault}; and {error}") from None
+        raise StoreError(f"{fault.said}; and {error}") from None
 
 
 def _parquet(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> list[Row]:
-    from nw_eval.results.parquet import read_rows
+    from nw_eval.results.parquet_apart import read_rows_apart
 
-    return _checked(read_rows(folder.trials)[0], info, trials, folder.trials.name)[0]
+    return _checked(read_rows_apart(folder.trials), info, trials, folder.trials.name)[0]
 
 
-def _mended(
-    folder: RunFolder, info: RunInfo, rows: list[Row], trials: Sequence[PlannedTrial]
-) -> list[str]:
-    """Write trials.parquet again if it is not what the journal and run.json say; tell of it."""
+def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
+    """Write trials.parquet again if it is not the file that run.json means; tell of it."""
+    if _sha256(folder) == info.trials_sha256:
+        return []
+    fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        _parquet(folder, info, trials)
+        again = write_trials(folder, info, rows)
+        if again != info:  # Another version of Arrow writes the same rows as other bytes.
+            write_run_info(folder.run_json, again)
     except StoreError as error:
-        try:
-            write_trials(folder, info, rows)
-        except StoreError as failure:
-            return [f"judged from the journal: {error}; {failure}"]
-        return [f"judged from the journal, and trials.parquet written again from it: {error}"]
-    return []
+        return [f"judged from the journal: {fault}; {error.said}"]
+    return [f"judged from the journal, and trials.parquet written again from it: {fault}"]
+
+
+def _sha256(folder: RunFolder) -> str:
+    """Return the hex digest of trials.parquet; empty if there is no such file."""
+    try:
+        with folder.trials.open("rb") as stream:
+            return file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return ""
 
 
 def _checked(

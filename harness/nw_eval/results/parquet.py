@@ -198,7 +198,7 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
         rows = [from_dict(plain) for plain in _plain(table)]
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
-        said = clean(error, at_most=200)
+        said = clean(error, at_most=200) or type(error).__name__
         raise StoreError(f"{path} is damaged: {said}", fix=_REBUILD) from None
     if metadata.get("rows_digest", rows_digest(rows)) != rows_digest(rows):
         raise StoreError(f"{path}: its rows are not those of its rows_digest", fix=_REBUILD)

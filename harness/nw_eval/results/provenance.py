@@ -83,6 +83,7 @@ class RunInfo(_Model):
     machine: MachineInfo
     versions: dict[str, str] = {}
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
+    trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
 
     @property
     def planned(self) -> dict[str, int]:
