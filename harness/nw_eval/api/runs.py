@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes.terrain.options import Collision
+    from nw_eval.suite import Suite
 
 
 def run(
@@ -66,13 +67,14 @@ def run(
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
+    chosen: str | Path | Suite | None = suite
     card: Path | None = None
     if resume is not None:
         if out is not None:
             raise UsageError("--out and --resume exclude each other", fix="drop --out")
         settings = settings_of(resume)
         asked = settings.suite
-        suite = suite or asked
+        chosen = suite or asked
         robot = robot or asked.robot
         card = None if policy else settings.card
         policy = policy or asked.policy
@@ -81,10 +83,10 @@ def run(
         scenes = scenes or settings.scenes
         record = record or settings.record
         collision = settings.collision
-    if suite is None:
+    if chosen is None:
         raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
     made = plan(
-        suite,
+        chosen,
         robot=robot,
         policy=policy,
         card=card,

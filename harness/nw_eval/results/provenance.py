@@ -67,7 +67,7 @@ class RunInfo(_Model):
     id: str
     started: str
     finished: str | None = None
-    wall_s: float = Field(0.0, ge=0.0)
+    wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
     suite_file: str
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
