@@ -27,12 +27,13 @@ _LISTED = 12  # names in a hint; a longer list hides the message
 
 
 class NwEvalError(Exception):
-    """Root of every error that nw-eval raises on purpose."""
+    """Root of every error that nw-eval raises on purpose. `said` is its message without the fix."""
 
     exit_code = 4
 
     def __init__(self, message: str, *, fix: str | None = None) -> None:
         super().__init__(message if fix is None else f"{message}; {fix}")
+        self.said = message
         self.fix = fix
 
 

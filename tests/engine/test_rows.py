@@ -10,7 +10,7 @@ import pytest
 from nw_eval.engine.rows import make_row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.record import job_from_metadata, trial_metadata
+from nw_eval.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import StageSeconds, TrialResult
 from nw_eval.suite.trials import Trial
 
@@ -77,6 +77,14 @@ def test_an_error_becomes_a_row_without_a_score(job, tmp_path):
     made = row(job, result, tmp_path, attempt=2)
     assert (made.status, made.outcome, made.fraction, made.attempt) == ("error", "hung", None, 2)
     assert (made.mcap_path, made.error_text) == ("", "no result")
+
+
+def test_an_error_of_millions_of_characters_fills_neither_row_nor_log(job, tmp_path):
+    text = "::error::\x1b[2J" + "x" * 5_000_000
+    result = TrialResult(status="error", error_type="policy_error", error_text=text)
+    for said in (row(job, result, tmp_path).error_text, verdict_metadata(result)["error_text"]):
+        assert said.startswith(r"\x3a:error::\x1b[2Jxxx")
+        assert len(said) < 1100
 
 
 def test_a_job_travels_to_a_worker_and_into_a_log_and_back(job):

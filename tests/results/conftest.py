@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import random
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -44,3 +45,43 @@ def make_row() -> Callable[..., Row]:
         return Row(**{**columns, **changes})
 
     return make
+
+
+@pytest.fixture
+def mutated() -> Callable[[bytes, random.Random], bytes]:
+    """Damage as disks, networks and editors do it: flipped bits, cuts, exchanged parts."""
+    return _mutated
+
+
+def _mutated(data: bytes, rng: random.Random) -> bytes:
+    """Return some bytes in which one of many things went wrong, and never the same bytes."""
+    while True:
+        other = _once(bytearray(data), rng)
+        if other != data:
+            return other
+
+
+def _once(data: bytearray, rng: random.Random) -> bytes:
+    kind = rng.choice(["flip", "flips", "cut", "insert", "exchange", "repeat", "remove", "zero"])
+    at = rng.randrange(len(data))
+    size = rng.choice([1, 4, 64, 512])
+    if kind in {"flip", "flips"}:
+        for _ in range(1 if kind == "flip" else 8):
+            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    elif kind == "cut":
+        del data[at:]
+    elif kind == "insert":
+        data[at:at] = rng.randbytes(size)
+    elif kind == "exchange":
+        other = rng.randrange(len(data))
+        data[at : at + size], data[other : other + size] = (
+            data[other : other + size],
+            data[at : at + size],
+        )
+    elif kind == "repeat":
+        data[at:at] = data[at : at + size]
+    elif kind == "remove":
+        del data[at : at + size]
+    else:
+        data[at : at + size] = bytes(len(data[at : at + size]))
+    return bytes(data)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
+from nw_eval.results.journal import Journal, JournalHeader, has_begun, read_journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,6 +90,73 @@ def test_damage_before_the_last_line_is_an_error_with_its_line(
     path.write_bytes(b"".join(lines))
     with pytest.raises(StoreError, match=r"journal\.jsonl:2: damaged"):
         read_journal(path)
+
+
+@pytest.mark.parametrize(
+    ("order", "line"),
+    [
+        ([0, 1, 3], 3),  # One is missing,
+        ([0, 1, 2, 2, 3], 4),  # one is there twice,
+        ([0, 2, 1, 3], 2),  # two are exchanged.
+    ],
+)
+def test_lines_that_were_left_out_repeated_or_exchanged_are_noticed(
+    path: Path, make_row: Callable[..., Row], order: list[int], line: int
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        for index in range(3):
+            journal.append(make_row(trial_id=f"t{index}"))
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[index] for index in order))
+    with pytest.raises(StoreError, match=rf"journal\.jsonl:{line}: damaged .*checksum") as caught:
+        read_journal(path)
+    # What the error advises works.
+    assert f"keep the {line - 1} lines before it" in str(caught.value)
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[: line - 1]))
+    with Journal.resume(path, HEADER) as journal:
+        assert len(journal.rows) == line - 2
+
+
+def test_a_changed_number_is_noticed_in_the_last_line_too(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        journal.append(make_row())
+    text = path.read_text()
+    assert '"waypoints_reached":3' in text
+    path.write_text(text.replace('"waypoints_reached":3', '"waypoints_reached":2'))
+    with pytest.raises(StoreError, match=r"journal\.jsonl:2: damaged \(its checksum is"):
+        read_journal(path)
+
+
+def test_a_journal_of_the_first_version_is_told(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_text('{"journal":1,"suite_digest":"aa"}\n')
+    with pytest.raises(StoreError, match=r"journal version 1, this nw-eval reads 2.*new run"):
+        read_journal(path)
+
+
+@pytest.mark.parametrize("left", [b"", b'{"journal":2,"suite_di', bytes(4096)])
+def test_a_start_that_was_cut_off_is_no_journal_and_can_be_started_again(
+    path: Path, make_row: Callable[..., Row], left: bytes
+) -> None:
+    path.parent.mkdir()
+    path.write_bytes(left)
+    assert not has_begun(path)
+    with Journal.create(path, HEADER) as journal:
+        assert has_begun(path)
+        journal.append(make_row())
+    assert read_journal(path).rows == (make_row(),)
+
+
+def test_a_journal_that_is_removed_while_it_is_written_is_told(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        journal.append(make_row(trial_id="t0"))
+        path.unlink()
+        with pytest.raises(StoreError, match="it was removed while the run went on"):
+            journal.append(make_row(trial_id="t1"))
 
 
 def test_an_empty_or_missing_journal_says_so(path: Path) -> None:

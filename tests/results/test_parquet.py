@@ -10,14 +10,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
-from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, write_rows
-from nw_eval.results.row import Row
+from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, sealed, write_rows
+from nw_eval.results.row import Row, rows_digest
 from nw_eval.words import FAULTS, OUTCOMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 GOLDEN = Path(__file__).with_name("row_schema.jsonl")
+
+
+def write_as_another_version(path: Path, table: pa.Table) -> None:
+    """Write a table with other columns, with the sum that its own writer would have given it."""
+    pq.write_table(table, path)
+    path.write_bytes(sealed(path.read_bytes()))
 
 
 def test_the_schema_is_the_one_that_readers_elsewhere_rely_on() -> None:
@@ -73,7 +79,7 @@ def test_files_from_before_a_column_was_added_have_what_it_is_by_default(
 ) -> None:
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row(contact_s=0.5)], {})
-    pq.write_table(pq.read_table(path).drop_columns(["contact_s"]), path)
+    write_as_another_version(path, pq.read_table(path).drop_columns(["contact_s"]))
     (row,) = read_rows(path)[0]
     assert row == make_row(contact_s=0.0)
 
@@ -84,7 +90,7 @@ def test_columns_of_later_versions_do_not_disturb(
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row()], {})
     table = pq.read_table(path)
-    pq.write_table(table.append_column("mood", pa.array(["calm"])), path)
+    write_as_another_version(path, table.append_column("mood", pa.array(["calm"])))
     assert read_rows(path)[0] == [make_row()]
 
 
@@ -103,9 +109,39 @@ def test_a_missing_damaged_or_foreign_file_is_told_apart(
     pq.write_table(pa.table({"x": [1]}), foreign)
     with pytest.raises(StoreError, match="row schema None, this nw-eval reads 1"):
         read_rows(foreign)
-    pq.write_table(pq.read_table(good).drop_columns(["outcome"]), foreign)
+    write_as_another_version(foreign, pq.read_table(good).drop_columns(["outcome"]))
     with pytest.raises(StoreError, match="lacks the columns outcome"):
         read_rows(foreign)
+
+
+def test_rows_that_are_not_those_of_the_digest_beside_them_are_refused(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row()], {"rows_digest": rows_digest([make_row(seed=1)])})
+    with pytest.raises(StoreError, match="not those of its rows_digest; `nw-eval report`"):
+        read_rows(path)
+
+
+def test_measured_columns_are_covered_too(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row(wall_s=2.0)], {})
+    table = pq.read_table(path)
+    wall = table.schema.get_field_index("wall_s")
+    pq.write_table(table.set_column(wall, SCHEMA.field("wall_s"), pa.array([1.0])), path)
+    with pytest.raises(StoreError, match="its checksum is that of other bytes"):
+        read_rows(path)
+
+
+def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(
+    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "t.parquet"
+    write_rows(path, [make_row(trial_id=f"t{k}") for k in range(5)], {})
+    monkeypatch.setattr("nw_eval.results.parquet._MOST_ROWS", 4)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    with pytest.raises(StoreError, match="is damaged: 5 rows of"):
+        read_rows(path)
 
 
 def test_a_failed_write_leaves_the_older_file_whole(

@@ -4,6 +4,8 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from nw_eval.results.row import MEASURED, Row, from_dict, rows_digest, to_dict
 
@@ -25,6 +27,16 @@ if TYPE_CHECKING:
         ({"seed": 2**64}, "does not fit 64 bits"),
         ({"seed": -1}, "does not fit 64 bits"),
         ({"wall_s": float("inf")}, "not finite"),
+        ({"coverage_min": float("nan")}, "coverage_min is not finite"),
+        ({"waypoint_times": (float("nan"),)}, "waypoint_times is not finite"),
+        ({"perturbation": (("friction", float("inf")),)}, "friction is not finite"),
+        ({"steps": 2**31}, "steps is 2147483648"),
+        ({"attempt": -1}, "attempt is -1"),
+        ({"steps": 1.5}, "steps is 1.5"),
+        ({"steps": True}, "steps is True"),
+        ({"completed": 0}, "completed is 0"),
+        ({"scene": {"a": 1}}, "scene is {'a': 1}"),
+        ({"wall_s": "\x1b[2J"}, r"wall_s is '\\x1b\[2J'"),
     ],
 )
 def test_a_row_that_contradicts_itself_is_refused(
@@ -86,3 +98,34 @@ def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> N
     del values["outcome"]
     with pytest.raises(ValueError, match="outcome"):
         from_dict(values)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(max_size=60), st.integers(1, 100_000))
+def test_texts_from_anywhere_become_harmless_once_and_for_all(
+    make_row: Callable[..., Row], text: str, times: int
+) -> None:
+    row = make_row(end_reason=text * times, host=text)
+    assert row.end_reason.isprintable()
+    assert len(row.end_reason) <= 1060
+    assert not row.host.startswith("::")
+    again = from_dict(json.loads(json.dumps(to_dict(row))))
+    assert again == row
+    assert again.digest == row.digest
+
+
+def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
+    make_row: Callable[..., Row],
+) -> None:
+    row = make_row(
+        status="error", outcome="policy_error", fraction=None, error_text="no\n" * 2_000_000
+    )
+    assert row.error_text.startswith("no no no")
+    assert row.error_text.endswith("more characters")
+    assert len(row.error_text) < 1060
+
+
+@pytest.mark.parametrize("times", [[1e300], ["soon"], [None], 7])
+def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], times: Any) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        from_dict({**to_dict(make_row()), "waypoint_times": times})

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 
 def plan(
-    suite: str | Path,
+    suite: str | Path | Suite,
     *,
     robot: str | None = None,
     policy: str | None = None,
+    card: Path | None = None,
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
@@ -33,9 +34,11 @@ def plan(
     """Resolve a suite and a policy to the trials that they mean, and check all of it.
 
     Args:
-        suite: a suite file or the name of a shipped one.
+        suite: a suite file or the name of a shipped one; or a suite that was read already.
         robot: in place of the suite's own; its trials are others then.
         policy: a bundle's name, folder or card; the suite's own if None.
+        card: where that policy lies, if that is known: a run that is resumed elsewhere still names
+            its policy as it was asked for, and finds it where it was.
         checkpoint: weights to use with the card.
         trials: per scene; the suite's own number if None.
         scenes: globs; only scenes that match one of them.
@@ -50,9 +53,10 @@ def plan(
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import load_bundle
     from nw_eval.rollout.vetting import vet_bundle
-    from nw_eval.suite import check_scenes, check_tiers, expand, load_suite, override
+    from nw_eval.suite import Suite, check_scenes, check_tiers, expand, load_suite, override
 
-    told = override(load_suite(suite), robot=robot, policy=policy, trials=trials, record=record)
+    read = suite if isinstance(suite, Suite) else load_suite(suite)
+    told = override(read, robot=robot, policy=policy, trials=trials, record=record)
     check_scenes(told, places.names())
     found = places.match_scenes(told.scenes, told.base, collision=collision)
     check_tiers(told, [scene.name for scene in found])
@@ -63,7 +67,7 @@ def plan(
             f"--scenes {asked} matches no scene of suite {told.name!r}",
             fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
         )
-    bundle = load_bundle(_policy_reference(told, policy), checkpoint=checkpoint)
+    bundle = load_bundle(card or _policy_reference(told, policy), checkpoint=checkpoint)
     bundle = vet_bundle(bundle, told.robot, protocol=told.protocol, allow_code=allow_code)
     return Plan(
         suite=told,

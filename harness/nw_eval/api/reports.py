@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from nw_eval.gate.verdict import Verdict
     from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
 
 _PAGE = 120
 """Columns of text where there is no terminal to ask."""
@@ -36,41 +35,36 @@ class RunReport:
 
 
 def report(run: Path, *, out: Path | None = None) -> RunReport:
-    """Judge a run from its rows, write report.md, and return the verdict.
+    """Judge a run from the rows of its plan, write report.md, and return the verdict.
+
+    What of its rows was not judged, or was damaged and has another copy, is among the reasons.
 
     Raises:
-        StoreError: there is no such run, or the report cannot be written.
+        StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
+    from nw_eval.api.saved_run import saved_suite, saved_trials
     from nw_eval.gate.absolute import judge
     from nw_eval.report.markdown import render_markdown, write_report
+    from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
-    from nw_eval.suite import new_suite
 
     folder = open_run_folder(run)
     info = read_run_info(folder.run_json)
-    rows = _rows(folder)
-    verdict = judge(rows, new_suite(info.suite).gate, info.planned)
+    suite = saved_suite(info)
+    found = read_trials(folder, info, saved_trials(info, suite))
+    rows = found.rows
+    verdict = judge(rows, suite.gate, info.planned)
+    verdict = replace(verdict, reasons=(*verdict.reasons, *found.told))
     shown = _as_typed(folder.path)
     write_report(out or folder.report_md, render_markdown(info, rows, verdict, shown))
     return RunReport(
         folder=folder.path,
         verdict=verdict,
-        rows=tuple(rows),
+        rows=rows,
         interrupted=info.interrupted,
         summary=_summary(info, rows, verdict, shown),
     )
-
-
-def _rows(folder: RunFolder) -> list[Row]:
-    """Return a run's rows: from its Parquet file, or from the journal while there is none."""
-    if folder.trials.is_file():
-        from nw_eval.results.parquet import read_rows
-
-        return read_rows(folder.trials)[0]
-    from nw_eval.results.journal import read_journal
-
-    return list(read_journal(folder.journal).rows)
 
 
 def _as_typed(path: Path) -> Path:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes.terrain.options import Collision
+    from nw_eval.suite import Suite
 
 
 def run(
@@ -61,28 +62,34 @@ def run(
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
+    from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
+    chosen: str | Path | Suite | None = suite
+    card: Path | None = None
     if resume is not None:
         if out is not None:
             raise UsageError("--out and --resume exclude each other", fix="drop --out")
-        settings = session.settings_of(resume)
-        suite = suite or settings.suite
-        robot = robot or settings.robot
-        policy = policy or settings.policy
+        settings = settings_of(resume)
+        asked = settings.suite
+        chosen = suite or asked
+        robot = robot or asked.robot
+        card = None if policy else settings.card
+        policy = policy or asked.policy
         checkpoint = checkpoint or settings.checkpoint
-        trials = trials or settings.trials
+        trials = trials or asked.trials
         scenes = scenes or settings.scenes
         record = record or settings.record
         collision = settings.collision
-    if suite is None:
+    if chosen is None:
         raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
     made = plan(
-        suite,
+        chosen,
         robot=robot,
         policy=policy,
+        card=card,
         checkpoint=checkpoint,
         trials=trials,
         scenes=scenes,

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from nw_eval.engine.cpu import cpu_kind
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, needs_splats, open_backend
 from nw_eval.engine.run import RunOutcome, default_workers, run_trials
 from nw_eval.errors import StoreError
-from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader, has_begun
 from nw_eval.results.machine import code_info, library_versions, machine_info
+from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
@@ -22,7 +24,6 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
@@ -30,51 +31,10 @@ from nw_eval.suite import suite_yaml
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.rollout.job import Backend, Record
+    from nw_eval.rollout.job import Backend
     from nw_eval.scenes.terrain.options import Collision
 
 _REPORTS = "reports"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What an interrupted run was started with."""
-
-    suite: str
-    robot: str
-    policy: str
-    checkpoint: Path | None
-    trials: int
-    scenes: tuple[str, ...]
-    record: Record
-    collision: Collision
-
-
-def settings_of(run: Path) -> Settings:
-    """Return what the run of a folder was started with, to go on with it.
-
-    Raises:
-        StoreError: it is no run's folder.
-    """
-    folder = open_run_folder(run)
-    info = read_run_info(folder.run_json)
-    return Settings(
-        suite=info.suite_file,
-        robot=_said(info, "robot"),
-        policy=info.policy.card,
-        checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
-        trials=_said(info, "trials"),
-        scenes=tuple(info.scenes),
-        record=_said(info, "record"),
-        collision="flex" if info.collision == "flex" else "terrain",
-    )
-
-
-def _said(info: RunInfo, key: str) -> Any:
-    """Return what a run's suite says."""
-    if key not in info.suite:
-        raise StoreError(f"run.json of {info.id}: its suite has no {key!r}", fix="start a new run")
-    return info.suite[key]
 
 
 def run(
@@ -89,6 +49,9 @@ def run(
     listener: Listener | None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
+
+    run.json is written before there is a journal: whatever ends the run from then on, the folder
+    says what it is of, and a folder without a journal's first line is one of which nothing has run.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
@@ -105,15 +68,15 @@ def run(
     # Workers and rows need a path that means the same everywhere.
     folder = RunFolder(path=folder.path.resolve())
     engine = _engine(render)
-    opened = Journal.create if resume is None else Journal.resume
-    earlier = None if resume is None else read_run_info(folder.run_json)
-    with opened(folder.journal, _header(plan, engine)) as journal:
+    info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
+    with _journal(folder, _header(plan, engine), info) as journal:
         if journal.dropped:
             told.message(journal.dropped)
-        info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
-        if earlier is not None:
+        of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
+        if resume is not None:
+            earlier = read_run_info(folder.run_json)
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
-        write_run_info(folder.run_json, info)
+            write_run_info(folder.run_json, info)
         if renders:
             build_splats(plan.scenes, told)
         text = suite_yaml(plan.suite)
@@ -127,8 +90,16 @@ def run(
             workers=workers,
             listener=told,
         )
-        _finish(folder, info, outcome, wall=perf_counter() - began, engine=engine)
+        _finish(folder, plan, info, outcome, wall=perf_counter() - began)
     return folder
+
+
+def _journal(folder: RunFolder, header: JournalHeader, info: RunInfo) -> Journal:
+    """Go on with the folder's journal; if nothing has run, write run.json and start one."""
+    if has_begun(folder.journal):
+        return Journal.resume(folder.journal, header)
+    write_run_info(folder.run_json, info)
+    return Journal.create(folder.journal, header)
 
 
 def _header(plan: Plan, engine: dict[str, str]) -> JournalHeader:
@@ -151,7 +122,7 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
             digest=plan.suite.content_digest,
         )
     folder = RunFolder(path=out)
-    if folder.journal.exists():
+    if has_begun(folder.journal):
         raise StoreError(
             f"{out} already holds a run", fix=f"go on with --resume {out}, or choose another --out"
         )
@@ -179,6 +150,7 @@ def _info(
         id=folder.id,
         started=_now(),
         suite_file=suite.source.file,
+        suite_folder=str(suite.base.resolve()),
         suite=suite.model_dump(by_alias=True, mode="json"),
         suite_digest=suite.digest,
         policy=PolicyInfo(
@@ -202,30 +174,19 @@ def _info(
 
 
 def _finish(
-    folder: RunFolder, info: RunInfo, outcome: RunOutcome, *, wall: float, engine: dict[str, str]
+    folder: RunFolder, plan: Plan, info: RunInfo, outcome: RunOutcome, *, wall: float
 ) -> None:
-    from nw_eval.results.parquet import write_rows
-
-    digest = rows_digest(outcome.rows)
-    metadata: dict[str, Any] = {
-        "run_id": info.id,
-        "suite_digest": info.suite_digest,
-        "git": info.code.commit,
-        "code_digest": info.code.digest,
-        "engine": f"mujoco {engine['mujoco']}",
-        "renderer": info.renderer,
-        "rows_digest": digest,
-    }
-    write_rows(folder.trials, outcome.rows, metadata)
+    """Write the rows of the plan, and what run.json is to say of them."""
+    rows, _ = of_plan(outcome.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
+    ended = write_trials(folder, info, rows)
     write_run_info(
         folder.run_json,
-        info.model_copy(
+        ended.model_copy(
             update={
                 "finished": _now(),
                 # A run that was resumed cost what all its sessions did.
                 "wall_s": info.wall_s + wall,
                 "interrupted": outcome.interrupted is not None,
-                "rows_digest": digest,
             }
         ),
     )
@@ -253,6 +214,7 @@ def _engine(render: Backend) -> dict[str, str]:
     return {
         **{name: versions[name] for name in kept if name in versions},
         "renderer": f"{render} gsplat-1.5",
+        "cpu": cpu_kind(),
         "code": code_info().digest[:16],
     }
 

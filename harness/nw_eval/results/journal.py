@@ -1,11 +1,13 @@
 """The journal of a run: one JSON line per finished trial, on disk before the next one starts.
 
-    {"journal": 1, "suite_digest": ..., "policy_digest": ..., "scene_digests": {...}, ...}
-    {"row": {...}}
-    {"row": {...}}
+    {"journal": 2, "suite_digest": ..., "policy_digest": ..., ..., "sum": ...}
+    {"row": {...}, "sum": ...}
+    {"row": {...}, "sum": ...}
 
 A run that is killed at any moment loses the trials in flight and nothing else. A line that was torn
-by the kill is dropped when the journal is read, and cut off before the next line is written.
+by the kill is dropped when the journal is read, and cut off before the next line is written. Every
+line's sum covers the line and the sum before it (`seal`): a line that was changed, left out,
+repeated or exchanged is an error, never another result.
 """
 
 from __future__ import annotations
@@ -14,13 +16,20 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from errno import ENOENT
 from pathlib import Path
 from typing import IO, Any, Self
 
+from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.results.durable import sync_folder
 from nw_eval.results.row import Row, from_dict, to_dict
+from nw_eval.results.seal import seal, unseal
 
-_VERSION = 1
+_VERSION = 2
+_MOST = 256 * 2**20
+"""Bytes of a journal that is read: some 200,000 trials."""
+_LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +70,7 @@ class JournalContents:
     rows: tuple[Row, ...]
     dropped: str | None = None  # A sentence about a torn last line.
     good_bytes: int = 0  # Length of the file up to the last whole line.
+    last_sum: str = ""  # Of that line, which the next one's covers.
 
 
 class Journal:
@@ -71,24 +81,28 @@ class Journal:
         self.dropped: str | None = None
         self._handle = handle
         self._rows = dict(rows)
+        self._last_sum = ""
 
     @classmethod
     def create(cls, path: Path, header: JournalHeader) -> Self:
-        """Start a journal.
+        """Start a journal, also where the start of an earlier one was cut off in its first line.
 
         Raises:
             StoreError: there is one already, or the folder cannot be written.
         """
-        if path.exists():
-            raise StoreError(f"{path} exists already", fix="go on with --resume")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle = path.open("xb", buffering=0)
+            handle = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0)
         except OSError as error:
             raise _unwritable(path, error) from error
         journal = cls(path, handle, {})
-        journal._lock()
-        journal._write({"journal": _VERSION, **asdict(header)})
+        try:
+            journal._lock()
+            journal._begin(header)
+        except BaseException:
+            handle.close()
+            raise
+        sync_folder(path.parent)
         return journal
 
     @classmethod
@@ -147,9 +161,13 @@ class Journal:
     def _write(self, record: Mapping[str, Any]) -> None:
         if self._handle.closed:
             raise StoreError(f"journal {self.path} is closed", fix="append within its `with` block")
-        line = json.dumps(record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        text = json.dumps(record, separators=(",", ":"), allow_nan=False)
+        sealed, last_sum = seal(text, self._last_sum)
+        line = sealed.encode()
         before = self._handle.tell()
         try:
+            if os.fstat(self._handle.fileno()).st_nlink == 0:
+                raise FileNotFoundError(ENOENT, "it was removed while the run went on")
             written = 0
             while written < len(line):
                 written += self._handle.write(line[written:])
@@ -162,6 +180,14 @@ class Journal:
             except OSError:
                 pass
             raise _unwritable(self.path, error) from error
+        self._last_sum = last_sum
+
+    def _begin(self, header: JournalHeader) -> None:
+        """Write the first line over whatever a torn start has left."""
+        if has_begun(self.path):
+            raise StoreError(f"{self.path} exists already", fix="go on with --resume")
+        self._handle.truncate(0)
+        self._write({"journal": _VERSION, **asdict(header)})
 
     def _take_up(self, contents: JournalContents, header: JournalHeader) -> None:
         """Stand at the end of what is whole, with its rows, if it is of the same run."""
@@ -172,6 +198,7 @@ class Journal:
             )
         self._rows = {row.trial_id: row for row in contents.rows}
         self.dropped = contents.dropped
+        self._last_sum = contents.last_sum
         self._handle.truncate(contents.good_bytes)
         self._handle.seek(0, os.SEEK_END)
         known = contents.header.scene_digests
@@ -190,56 +217,93 @@ class Journal:
             ) from None
 
 
+def has_begun(path: Path) -> bool:
+    """Say whether a journal has its first line, without which it holds nothing to go on with.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.readline(_LONGEST_LINE).endswith(b"\n")
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+
+
 def read_journal(path: Path) -> JournalContents:
     """Read a journal, whether its run has ended or not.
 
     Raises:
-        StoreError: it is missing, or damaged before its last line.
+        StoreError: it is missing, too large, or damaged before its last line.
     """
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise StoreError(f"no journal at {path}", fix="name the folder of a run") from None
+        if not path.is_file():
+            raise StoreError(f"no journal at {path}", fix="name the folder of a run")
+        if path.stat().st_size > _MOST:
+            raise StoreError(f"{path} has over {_MOST // 2**20} MiB", fix="check what it is")
+        with path.open("rb") as stream:
+            return _read(path, stream)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+
+
+def _read(path: Path, stream: IO[bytes]) -> JournalContents:
     header: JournalHeader | None = None
     rows: dict[str, Row] = {}
     dropped: str | None = None
-    good = 0
-    lines = data.splitlines(keepends=True)
-    for number, line in enumerate(lines, start=1):
+    good, last_sum = 0, ""
+    for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
+        place = f"{path}:{number}"
+        if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
+            dropped = f"{place}: dropped a line that was cut off after {len(line)} bytes"
+            break  # Only the last line can lack its end.
         try:
-            record = _record(line)
-        except (ValueError, TypeError, KeyError) as error:
-            if number < len(lines) or header is None:
-                raise StoreError(
-                    f"{path}:{number}: damaged ({error})", fix="delete the run folder and run again"
-                ) from None
-            dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
-            break
+            record, last_sum = _record(line, last_sum)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise StoreError(f"{place}: damaged ({clean(error)})", fix=_mend(number)) from None
         if isinstance(record, Row):
             rows[record.trial_id] = _later(rows.get(record.trial_id), record, path)
         else:
             header = record
         good += len(line)
     if header is None:
-        raise StoreError(f"{path} is empty", fix="delete the run folder and run again")
+        raise StoreError(f"{path} is empty", fix="start the run again; nothing of it is lost")
     return JournalContents(
-        header=header, rows=tuple(rows.values()), dropped=dropped, good_bytes=good
+        header=header,
+        rows=tuple(rows.values()),
+        dropped=dropped,
+        good_bytes=good,
+        last_sum=last_sum,
     )
 
 
-def _record(line: bytes) -> Row | JournalHeader:
-    if not line.endswith(b"\n"):
-        raise ValueError("the line has no end")
-    record = json.loads(line)
-    return from_dict(record["row"]) if "row" in record else _header(record)
+def _mend(number: int) -> str:
+    if number == 1:
+        return "start a new run"
+    return f"keep the {number - 1} lines before it (`head -n`), and --resume runs the others again"
+
+
+def _record(line: bytes, last_sum: str) -> tuple[Row | JournalHeader, str]:
+    if line.startswith(b'{"journal":1,'):
+        raise ValueError(f"journal version 1, this nw-eval reads {_VERSION}")
+    body, last_sum = unseal(line, last_sum)
+    record = json.loads(body)
+    if "row" not in record:
+        return _header(record), last_sum
+    return from_dict(record["row"]), last_sum
 
 
 def _header(record: dict[str, Any]) -> JournalHeader:
     version = record.pop("journal")
     if version != _VERSION:
         raise ValueError(f"journal version {version}, this nw-eval reads {_VERSION}")
+    texts = (record["suite_digest"], record["policy_digest"])
+    tables = (record["scene_digests"], record["engine"])
+    values = (*texts, *(text for table in tables for pair in table.items() for text in pair))
+    if not all(isinstance(value, str) for value in values):
+        raise ValueError("a digest or a version is no text")
     return JournalHeader(**record)
 
 

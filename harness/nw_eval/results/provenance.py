@@ -8,11 +8,17 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nw_eval.cache import atomic_path
+from nw_eval.clean import clean
 from nw_eval.errors import StoreError
+from nw_eval.results.durable import bounded_bytes, sync_folder
+from nw_eval.results.seal import seal, unseal
+
+_MOST = 16 * 2**20
+"""Bytes of a run.json that is read: some 50,000 scenes."""
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class SceneInfo(_Model):
@@ -20,7 +26,7 @@ class SceneInfo(_Model):
 
     digest: str
     task: str
-    trials: int  # Planned.
+    trials: int = Field(ge=0)  # Planned.
 
 
 class PolicyInfo(_Model):
@@ -61,9 +67,10 @@ class RunInfo(_Model):
     id: str
     started: str
     finished: str | None = None
-    wall_s: float = 0.0
+    wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
     suite_file: str
+    suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
     suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
     suite_digest: str
     policy: PolicyInfo
@@ -75,7 +82,8 @@ class RunInfo(_Model):
     code: CodeInfo
     machine: MachineInfo
     versions: dict[str, str] = {}
-    rows_digest: str = ""
+    rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
+    trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
 
     @property
     def planned(self) -> dict[str, int]:
@@ -84,14 +92,15 @@ class RunInfo(_Model):
 
 
 def write_run_info(path: Path, info: RunInfo) -> None:
-    """Write run.json, whole or not at all.
+    """Write run.json with its checksum, whole or not at all.
 
     Raises:
         StoreError: it cannot be written.
     """
     try:
         with atomic_path(path) as temporary:
-            temporary.write_text(info.model_dump_json(indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(seal(info.model_dump_json(indent=2))[0], encoding="utf-8")
+        sync_folder(path.parent)
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error.strerror or error}",
@@ -105,8 +114,11 @@ def read_run_info(path: Path) -> RunInfo:
     Raises:
         StoreError: it is missing or damaged.
     """
+    fix = "run again or restore it"
     try:
-        return RunInfo.model_validate_json(path.read_bytes())
+        data = bounded_bytes(path, _MOST)
+        info = RunInfo.model_validate_json(data)
+        unseal(data)
     except FileNotFoundError:
         raise StoreError(f"no run at {path.parent}", fix="name a folder with a run.json") from None
     except OSError as error:
@@ -114,6 +126,8 @@ def read_run_info(path: Path) -> RunInfo:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise StoreError(
-            f"{path} is damaged: {place}: {first['msg'].lower()}", fix="run again or restore it"
-        ) from None
+        said = clean(f"{place}: {first['msg'].lower()}", at_most=300)
+        raise StoreError(f"{path} is damaged: {said}", fix=fix) from None
+    except ValueError as error:
+        raise StoreError(f"{path} is damaged: {error}", fix=fix) from None
+    return info

@@ -8,8 +8,10 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from hashlib import sha256
+from types import NoneType
 from typing import Any, Literal, get_args
 
+from nw_eval.clean import LONGEST, clean
 from nw_eval.words import FAULTS, OUTCOMES, Fault, Outcome
 
 Arm = Literal["candidate", "baseline"]
@@ -39,6 +41,11 @@ class Row:
     `fraction` is the share of the trail's waypoints reached; None for a trial that did not run to
     a result, so that nobody averages it in. Every `*_s` but `sim_s` and `contact_s` is wall time of
     that stage; `wall_s` is all of the trial, stages not named here included.
+
+    Texts may be a policy's or a file's: every one is made harmless and short (`clean.clean`).
+
+    Raises:
+        ValueError: a value is of the wrong type, too large, or contradicts another one.
     """
 
     trial_id: str
@@ -83,11 +90,15 @@ class Row:
     contact_s: float = 0.0  # Simulated time during which head or trunk collided.
 
     def __post_init__(self) -> None:
-        times = tuple(struct.unpack("f", struct.pack("f", t))[0] for t in self.waypoint_times)
-        object.__setattr__(self, "waypoint_times", times)
-        fault = _fault(self)
+        fault = _mistyped(self)
+        if fault is None:
+            for name in _TEXTS:
+                object.__setattr__(self, name, _harmless(getattr(self, name)))
+            times = tuple(struct.unpack("f", struct.pack("f", t))[0] for t in self.waypoint_times)
+            object.__setattr__(self, "waypoint_times", times)
+            fault = _fault(self) or _boundless(self)
         if fault is not None:
-            raise ValueError(f"row of trial {self.trial_id!r}: {fault}")
+            raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
 
     @property
     def digest(self) -> str:
@@ -101,6 +112,57 @@ class Row:
             kept["error_text"] = ""
         text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return sha256(text.encode()).hexdigest()
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "str": str,
+    "int": int,
+    "bool": bool,
+    "float": (float, int),
+    "float | None": (float, int, NoneType),
+}
+_TYPES = {field.name: _KINDS.get(str(field.type)) or str for field in fields(Row)} | {
+    "perturbation": tuple,
+    "waypoint_times": tuple,
+}
+"""What a value may be, by column; the words of a Literal are texts."""
+
+_TEXTS = tuple(name for name, kind in _TYPES.items() if kind is str)
+_INTEGERS = tuple(name for name, kind in _TYPES.items() if kind is int)
+_NUMBERS = tuple(name for name, kind in _TYPES.items() if kind not in {str, int, bool, tuple})
+_WIDE = {"seed": 64, "mcap_bytes": 63}  # bits; all other integers have 31
+
+
+def _mistyped(row: Row) -> str | None:
+    """Return which column holds a value of the wrong type, or None."""
+    for name, kind in _TYPES.items():
+        value = getattr(row, name)
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            return f"{name} is {clean(repr(value), at_most=60)}"
+    return None
+
+
+def _boundless(row: Row) -> str | None:
+    """Return which number no file of rows can hold, or None."""
+    for name in _INTEGERS:
+        if not 0 <= getattr(row, name) < 2 ** _WIDE.get(name, 31):
+            return f"{name} is {clean(getattr(row, name), at_most=30)}"
+    numbers = [(name, getattr(row, name)) for name in _NUMBERS]
+    numbers += [("waypoint_times", time) for time in row.waypoint_times]
+    numbers += row.perturbation
+    for name, number in numbers:
+        if number is not None and not math.isfinite(number):
+            return f"{clean(name, at_most=60)} is not finite"
+    return None
+
+
+def _harmless(text: str) -> str:
+    """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
+    is_plain = text.isprintable() and not text.startswith("::") and "##[" not in text
+    return text if is_plain and len(text) <= LONGEST + _LONGEST_MARK else clean(text)
+
+
+_LONGEST_MARK = 60  # characters with which `clean` tells what it cut
 
 
 def _fault(row: Row) -> str | None:
@@ -139,14 +201,14 @@ def from_dict(values: dict[str, Any]) -> Row:
     """
     known = {field.name for field in fields(Row)}
     if unknown := sorted(set(values) - known):
-        raise ValueError(f"unknown columns {', '.join(unknown)}")
+        raise ValueError(f"unknown columns {clean(', '.join(map(str, unknown)), at_most=200)}")
     try:
         plain: dict[str, Any] = dict(values)
         plain["perturbation"] = tuple((str(a), float(v)) for a, v in values["perturbation"] or ())
         plain["waypoint_times"] = tuple(values["waypoint_times"] or ())
         return Row(**plain)
-    except (KeyError, TypeError, struct.error) as error:
-        raise ValueError(str(error)) from error
+    except (KeyError, TypeError, OverflowError, struct.error) as error:
+        raise ValueError(clean(error)) from error
 
 
 def rows_digest(rows: Iterable[Row]) -> str:

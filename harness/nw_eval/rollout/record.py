@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval import __version__
+from nw_eval.clean import clean
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
-from nw_eval.suite.trials import Trial
+from nw_eval.suite.trials import MAX_TRIALS, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.result import TrialResult
 
 TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
+
+_LONGEST = 600.0  # s; as `suite.model.Episode` allows
 
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
 _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
@@ -65,14 +69,33 @@ def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
         ValueError: the metadata is damaged or of another version.
     """
     try:
-        return TypeAdapter(TrialJob).validate_python(_kept(json.loads(metadata["job"])))
+        job = TypeAdapter(TrialJob).validate_python(_kept(json.loads(metadata["job"])))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "job"
-        said = f"{place}: {first['msg'].lower()}"
-    except (AttributeError, KeyError, ValueError, RecursionError) as error:
-        said = repr(error)
+        said = clean(f"{place}: {first['msg'].lower()}", at_most=200)
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        said = clean(repr(error), at_most=200)
+    else:
+        said = _fault(job)
+        if said is None:
+            return job
     raise ValueError(f"its metadata {TRIAL!r} is damaged: {said}")
+
+
+def _fault(job: TrialJob) -> str | None:
+    """Return which number of a job no suite could have given, or None."""
+    trial = job.trial
+    if not 0.0 < job.duration <= _LONGEST:
+        return f"duration: {job.duration} s is not between 0 and {_LONGEST:g}"
+    if not 0 <= trial.index < MAX_TRIALS:
+        return f"trial.index: {clean(trial.index, at_most=30)} is not between 0 and {MAX_TRIALS}"
+    if not 0 <= trial.suite_seed < 2**63:
+        return f"trial.suite_seed: {clean(trial.suite_seed, at_most=30)} does not fit 63 bits"
+    for axis, value in trial.perturbation:
+        if not math.isfinite(value):
+            return f"trial.perturbation: {clean(axis, at_most=30)} is {value}"
+    return None
 
 
 def _kept(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,7 +114,7 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
         "outcome": result.outcome or "",
         "end_reason": result.end_reason,
         "error_type": result.error_type or "",
-        "error_text": result.error_text,
+        "error_text": clean(result.error_text),
         "waypoints_reached": str(result.waypoints_reached),
         "waypoints_total": str(result.waypoints_total),
         "steps": str(result.steps),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import PolicyError, StoreError
+from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import TrialJob
@@ -118,9 +119,12 @@ def replay(
         StoreError: the log cannot be read, or has no state that early.
         PolicyError: the bundle is missing, is not the one that was recorded, or needs the caller's
             word.
-        SceneError, UsageError: the scene is missing, or has changed.
+        SceneError, UsageError: the scene is missing, or has changed; `start` is negative or no
+            number.
         TrialError: the recorded state does not fit.
     """
+    if not 0.0 <= start < math.inf:
+        raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
     recording = read_recording(path)
     recorded, library = recording.job, library or Library()
     job = replace(

@@ -33,6 +33,7 @@ class Source:
     """
 
     file: str = field(default="<suite>", compare=False)
+    folder: Path | None = field(default=None, compare=False)  # where it is, if `file` cannot say
     places: Mapping[tuple[str | int, ...], tuple[int, int]] = field(
         default_factory=dict, compare=False
     )
@@ -169,7 +170,7 @@ class Suite(_Strict):
     @property
     def base(self) -> Path:
         """The folder that relative scene and policy paths of the file start from."""
-        return Path(self._source.file).parent
+        return self._source.folder or Path(self._source.file).parent
 
     @property
     def digest(self) -> str:

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from nw_eval.suite.model import Suite
 
 
+MAX_TRIALS = 1_000_000
+"""Most trials of one run; more is a slip of the pen."""
+
+
 class SceneLike(Protocol):
     """What a scene must tell to be part of a trial's identity."""
 
@@ -89,8 +93,14 @@ def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
     A run that is cut short has so met every scene about equally often.
 
     Raises:
-        UsageError: two scenes would give trials of one name.
+        UsageError: there are over `MAX_TRIALS`, or two scenes would give trials of one name.
     """
+    cells = suite.perturb.cells
+    if (total := suite.trials * len(cells) * len(scenes)) > MAX_TRIALS:
+        raise UsageError(
+            f"suite {suite.name!r} has {total} trials, over {MAX_TRIALS}",
+            fix="lower `trials`, or name fewer scenes or perturbations",
+        )
     digest = suite.digest
     trials = tuple(
         Trial(
@@ -104,7 +114,7 @@ def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
             perturbation=cell,
         )
         for index in range(suite.trials)
-        for cell in suite.perturb.cells
+        for cell in cells
         for scene in scenes
     )
     owners: dict[str, str] = {}

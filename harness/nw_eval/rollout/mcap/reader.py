@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import stat
+import struct
 from contextlib import contextmanager
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image as PillowImage
+from zstandard import ZstdError
 
+from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.rollout.mcap.messages import SimState
+from nw_eval.rollout.mcap.messages import Event, PolicyStep, SimState
+from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, attached, logged, texts
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping
@@ -21,12 +32,45 @@ if TYPE_CHECKING:
 
 Pose = tuple[np.ndarray, np.ndarray]
 
+_WRITTEN: tuple[Any, ...] = (
+    CameraCalibration,
+    CompressedImage,
+    Event,
+    FrameTransforms,
+    JointStates,
+    Log,
+    PolicyStep,
+    PoseInFrame,
+    SceneUpdate,
+    SimState,
+)
+_KINDS: dict[str, Any] = {kind.DESCRIPTOR.full_name: kind for kind in _WRITTEN}
+"""What logs hold, by name. A log's own schemas are for other programs; here nobody builds them."""
+
+_MOST_KEPT = 256 * 2**20  # bytes of texts, attachments or states that are returned at once
+_MOST_PIXELS = 4096 * 4096
+# What a damaged file may cause in the libraries that read it.
+_DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    DecodeError,
+    EOFError,
+    LookupError,
+    McapError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    ZstdError,
+    struct.error,
+)
+
 
 class LogReader:
     """A finished log. Every method opens the file anew, so readers hold nothing.
 
     Raises:
-        StoreError: (every method) the file is missing, cut off or no log.
+        StoreError: (every method) the file is missing, cut off, damaged or no log.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,68 +78,107 @@ class LogReader:
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the records of texts by name, such as `nw.trial` and `nw.verdict`."""
-        with self._open() as reader:
-            return {record.name: dict(record.metadata) for record in reader.iter_metadata()}
+        with self._open() as stream:
+            return {record.name: dict(record.metadata) for record in texts(stream)}
 
     def attachments(self) -> dict[str, bytes]:
         """Return attached files by name, such as `suite.yaml`."""
-        with self._open() as reader:
-            return {record.name: record.data for record in reader.iter_attachments()}
+        with self._open() as stream:
+            found: dict[str, bytes] = {}
+            for record in attached(stream):
+                found[record.name] = record.data
+                _bound(sum(map(len, found.values())))
+            return found
 
     def topics(self) -> dict[str, int]:
         """Return the number of messages of every topic."""
-        with self._open() as reader:
-            summary = reader.get_summary()
-            if summary is None or summary.statistics is None:
-                raise StoreError(f"{self.path} has no summary", fix="run `mcap recover` on it")
-            counts = summary.statistics.channel_message_counts
-            return {c.topic: counts.get(c.id, 0) for c in summary.channels.values()}
+        counts: dict[str, int] = {}
+        with self._open() as stream:
+            for message in logged(stream):
+                counts[message.topic] = counts.get(message.topic, 0) + 1
+        return counts
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time in ns, decoded message) in order of time; all topics if none named."""
-        with self._open() as reader:
-            for decoded in reader.iter_decoded_messages(topics=topics or None):
-                yield (
-                    decoded.channel.topic,
-                    decoded.message.log_time,
-                    decoded.decoded_message,
-                )
+        with self._open() as stream:
+            for message in logged(stream, topics):
+                yield message.topic, message.time_ns, _decoded(message)
 
     def states(self) -> tuple[Any, ...]:
         """Return the restartable states (`nw.SimState`), oldest first."""
-        with self._open() as reader:
-            found = reader.iter_messages(topics=["/nw/state"])
-            return tuple(SimState.FromString(message.data) for _, _, message in found)
+        found: list[Any] = []
+        total = 0
+        with self._open() as stream:
+            for message in logged(stream, ("/nw/state",)):
+                _bound(total := total + len(message.data))
+                found.append(SimState.FromString(message.data))
+        return tuple(found)
 
     def frames(self, camera: str = "ego") -> Iterator[tuple[float, np.ndarray]]:
         """Yield (time in s, image (H, W, 3) uint8) of a camera; none if they were not kept."""
         for _, time_ns, message in self.messages(f"/camera/{camera}"):
-            with PillowImage.open(BytesIO(message.data)) as image:
-                yield time_ns * 1e-9, np.asarray(image.convert("RGB"))
+            with self._damage_is_told():
+                frame = _picture(message.data)
+            yield time_ns * 1e-9, frame
 
     def poses(self) -> Iterator[tuple[float, Mapping[str, Pose]]]:
         """Yield (time in s, frame name to position (3,) m and quaternion wxyz in the world)."""
         for _, time_ns, message in self.messages("/tf"):
-            poses: dict[str, Pose] = {}
-            for entry in message.transforms:
-                p, q = entry.translation, entry.rotation
-                poses[entry.child_frame_id] = (
-                    np.array([p.x, p.y, p.z]),
-                    np.array([q.w, q.x, q.y, q.z]),
-                )
+            with self._damage_is_told():
+                poses: dict[str, Pose] = {}
+                for entry in message.transforms:
+                    p, q = entry.translation, entry.rotation
+                    poses[entry.child_frame_id] = (
+                        np.array([p.x, p.y, p.z]),
+                        np.array([q.w, q.x, q.y, q.z]),
+                    )
             yield time_ns * 1e-9, poses
 
     @contextmanager
-    def _open(self) -> Generator[McapReader]:
-        try:
+    def _open(self) -> Generator[IO[bytes]]:
+        with self._damage_is_told():
+            # A pipe or a device may never end, and a pipe may never begin.
+            if not stat.S_ISREG(self.path.stat().st_mode):
+                raise ValueError("it is no file")
             with self.path.open("rb") as stream:
-                yield make_reader(stream, decoder_factories=[DecoderFactory()])
+                yield stream
+
+    @contextmanager
+    def _damage_is_told(self) -> Generator[None]:
+        try:
+            yield
         except OSError as error:
             raise StoreError(
-                f"cannot read {self.path}: {error.strerror or error}", fix="check the path"
+                f"cannot read {self.path}: {error.strerror or clean(error)}", fix="check the path"
             ) from error
-        except (McapError, ValueError, EOFError) as error:
+        except _DAMAGE as error:
+            said = clean(error, at_most=200) or type(error).__name__
             raise StoreError(
-                f"{self.path} is damaged or no log of nw-eval: {error}",
+                f"{self.path} is damaged or no log of nw-eval: {said}",
                 fix="run the trial again, or save what is left with `mcap recover`",
             ) from error
+
+
+def _decoded(message: LoggedMessage) -> Any:
+    kind = _KINDS.get(message.kind)
+    if kind is None:
+        raise ValueError(f"{clean(message.topic, at_most=60)} has messages of an unknown kind")
+    if len(message.data) > MOST_MESSAGE:
+        raise ValueError(f"a message has over {MOST_MESSAGE // 2**20} MiB")
+    return kind.FromString(message.data)
+
+
+def _picture(data: bytes) -> np.ndarray:
+    """Return a JPEG's pixels, (H, W, 3) uint8."""
+    try:
+        with PillowImage.open(BytesIO(data), formats=("JPEG",)) as image:
+            if image.width * image.height > _MOST_PIXELS:
+                raise ValueError(f"a picture has {image.width} x {image.height} pixels")
+            return np.asarray(image.convert("RGB"))
+    except (OSError, PillowImage.DecompressionBombError) as error:
+        raise ValueError(f"a picture is damaged: {clean(error, at_most=100)}") from None
+
+
+def _bound(size: int) -> None:
+    if size > _MOST_KEPT:
+        raise ValueError(f"it has over {_MOST_KEPT // 2**20} MiB of states or attachments")

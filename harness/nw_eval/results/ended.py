@@ -1,0 +1,142 @@
+"""A run's rows, from whichever of its two copies is whole: the journal, and the Parquet file.
+
+The journal has every row from the moment on which its trial ended. trials.parquet has those that
+are judged, once the run has ended, and run.json has the digests of both. A copy that is damaged
+costs nothing while the other is whole; what neither can show is no result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from hashlib import file_digest
+
+from nw_eval.errors import StoreError
+from nw_eval.results.journal import read_journal
+from nw_eval.results.planned import PlannedTrial, of_plan
+from nw_eval.results.provenance import RunInfo, write_run_info
+from nw_eval.results.row import Row, rows_digest
+from nw_eval.results.run_folder import RunFolder
+
+_NAMED = 3  # trials that a sentence names before it says "and more"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRows:
+    """The rows of a run that may be judged."""
+
+    rows: tuple[Row, ...]
+    told: tuple[str, ...]  # Sentences: what was left out, what was damaged.
+
+
+def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunInfo:
+    """Write the rows that are judged to trials.parquet, and return what run.json is to say.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    from nw_eval.results.parquet import write_rows
+
+    kept = list(rows)
+    ended = info.model_copy(update={"rows_digest": rows_digest(kept)})
+    metadata = {
+        "run_id": ended.id,
+        "suite_digest": ended.suite_digest,
+        "git": ended.code.commit,
+        "code_digest": ended.code.digest,
+        "engine": f"mujoco {ended.versions.get('mujoco', 'unknown')}",
+        "renderer": ended.renderer,
+        "rows_digest": ended.rows_digest,
+    }
+    write_rows(folder.trials, kept, metadata)
+    return ended.model_copy(update={"trials_sha256": _sha256(folder)})
+
+
+def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> RunRows:
+    """Return the rows of a run's planned trials; writes trials.parquet again if it is damaged.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        trials: its plan.
+
+    Raises:
+        StoreError: neither copy of the rows is whole, or what is there is of another run.
+    """
+    told: list[str] = []
+    try:
+        contents = read_journal(folder.journal)
+        rows, others = _checked(contents.rows, info, trials, folder.journal.name)
+    except StoreError as error:
+        if not info.rows_digest:
+            raise
+        rows = _from_parquet(folder, info, trials, error)
+        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error.said}",))
+    if contents.dropped:
+        told.append(contents.dropped)
+    if others:
+        told.append(_left_out(others))
+    if info.rows_digest:
+        told += _mended(folder, info, rows)
+    return RunRows(rows=tuple(rows), told=tuple(told))
+
+
+def _from_parquet(
+    folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial], fault: StoreError
+) -> list[Row]:
+    try:
+        return _parquet(folder, info, trials)
+    except StoreError as error:
+        raise StoreError(f"{fault.said}; and {error}") from None
+
+
+def _parquet(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> list[Row]:
+    from nw_eval.results.parquet_apart import read_rows_apart
+
+    return _checked(read_rows_apart(folder.trials), info, trials, folder.trials.name)[0]
+
+
+def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
+    """Write trials.parquet again if it is not the file that run.json means; tell of it."""
+    if _sha256(folder) == info.trials_sha256:
+        return []
+    fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
+    try:
+        again = write_trials(folder, info, rows)
+        if again != info:  # Another version of Arrow writes the same rows as other bytes.
+            write_run_info(folder.run_json, again)
+    except StoreError as error:
+        return [f"judged from the journal: {fault}; {error.said}"]
+    return [f"judged from the journal, and trials.parquet written again from it: {fault}"]
+
+
+def _sha256(folder: RunFolder) -> str:
+    """Return the hex digest of trials.parquet; empty if there is no such file."""
+    try:
+        with folder.trials.open("rb") as stream:
+            return file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+def _checked(
+    rows: Iterable[Row], info: RunInfo, trials: Sequence[PlannedTrial], name: str
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of the plan, and the others, if run.json says so too."""
+    mine, others = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
+    if info.rows_digest not in {"", rows_digest(mine)}:
+        raise StoreError(
+            f"{name} has other rows than run.json says "
+            f"({rows_digest(mine)[:8]}, not {info.rows_digest[:8]})",
+            fix="--resume completes the run, or start a new one",
+        )
+    return mine, others
+
+
+def _left_out(rows: Sequence[Row]) -> str:
+    names = [row.trial_id for row in rows]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return (
+        f"not judged, because the run does not plan their trials: {len(names)} rows of the journal "
+        f"({', '.join(names[:_NAMED])}{more})"
+    )

@@ -1,0 +1,52 @@
+"""A checksum as the last key of a JSON object, so that damage is seen before a value is believed.
+
+    {"row": {...}, "sum": "0123456789abcdef"}
+
+It covers every byte before it, and whatever stood before the object, if the caller says so: lines
+that are chained in this way cannot be left out, repeated or exchanged without notice. It is no
+signature: whoever can write the file can write its sums.
+"""
+
+from __future__ import annotations
+
+import re
+from hashlib import sha256
+
+_DIGITS = 16
+_END = re.compile(rb',\s{0,3}"sum": ?"([0-9a-f]{16})"\n?\}\n?\Z')
+_LONGEST_END = 64  # bytes, which is more than `_END` can match
+
+
+def seal(text: str, before: str = "") -> tuple[str, str]:
+    """Return a JSON object with its sum as the last key, and the sum.
+
+    Args:
+        text: one object with at least one key, in one line or indented by two spaces.
+        before: the sum of what stands before it.
+    """
+    head = text.rstrip()[:-1].rstrip()
+    value = _sum(head.encode(), before)
+    if "\n" in text:
+        return f'{head},\n  "sum": "{value}"\n}}\n', value
+    return f'{head},"sum":"{value}"}}\n', value
+
+
+def unseal(data: bytes, before: str = "") -> tuple[bytes, str]:
+    """Return a JSON object without its sum, and the sum.
+
+    Raises:
+        ValueError: the sum is missing, or is that of other bytes.
+    """
+    start = max(0, len(data) - _LONGEST_END)
+    found = _END.search(data[start:])
+    if found is None:
+        raise ValueError("its checksum is missing")
+    head = data[: start + found.start()]
+    told, actual = found.group(1).decode(), _sum(head, before)
+    if told != actual:
+        raise ValueError(f"its checksum is {told}, what it holds gives {actual}")
+    return head + b"}", told
+
+
+def _sum(head: bytes, before: str) -> str:
+    return sha256(before.encode() + head).hexdigest()[:_DIGITS]
