@@ -46,6 +46,7 @@ class Settings:
     checkpoint: Path | None
     trials: int
     scenes: tuple[str, ...]
+    seed: int
     record: Record
     collision: Collision
 
@@ -65,6 +66,7 @@ def settings_of(run: Path) -> Settings:
         checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
         trials=_said(info, "trials"),
         scenes=tuple(info.scenes),
+        seed=_said(info, "seed"),
         record=_said(info, "record"),
         collision="flex" if info.collision == "flex" else "terrain",
     )

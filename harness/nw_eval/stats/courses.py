@@ -56,7 +56,7 @@ def ends(chances: Floats, waypoints: int) -> Floats:
 
 
 def chances_at(courses: list[Course], mean: float) -> Floats:
-    """Return the chances, shape (S,), of a policy whose success, scenes weighted equally, is `mean`.
+    """Return the chances, shape (S,), of a policy whose success is `mean`, scenes weighted equally.
 
     The odds of all scenes as seen are multiplied by the one factor that gives this mean.
 
