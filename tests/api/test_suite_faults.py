@@ -39,7 +39,7 @@ FAULTS = {
     "policy": (
         "policy: stand",
         "policy: stnad",
-        "1: unknown policy 'stnad': no policy, folder or card is called that; did you mean 'stand'?",
+        "1: unknown policy 'stnad': no policy, folder or card is called that; did you mean",
     ),
 }
 

@@ -31,7 +31,7 @@ def promised() -> list[tuple[int, str]]:
     table = README.read_text(encoding="utf-8").split("| code | verdict |")[1].split("\n\n")[0]
     return [
         (int(code), word.strip())
-        for code, word in re.findall(r"^\| (\d+) \|([^|]*)\|", table, re.M)
+        for code, word in re.findall(r"^\| (\d+) \|([^|]*)\|", table, re.MULTILINE)
     ]
 
 

@@ -101,8 +101,8 @@ def open_policy(
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
-    from nw_eval.suite.model import Protocol, Robot
     from nw_eval.rollout.vetting import vet_bundle
+    from nw_eval.suite.model import Protocol, Robot
 
     own = draft.text("policy")
     if given is None and own is None:

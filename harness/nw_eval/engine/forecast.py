@@ -45,10 +45,10 @@ def forecast(
     minutes = (_START + each * len(trials) / count) / 60.0
     width = max(len(scene.name) for scene in scenes)
     per_scene = len(trials) // len(scenes)
+    panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
-        f"panel     {suite.digest[:16]}: protocol {suite.protocol}, robot {suite.robot}, "
-        f"seed {suite.seed}, {duration:g} s",
+        f"panel     {suite.digest[:16]}: {panel}",
         "          suites of one panel meet the same starts in a scene",
         f"gate      {_gate(suite)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",

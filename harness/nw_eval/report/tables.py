@@ -66,9 +66,9 @@ def scenes_table(verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"trials", "success"}),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
-        "that reached all. Each interval is for its scene alone: of many, some miss. That of success "
-        "is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses neither, but "
-        "bounds that hold for any distribution.",
+        "that reached all. Each interval is for its scene alone: of many, some miss. That of "
+        "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
+        "neither, but bounds that hold for any distribution.",
     )
 
 

@@ -1,4 +1,4 @@
-"""A policy in a scene as a chance: that of reaching the next waypoint, each time it sets out for it.
+"""A policy in a scene as a chance: that of reaching the next waypoint, whichever it is.
 
 With chance p a trial ends after j of k waypoints with probability p^j (1 - p), and reaches all with
 p^k. That is the simplest account of rows whose success is a share of waypoints reached in order; it

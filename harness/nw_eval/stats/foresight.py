@@ -73,9 +73,10 @@ def _judge(
     parts: list[list[NDArray[np.int64]]], courses: list[Course], bar: float, confidence: float
 ) -> Shares:
     """Return how many runs pass and are convicted; a run's counts are the sum of its parts."""
-    counts = [sum(part) for part in zip(*parts, strict=True)]
+    counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
     trials = [int(ended[0].sum()) for ended in counts]
-    above, below, condemned = 0.0, 0.0, np.zeros(len(counts[0]), dtype=bool)
+    above = below = np.zeros(1)
+    condemned = np.zeros(len(counts[0]), dtype=bool)
     level = -log(1.0 - confidence)
     stricter = level + log(max(1, sum(course.alone for course in courses)))
     for course, ended, n in zip(courses, counts, trials, strict=True):

@@ -37,7 +37,7 @@ class Source:
         default_factory=dict, compare=False
     )
 
-    def problem(self, location: tuple[str | int, ...], message: str, fix: str) -> Problem:
+    def problem(self, location: tuple[str | int, ...], message: str, fix: str | None) -> Problem:
         """Return a problem at a setting, or at the nearest one around it that the file has."""
         while location and location not in self.places:
             location = location[:-1]
