@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval import api, cli
-from nw_eval.errors import PolicyError, SuiteError, UsageError
+from nw_eval.errors import PolicyError, SuiteError
 from nw_eval.suite import load_suite
 
 # What is right, and in its place: what is wrong, and what is said of it.
@@ -167,23 +167,6 @@ def test_no_name_of_a_scene_is_too_odd_to_be_told(place):
             api.check(path)
         (line,) = str(caught.value).splitlines()
         assert line.startswith(f"{path}:12:5: no scene matches")
-
-
-def test_another_seed_is_another_panel_and_a_bad_one_is_refused(place):
-    path = place / "quick.yaml"
-    path.write_text(SUITE)
-
-    def panel(**changes):
-        (line,) = [
-            line for line in api.check(path, **changes).text.splitlines() if "panel" in line[:6]
-        ]
-        return line
-
-    assert panel() == panel(seed=5)
-    assert panel(seed=6) != panel()
-    assert "seed 6" in panel(seed=6)
-    with pytest.raises(UsageError, match="--seed -1"):
-        api.check(path, seed=-1)
 
 
 def test_check_takes_the_letters_that_run_takes(capsys):

@@ -161,7 +161,7 @@ def test_without_a_bar_errors_and_missing_trials_still_block(
     assert judge(run_scene("a", [4, None]), Gate(), {"a": 2}).verdict == "INFRASTRUCTURE"
 
 
-WEAK = "1 scene below the bar by itself: weak, success 0.250 (95 % interval "
+WEAK = "1 scene below the bar by itself: weak 0.250 (95 % "
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_a_scene_whose_whole_interval_lies_below_the_bar_is_named_whatever_the_v
     named = [reason for reason in verdict.reasons if "below the bar" in reason]
     if word == "REGRESSED":
         (reason,) = named
-        assert reason.startswith("10 scenes below the bar each alone: weak, success 0.250")
+        assert reason.startswith("10 scenes below the bar each alone: weak 0.250")
         assert reason.endswith("; and 7 more")
     else:
         (reason,) = named

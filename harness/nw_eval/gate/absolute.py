@@ -162,7 +162,7 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
         return []
     percent = f"{100 * gate.confidence:.4g} %"
     told = [
-        f"{item.scene}, success {item.mean:.3f} ({percent} interval {item.interval.low:.2f} to "
+        f"{item.scene} {item.mean:.3f} ({percent} {item.interval.low:.2f} to "
         f"{item.interval.high:.2f}), completed {item.completed} of {item.n}"
         for item in sorted(weak, key=lambda item: (item.interval.high, item.scene))
     ]
