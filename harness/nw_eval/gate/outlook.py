@@ -20,8 +20,8 @@ def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -
     found: list[Course] = []
     for item in scores:
         rows = [row for row in groups[item.scene] if row.fraction is not None]
-        waypoints = max((row.waypoints_total for row in rows), default=0)
-        if item.tier != "informational" and waypoints:
+        if item.tier != "informational" and rows:
+            waypoints = max(1, *(row.waypoints_total for row in rows))
             reached = np.array([row.waypoints_reached for row in rows])
             counts = np.bincount(reached, minlength=waypoints + 1).astype(np.int64)
             found.append(Course(counts=counts, alone=item.tier == "critical"))
@@ -45,13 +45,15 @@ def advice(groups: Groups, seen: list[Course], gate: Gate, bar: float) -> str:
     if n < enough:
         return f"{n} trials cannot reach this bar even if all are perfect: run at least {enough}"
     longest = max(len(values) for values in groups)
-    told: list[str] = []
-    for times in (2, 4):
-        shares = shares_after(seen, times, bar=bar, confidence=gate.confidence)
-        told.append(f"{times * longest} in each scene, {percent(shares.passed + shares.regressed)}")
+    twice, four_times = (
+        percent(shares.passed + shares.regressed)
+        for shares in (
+            shares_after(seen, times, bar=bar, confidence=gate.confidence) for times in (2, 4)
+        )
+    )
     return (
-        f"chance that more trials decide (now {longest} in each scene): {'; '.join(told)} "
-        f"(--resume with --trials {2 * longest})"
+        f"chance that {2 * longest} trials in each scene (now {longest}) decide: {twice}, that "
+        f"{4 * longest} do: {four_times}; --resume with more --trials adds them"
     )
 
 
