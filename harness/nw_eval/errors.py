@@ -59,13 +59,18 @@ class Problem:
 
 
 class SuiteError(NwEvalError):
-    """A suite file has problems. `problems` holds all of them, in file order."""
+    """A suite file has problems. `problems` holds all of them, in file order.
+
+    `others` are what is wrong besides, with files that are not the suite's own: its policy's card.
+    The message has a line for each fault.
+    """
 
     exit_code = 2
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("\n".join(str(problem) for problem in problems))
+    def __init__(self, problems: Sequence[Problem], others: Sequence[NwEvalError] = ()) -> None:
+        super().__init__("\n".join(str(fault) for fault in (*problems, *others)))
         self.problems = tuple(problems)
+        self.others = tuple(others)
 
 
 class SceneError(NwEvalError):

@@ -10,9 +10,7 @@ import pytest
 from nw_eval import api
 from nw_eval.errors import (
     IncomparableError,
-    PolicyError,
     PrerequisiteError,
-    SceneError,
     StoreError,
     SuiteError,
     UsageError,
@@ -108,8 +106,8 @@ def test_more_trials_keep_the_earlier_ones(suite, tmp_path):
     [
         ({"trials": 0}, SuiteError, "quick.yaml:5:1: trials"),
         ({"scenes": "hurdles/three_lo"}, SuiteError, "did you mean 'hurdles/three_low'"),
-        ({"scenes": "./nowhere"}, SceneError, "nowhere"),
-        ({"policy": "go1-parkur"}, PolicyError, "did you mean 'go1-parkour'"),
+        ({"scenes": "./nowhere"}, SuiteError, "quick.yaml:8:10: no scene matches './nowhere'"),
+        ({"policy": "go1-parkur"}, SuiteError, "quick.yaml:4:1: unknown policy 'go1-parkur': no"),
     ],
 )
 def test_what_cannot_be_run_is_told_before_anything_runs(suite, tmp_path, settings, error, said):

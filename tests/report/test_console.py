@@ -2,12 +2,14 @@ from __future__ import annotations
 
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
-from nw_eval.gate import judge
+from nw_eval.gate import EXIT_CODES, judge
+from nw_eval.gate.verdict import Word
 from nw_eval.report import headline, print_summary
+from nw_eval.report.console import _COLOURS
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
 
-def summary(rows: list[Row], run: RunInfo, width: int = 100) -> list[str]:
+BAR = Gate(success_rate=0.75)
+
+
+def summary(rows: list[Row], run: RunInfo, width: int = 100, gate: Gate = BAR) -> list[str]:
     console = Console(file=StringIO(), width=width)
-    verdict = judge(rows, Gate(success_rate=0.75), run.planned)
+    verdict = judge(rows, gate, run.planned)
     print_summary(console, run, rows, verdict, Path("reports/r"))
     return console.file.getvalue().splitlines()
 
@@ -32,7 +37,7 @@ def test_the_summary_ends_with_the_reports_first_lines(
     lines = summary(rows, run, width=200)
     verdict = judge(rows, Gate(success_rate=0.75), run.planned)
     assert lines[-3] == headline(verdict, run)
-    assert lines[-2].startswith("This run could not see")
+    assert lines[-2].startswith("Fresh starts in these scenes: success 0.")
     assert lines[-1].startswith("* success is at least")
 
 
@@ -48,3 +53,17 @@ def test_brackets_in_an_error_are_text_not_markup(
 ) -> None:
     rows = [make_row("a", 0, None, error_text="bad key [bold]x[/nothing]")]
     assert any("[bold]x[/nothing]" in line for line in summary(rows, make_run({"a": 1}), 200))
+
+
+def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(
+    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
+) -> None:
+    rows = [make_row("a", k, 0) for k in range(4)]
+    lines = summary(rows, make_run({"a": 4}), 200, Gate())
+    assert lines[-3].startswith("RAN · success 0.000 (95 % bounds 0.000 and 0.")
+    assert lines[-1] == "* 4 trials ran and nothing was judged: the suite sets no gate.success_rate"
+    assert not any("PASS" in line for line in lines)
+
+
+def test_every_word_of_the_gate_has_a_colour_and_an_exit_code() -> None:
+    assert set(_COLOURS) == set(EXIT_CODES) == set(get_args(Word))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from nw_eval.gate import judge
 from nw_eval.report import render_markdown, write_report
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
+from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,14 +41,75 @@ def section(text: str, title: str) -> list[list[str]]:
     return [cells[0], *cells[2:]]
 
 
-def test_the_first_line_is_the_verdict_and_the_second_what_could_not_be_seen(
+def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row(scene, k, 4 - (k == 0)) for scene in ("a", "b") for k in range(20)]
+    text = render(rows, {"a": 20, "b": 20}, suite={"seed": 7})
+    first, _, second = text.splitlines()[:3]
+    assert first.startswith("# PASS · success 0.988 (95 % bounds 0.8")
+    assert first.endswith("bar 0.75) · completed 38 of 40 trials in 2 scenes · 60 s on 2 workers")
+    assert second.startswith("Fresh starts in these scenes: success 0.8")
+    assert "(95 % each side); on the starts of this panel (seed 7) it is known: 0.988." in second
+    (share,) = re.findall(r"A policy 0.10 worse would still PASS in (\d+) % of such runs.", second)
+    assert 20 < int(share) < 60
+
+
+def test_a_score_of_zero_claims_no_sight_of_drops(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", k, 0) for k in range(40)]
+    for gate, word in ((BAR, "REGRESSED"), (Gate(), "RAN")):
+        first, _, second = render(rows, {"a": 40}, gate).splitlines()[:3]
+        assert first.startswith(f"# {word} · success 0.000 (")
+        assert "completed 0 of 40 trials" in first
+        assert second.startswith("Fresh starts in these scenes: success 0.000 to 0.")
+        assert "worse" not in second
+        assert "drops" not in second
+
+
+def test_what_completed_is_told_of_the_trials_that_count(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", k, 4) for k in range(3)] + [make_row("toy", k, 0) for k in range(2)]
+    toy = Gate(success_rate=0.75, tiers={"toy": "informational"})
+    assert "completed 3 of 3 · 5 trials in 2 scenes" in render(rows, {"a": 3, "toy": 2}, toy)
+    assert "completed 3 of 3 · 3 of 9 trials in 1 scene" in render(rows[:3], {"a": 9})
+    # Where some are missing, the panel's success is not known.
+    assert "panel" not in render(rows[:3], {"a": 9}).splitlines()[2]
+
+
+def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
     rows = [make_row(scene, k, 4) for scene in ("a", "b") for k in range(20)]
-    first, _, second = render(rows, {"a": 20, "b": 20}).splitlines()[:3]
-    assert first.startswith("# PASS · success 1.000 (95 % bounds 0.9")
-    assert first.endswith("bar 0.75) · 40 trials in 2 scenes · 60 s on 2 workers")
-    assert second.startswith("This run could not see drops smaller than 0.")
+    planned = {"a": 20, "b": 20}
+    plain = render(rows, planned).split("## How sure")[1]
+    assert "fresh starts in these scenes" in plain
+    assert "picks luck too: --seed draws another panel" in plain
+    assert "0.10 worse means: in every scene the odds of reaching the next waypoint" in plain
+    for absent in ("critical", "neverwhere"):
+        assert absent not in plain
+    critical = Gate(success_rate=0.75, tiers={"*": "critical"})
+    told = render(rows, planned, critical, suite={"protocol": "neverwhere-2026"})
+    told = told.split("## How sure")[1]
+    assert "2 critical scenes can convict alone" in told
+    assert "a probability of at most 10 %" in told
+    assert "scenes are not independent of each other" in told
+    assert "How sure" not in render([], {"a": 3})
+
+
+def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("a", 0, 4)]
+    facts = [
+        dict(section(render(rows, {"a": 1}, suite={"name": name}), "Provenance")[1:])
+        for name in ("hurdles", "smoke")
+    ]
+    assert facts[0]["suite"] != facts[1]["suite"]
+    assert facts[0]["panel of starts"] == facts[1]["panel of starts"]
+    assert facts[0]["panel of starts"].startswith("aaaaaaaaaaaa (same robot, protocol, seed")
 
 
 def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:
@@ -200,7 +263,7 @@ def test_provenance_names_what_ran(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
     facts = dict(section(render([make_row("a", 0, 4)], {"a": 1}), "Provenance")[1:])
-    assert facts["suite"] == "suites/hurdles.yaml aaaaaaaaaaaa"
+    assert facts["suite"] == f"suites/hurdles.yaml, {digest_of({'name': 'hurdles'})[:12]}"
     assert facts["policy"] == "go1-parkour, checkpoint cccccccccccc"
     assert facts["nw-eval"] == "0.1.0, commit ffffffffffff with changes"
     assert facts["versions"] == "mujoco 4.0.0"

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,6 @@ from hypothesis.extra.numpy import arrays
 from nw_eval.stats import (
     evidence_above,
     lower_bound,
-    repeats_to_decide,
     trials_to_certify,
     upper_bound,
 )
@@ -153,24 +150,3 @@ def test_the_fewest_perfect_trials_that_certify_a_bar_just_do() -> None:
         fewest = trials_to_certify(bar)
         assert lower_bound([np.ones(fewest)]) >= bar
         assert lower_bound([np.ones(fewest - 1)]) < bar
-
-
-def test_as_many_repeats_as_were_asked_for_do_decide() -> None:
-    values = [mixed(18, 20), mixed(19, 20)]
-    times = repeats_to_decide(values, 0.8)
-    assert 1.0 < times < 20.0
-    enough = int(np.ceil(times))
-    assert lower_bound([np.tile(group, enough) for group in values]) >= 0.8
-    fewer = enough - 1
-    assert lower_bound([np.tile(group, fewer) for group in values]) < 0.8
-
-
-def test_repeats_also_plan_for_failing() -> None:
-    times = repeats_to_decide([mixed(8, 20)], 0.6)
-    assert 1.0 < times < 20.0
-    assert upper_bound([np.tile(mixed(8, 20), int(np.ceil(times)))]) < 0.6
-
-
-def test_data_at_the_bar_itself_would_never_decide() -> None:
-    assert repeats_to_decide([mixed(15, 20)], 0.75) == inf
-    assert repeats_to_decide([], 0.75) == inf

@@ -4,65 +4,69 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import SuiteError, UsageError
-from nw_eval.suite import Suite, check_scenes, check_tiers, load_suite, override
+from nw_eval.errors import UsageError
+from nw_eval.suite import Suite, draft_suite, load_suite, override, tier_problems
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 KNOWN = ("hurdles/one_low", "hurdles/three_low", "stairs/short")
 
 
-def suite(folder: Path, scenes: str, tiers: str = "{}") -> Suite:
+def write(folder: Path, scenes: str, tiers: str = "{}") -> Path:
     path = folder / "suite.yaml"
     path.write_text(
         "nw-eval: 1\nname: x\nrobot: go1\npolicy: p\ntrials: 1\nseed: 1\n"
         f"scenes: {scenes}\ngate:\n  tiers: {tiers}\n",
         encoding="utf-8",
     )
-    return load_suite(path)
+    return path
 
 
-def test_names_and_globs_that_match_are_fine(tmp_path: Path) -> None:
-    good = suite(tmp_path, "[hurdles/*, stairs/short]", "{hurdles/*: critical}")
-    check_scenes(good, KNOWN)
-    check_tiers(good, KNOWN)
+def suite(folder: Path, scenes: str, tiers: str = "{}") -> Suite:
+    return load_suite(write(folder, scenes, tiers))
 
 
-def test_patterns_and_tiers_that_match_nothing_are_told_together(tmp_path: Path) -> None:
-    wrong = suite(tmp_path, "[hurdles/*, stair/*]", "{hurdles/three_lo: critical}")
-    with pytest.raises(SuiteError) as caught:
-        check_scenes(wrong, KNOWN)
-    first, second = (str(problem).split("suite.yaml:")[1] for problem in caught.value.problems)
-    assert first == "7:21: no scene matches 'stair/*'; did you mean 'stairs/short'?"
-    assert second.startswith(
-        "9:11: gate.tiers: the suite runs no scene 'hurdles/three_lo'; did you"
-    )
-    assert "'hurdles/three_low'" in second
+def told(folder: Path, tiers: str, failed: Sequence[str] = ()) -> list[str]:
+    """Problems of tiers among the known scenes, without the file."""
+    draft = draft_suite(write(folder, "[hurdles/*]", tiers))
+    found = tier_problems(draft, KNOWN, failed)
+    return [str(problem).split("suite.yaml:")[1] for problem in found]
 
 
-def test_a_tier_of_a_scene_that_exists_but_is_not_run_is_told(tmp_path: Path) -> None:
-    wrong = suite(tmp_path, "[hurdles/*]", "{stairs/short: critical}")
-    with pytest.raises(SuiteError, match="runs no scene 'stairs/short'"):
-        check_scenes(wrong, KNOWN)
+def test_tiers_that_match_are_fine(tmp_path: Path) -> None:
+    assert told(tmp_path, "{hurdles/*: critical, stairs/short: informational}") == []
 
 
-def test_paths_are_left_to_whoever_opens_them(tmp_path: Path) -> None:
-    mixed = suite(tmp_path, "[hurdles/*, ./mine, 'neverwhere:/data/x']", "{mine: critical}")
-    check_scenes(mixed, KNOWN)
-    check_tiers(mixed, [*KNOWN, "mine"])
-    with pytest.raises(SuiteError, match="runs no scene 'mine'"):
-        check_tiers(mixed, KNOWN)
+def test_every_tier_that_matches_nothing_is_told_with_its_place(tmp_path: Path) -> None:
+    first, second = told(tmp_path, "{hurdles/three_lo: critical, stair/*: critical}")
+    assert first.startswith("9:11: gate.tiers: the suite runs no scene 'hurdles/three_lo'; did you")
+    assert "'hurdles/three_low'" in first
+    assert second.startswith("9:39: gate.tiers: the suite runs no scene 'stair/*'; did you mean")
 
 
-def test_a_folder_beside_the_suite_is_a_path_by_any_name(tmp_path: Path) -> None:
-    (tmp_path / "places" / "yard").mkdir(parents=True)
-    check_scenes(suite(tmp_path, "[places/yard, places/*]"), KNOWN)
-    with pytest.raises(SuiteError, match="no scene matches 'places/yar'"):
-        check_scenes(suite(tmp_path, "[places/yar]"), KNOWN)
-    for pattern in ("x" * 1000, "a**b", "[", "a\\0b"):
-        with pytest.raises(SuiteError, match="no scene matches"):
-            check_scenes(suite(tmp_path, f'["{pattern}"]'), KNOWN)
+@pytest.mark.parametrize(
+    "failed", ["./mine", "/far/mine", "places/mine", "neverwhere:/data/mine", "flex:mine"]
+)
+def test_a_tier_of_a_scene_that_cannot_be_opened_echoes_no_fault(
+    tmp_path: Path, failed: str
+) -> None:
+    assert told(tmp_path, "{mine: critical}", [failed]) == []
+    assert len(told(tmp_path, "{mine: critical, yours: critical}", [failed])) == 1
+    assert len(told(tmp_path, "{mine: critical}")) == 1
+
+
+def test_the_entries_of_a_faulty_suite_can_still_be_looked_for(tmp_path: Path) -> None:
+    path = write(tmp_path, "[hurdles/*, 3, '', hurdles/*, stairs/short]", "{a: critical}")
+    draft = draft_suite(path)
+    assert draft.suite is None
+    assert draft.scenes == {0: "hurdles/*", 4: "stairs/short"}
+    assert draft.tiers == ("a",)
+    assert (draft.text("policy"), draft.text("trials"), draft.text("nothing")) == ("p", None, None)
+    for scenes in ("3", "{a: b}", "null", "[[a]]"):
+        assert draft_suite(write(tmp_path, scenes, "[1]")).scenes == {}
+        assert draft_suite(write(tmp_path, scenes, "[1]")).tiers == ()
 
 
 def test_a_scenes_own_name_wins_over_a_glob(tmp_path: Path) -> None:
@@ -86,5 +90,7 @@ def test_an_override_that_cannot_be_used_names_the_option(tmp_path: Path) -> Non
     before = suite(tmp_path, "[hurdles/*]")
     with pytest.raises(UsageError, match="--trials 0: input should be greater"):
         override(before, trials=0)
+    with pytest.raises(UsageError, match="--seed -1: input should be greater"):
+        override(before, seed=-1)
     with pytest.raises(UsageError, match="--record 'fail'"):
         override(before, record="fail")

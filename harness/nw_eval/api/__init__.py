@@ -21,6 +21,7 @@ from nw_eval.api.reports import RunReport, report
 from nw_eval.api.runs import replay, run
 from nw_eval.api.senses import draw_sensors, list_sensors
 from nw_eval.api.splats import splat_convert, splat_info, splat_render
+from nw_eval.api.suites import list_suites
 
 __all__ = [
     "Message",
@@ -33,6 +34,7 @@ __all__ = [
     "list_policies",
     "list_scenes",
     "list_sensors",
+    "list_suites",
     "plan",
     "render_scenes",
     "replay",

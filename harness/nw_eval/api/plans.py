@@ -27,6 +27,7 @@ def plan(
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
+    seed: int | None = None,
     record: Record | None = None,
     allow_code: bool = False,
     collision: Collision = "terrain",
@@ -34,7 +35,7 @@ def plan(
     """Resolve a suite and a policy to the trials that they mean, and check all of it.
 
     Args:
-        suite: a suite file or the name of a shipped one; or a suite that was read already.
+        suite: a suite file, the name of a shipped one, or a suite that was read already.
         robot: in place of the suite's own; its trials are others then.
         policy: a bundle's name, folder or card; the suite's own if None.
         card: where that policy lies, if that is known: a run that is resumed elsewhere still names
@@ -42,24 +43,40 @@ def plan(
         checkpoint: weights to use with the card.
         trials: per scene; the suite's own number if None.
         scenes: globs; only scenes that match one of them.
+        seed: in place of the suite's own: another panel of starts, so other trials.
         record: whose camera images the logs keep; the suite's own choice if None.
         allow_code: whether Python code that the card names may be imported.
         collision: how scan meshes collide: as compiled terrain, or by their own triangles.
 
     Raises:
-        UsageError, SuiteError, SceneError, PolicyError: something cannot be used as given.
+        UsageError: an option cannot be used, or there is no such suite.
+        SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
+        PolicyError: only the policy cannot be used, and its own files are to blame.
     """
     from nw_eval import scenes as places
+    from nw_eval.api.faults import Faults, open_policy, open_scenes
     from nw_eval.engine.plan import Plan
-    from nw_eval.policies import load_bundle
-    from nw_eval.rollout.vetting import vet_bundle
-    from nw_eval.suite import Suite, check_scenes, check_tiers, expand, load_suite, override
+    from nw_eval.suite import Suite, draft_of, draft_suite, expand, override
 
-    read = suite if isinstance(suite, Suite) else load_suite(suite)
-    told = override(read, robot=robot, policy=policy, trials=trials, record=record)
-    check_scenes(told, places.names())
-    found = places.match_scenes(told.scenes, told.base, collision=collision)
-    check_tiers(told, [scene.name for scene in found])
+    draft = draft_of(suite) if isinstance(suite, Suite) else draft_suite(suite)
+    told = None
+    if draft.suite is not None:
+        told = override(
+            draft.suite, robot=robot, policy=policy, trials=trials, seed=seed, record=record
+        )
+    faults = Faults(draft)
+    found = open_scenes(draft, faults, collision)
+    bundle = open_policy(
+        draft,
+        faults,
+        given=policy if card is None else str(card),
+        checkpoint=checkpoint,
+        robot=robot,
+        allow_code=allow_code,
+    )
+    faults.raise_any()
+    assert told is not None, "a suite that cannot be used has faults"
+    assert bundle is not None, "a policy that cannot be used has faults"
     chosen = tuple(s for s in found if not scenes or any(fnmatchcase(s.name, p) for p in scenes))
     if not chosen:
         asked = ", ".join(scenes)
@@ -67,8 +84,6 @@ def plan(
             f"--scenes {asked} matches no scene of suite {told.name!r}",
             fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
         )
-    bundle = load_bundle(card or _policy_reference(told, policy), checkpoint=checkpoint)
-    bundle = vet_bundle(bundle, told.robot, protocol=told.protocol, allow_code=allow_code)
     return Plan(
         suite=told,
         bundle=bundle,
@@ -88,6 +103,7 @@ def check(
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
+    seed: int | None = None,
     workers: int | None = None,
     allow_code: bool = False,
     collision: Collision = "terrain",
@@ -102,15 +118,8 @@ def check(
         checkpoint=checkpoint,
         trials=trials,
         scenes=scenes,
+        seed=seed,
         allow_code=allow_code,
         collision=collision,
     )
     return Message(text=forecast(made.suite, made.bundle, made.scenes, made.trials, workers))
-
-
-def _policy_reference(suite: Suite, given: str | None) -> str:
-    """Return what names the policy: a suite's own relative path starts from the suite's folder."""
-    own = suite.base / suite.policy
-    if given is None and ("/" in suite.policy or own.suffix == ".yaml") and own.exists():
-        return str(own)
-    return suite.policy

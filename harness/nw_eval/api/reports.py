@@ -30,7 +30,7 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0 PASS, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors left or trials missing."""
+        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors left or trials missing."""
         return self.verdict.exit_code
 
 

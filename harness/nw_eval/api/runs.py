@@ -28,6 +28,7 @@ def run(
     checkpoint: Path | None = None,
     trials: int | None = None,
     scenes: Sequence[str] = (),
+    seed: int | None = None,
     workers: int | None = None,
     out: Path | None = None,
     resume: Path | None = None,
@@ -47,6 +48,7 @@ def run(
         checkpoint: weights to use with the card.
         trials: per scene; the suite's own number if None.
         scenes: globs; only scenes that match one of them.
+        seed: in place of the suite's own: another panel of starts, so other trials.
         workers: processes; one for each core if None.
         out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run, whose finished trials are kept.
@@ -81,6 +83,7 @@ def run(
         checkpoint = checkpoint or settings.checkpoint
         trials = trials or asked.trials
         scenes = scenes or settings.scenes
+        seed = asked.seed if seed is None else seed
         record = record or settings.record
         collision = settings.collision
     if chosen is None:
@@ -93,6 +96,7 @@ def run(
         checkpoint=checkpoint,
         trials=trials,
         scenes=scenes,
+        seed=seed,
         record=record,
         allow_code=allow_code,
         collision=collision,

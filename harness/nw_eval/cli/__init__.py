@@ -1,7 +1,7 @@
 """The command line: one small module for each verb; all of them call `nw_eval.api`.
 
-Exit codes: 0 PASS, 1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors left or trials
-missing, 5 not comparable.
+Exit codes: 0 PASS or RAN (a suite without a bar), 1 REGRESSED, 2 usage, suite, scene or policy
+error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not comparable, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -23,18 +23,21 @@ from nw_eval.cli.scenes import Scenes
 from nw_eval.cli.schema import Schema
 from nw_eval.cli.sensors import Sensors
 from nw_eval.cli.splat import Splat
+from nw_eval.cli.suites import Suites
 from nw_eval.cli.warmup import Warmup
 from nw_eval.errors import NwEvalError
 
 _DESCRIPTION = """May this policy checkpoint ship?
 
 Rolls a legged robot's checkpoint out in digital twins of real places, scores the share of
-waypoints reached, and gives a verdict as an exit code: 0 PASS, 1 REGRESSED, 2 usage or suite
-error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not comparable."""
+waypoints reached, and gives a verdict as an exit code: 0 PASS, or RAN where the suite has no bar,
+1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not
+comparable, 130 interrupted."""
 
 Verb = (
     Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Suites, tyro.conf.subcommand("suites")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
@@ -59,7 +62,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         args=arguments,
         prog="nw-eval",
         description=_DESCRIPTION,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=(
+            tyro.conf.OmitSubcommandPrefixes,
+            tyro.conf.FlagCreatePairsOff,
+            tyro.conf.DisallowNone,  # Who wants none leaves the option out.
+            tyro.conf.PositionalMetavarFromFieldName,
+        ),
     )
     sys.exit(_run(verb))
 

@@ -11,10 +11,14 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Roll a checkpoint out through a suite, write the evidence, and give a verdict."""
+    """Roll a checkpoint out through a suite, write the evidence, and give a verdict.
+
+    A suite without a bar (`gate.success_rate`) is only run: its verdict is RAN, exit code 0.
+    """
 
     suite: tyro.conf.Positional[str | None] = None
-    """A suite file, or the name of a shipped suite; only --resume can do without."""
+    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them); only --resume can
+    do without."""
     robot: str | None = None
     """go1 or go2; the suite's own when absent."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
@@ -25,6 +29,8 @@ class Run:
     """Trials per scene; the suite's own number when absent."""
     scenes: tuple[str, ...] = ()
     """Only scenes that match one of these globs."""
+    seed: int | None = None
+    """Another panel of starts than the suite's own: other trials in the same scenes."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes; the number of cores when absent."""
     out: Path | None = None
@@ -54,6 +60,7 @@ class Run:
                 checkpoint=self.checkpoint,
                 trials=self.trials,
                 scenes=self.scenes,
+                seed=self.seed,
                 workers=self.workers,
                 out=self.out,
                 resume=self.resume,

@@ -45,10 +45,12 @@ def forecast(
     minutes = (_START + each * len(trials) / count) / 60.0
     width = max(len(scene.name) for scene in scenes)
     per_scene = len(trials) // len(scenes)
+    panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [
-        f"suite     {suite.name}  ({suite.source.file})",
-        f"digest    {suite.digest[:16]}",
-        f"protocol  {suite.protocol}, robot {suite.robot}, seed {suite.seed}",
+        f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
+        f"panel     {suite.digest[:16]}: {panel}",
+        "          suites of one panel meet the same starts in a scene",
+        f"gate      {_gate(suite)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),
         *(
@@ -60,3 +62,14 @@ def forecast(
         f"expect    at most about {max(minutes, 0.1):.1f} minutes with --workers {count}",
     ]
     return "\n".join(lines)
+
+
+def _gate(suite: Suite) -> str:
+    """Return what a run must show to pass, in words."""
+    gate = suite.gate
+    if gate.success_rate is None:
+        told = "none (gate.success_rate): the verdict will be RAN"
+    else:
+        told = f"success of at least {gate.success_rate:g}, {100 * gate.confidence:.4g} % sure"
+    unread = "; max_drop will not be judged: there is no baseline"
+    return told + (unread if gate.max_drop is not None else "")

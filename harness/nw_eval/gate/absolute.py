@@ -2,15 +2,20 @@
 
 1.  Complete? Errors left, trials missing or a critical scene without results: INFRASTRUCTURE. No
     trials at all can never pass.
-2.  No bar: PASS, which then says only that every trial ran, and the reasons say so.
+2.  No bar: RAN, which says that every trial ran and nothing of how well.
 3.  Lower bound of mean success at or above the bar: PASS. Upper bound below it: REGRESSED.
-4.  Otherwise INCONCLUSIVE, with about how many more trials would decide.
+4.  Otherwise INCONCLUSIVE, with the chance that more trials would decide.
 
 Scenes weigh equally; `informational` ones do not count. Each bound errs with probability at most
 1 - confidence, for any distribution of success (`stats.betting`), however often one adds whole
 rounds of trials and looks again. A `critical` scene is also judged alone, and can only convict: its
 upper bound, at a confidence that is shared among all critical scenes, must not be below the bar.
-All this speaks of the suite's scenes and its panel of seeds, not of places that it does not have.
+The mean and the critical scenes each convict wrongly with probability 1 - confidence at most, so
+together with at most twice that. Alone, ten trials convict a scene whose true success is .5 in one
+run of six where the bar is .75 (all or nothing): the test is valid, not keen.
+
+All this speaks of fresh starts in the suite's scenes. On the panel of starts that the suite's seed
+names success is not estimated but known, and of places that the suite does not have nothing is.
 """
 
 from __future__ import annotations
@@ -18,25 +23,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from math import ceil, inf
 
 import numpy as np
 
+from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, fractions, score
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.results.row import Row
 from nw_eval.stats import (
-    Groups,
     Interval,
     lower_bound,
-    repeats_to_decide,
-    trials_to_certify,
     upper_bound,
 )
 from nw_eval.suite.model import Gate
 
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
-_TOO_MANY = 100.0  # Times the present trials: more is no plan.
 
 
 def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdict:
@@ -59,6 +60,7 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
     ]
     bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
+    seen = courses(groups, scores)
     word, reasons = _compare(bounds, scores, gate)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
@@ -66,7 +68,8 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
         # The suite's mean speaks first only if it convicts too.
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
     elif word == "INCONCLUSIVE" and gate.success_rate is not None:
-        reasons.append(_advice(counted, gate.success_rate, gate.confidence))
+        reasons.append(advice(counted, seen, gate, gate.success_rate))
+    drop = gate.max_drop or DROP
     return Verdict(
         verdict=word,
         effect=effect,
@@ -76,8 +79,13 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
         n=sum(len(values) for values in counted),
         planned=sum(planned.values()),
         errors=sum(item.errors for item in scores),
-        mde=1.0 if effect is None else max(effect - bounds.low, bounds.high - effect),
-        reasons=tuple(reasons),
+        drop=drop,
+        drop_passes=(
+            chance_to_pass(seen, gate, effect - drop)
+            if word == "PASS" and effect is not None
+            else None
+        ),
+        reasons=(*reasons, *_weak_scenes(scores, gate), *_unjudged(gate)),
         per_scene=scores,
     )
 
@@ -115,9 +123,8 @@ def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tupl
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
-        total = sum(item.n for item in scores)
-        reason = f"all {total} trials ran; the suite sets no bar (gate.success_rate), "
-        return "PASS", [reason + "so this says nothing about how well"]
+        total = _plural(sum(item.n for item in scores), "trial")
+        return "RAN", [f"{total} ran and nothing was judged: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:
@@ -147,31 +154,36 @@ def _condemned(
     return reasons
 
 
-def _advice(groups: Groups, bar: float, confidence: float) -> str:
-    """Return about how many trials would decide."""
-    n = sum(len(values) for values in groups)
-    enough = trials_to_certify(bar, confidence)
-    if n < enough:
-        return f"{n} trials cannot reach this bar even if all are perfect: run at least {enough}"
-    times = repeats_to_decide(groups, bar, confidence)
-    if times == inf or times > _TOO_MANY:
-        return "success is too near the bar: more trials would hardly decide"
-    longest = max(len(values) for values in groups)
-    each = max(longest + 1, ceil(times * longest))
-    more = sum(each - len(values) for values in groups)
-    return (
-        f"about {more} more trials that go like these would decide: "
-        f"{each} in each scene where now there are {longest}"
-    )
+def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
+    """Return a reason that names the scenes whose whole interval lies below the bar, if any do."""
+    bar = gate.success_rate
+    weak = [item for item in scores if bar is not None and item.n and item.interval.high < bar]
+    if not weak:
+        return []
+    percent = f"{100 * gate.confidence:.4g} %"
+    told = [
+        f"{item.scene} {item.mean:.3f} ({percent} {item.interval.low:.2f} to "
+        f"{item.interval.high:.2f}), completed {item.completed} of {item.n}"
+        for item in sorted(weak, key=lambda item: (item.interval.high, item.scene))
+    ]
+    which = "scene below the bar by itself" if len(weak) == 1 else "scenes below the bar each alone"
+    return [f"{len(weak)} {which}: {_listed(told, '; ')}"]
+
+
+def _unjudged(gate: Gate) -> list[str]:
+    """Return a reason for what the suite asks for and nobody has looked at."""
+    if gate.max_drop is None:
+        return []
+    return [f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"]
 
 
 def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
     return Counter(row.outcome for row in rows).most_common()
 
 
-def _listed(words: Sequence[str]) -> str:
+def _listed(words: Sequence[str], between: str = ", ") -> str:
     more = len(words) - _NAMED
-    return ", ".join(words[:_NAMED]) + (f", and {more} more" if more > 0 else "")
+    return between.join(words[:_NAMED]) + (f"{between}and {more} more" if more > 0 else "")
 
 
 def _plural(count: int, word: str) -> str:

@@ -9,10 +9,11 @@ from typing import Literal
 from nw_eval.stats import Interval
 from nw_eval.suite.model import Tier
 
-Word = Literal["PASS", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "INVALID"]
+Word = Literal["PASS", "RAN", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "INVALID"]
 
 EXIT_CODES: Mapping[Word, int] = {
     "PASS": 0,
+    "RAN": 0,  # All trials ran, and the suite has no bar to judge them by.
     "REGRESSED": 1,
     "INCONCLUSIVE": 3,  # 2 is usage, as everywhere.
     "INFRASTRUCTURE": 4,
@@ -46,7 +47,8 @@ class Verdict:
     """The verdict on one run.
 
     `interval` holds two one-sided bounds, each of `confidence`: the lower one passes a run, the
-    upper one fails it, so each kind of wrong decision has at most probability 1 - confidence.
+    upper one fails it, so each kind of wrong decision has at most probability 1 - confidence; a
+    wrong REGRESSED has twice that where critical scenes are judged alone too.
     """
 
     verdict: Word
@@ -57,9 +59,20 @@ class Verdict:
     n: int
     planned: int
     errors: int
-    mde: float  # A true rate up to this far from `effect` would have looked the same.
+    drop: float  # How much worse a policy is that `drop_passes` speaks of.
+    drop_passes: float | None  # Chance that such a policy passes a run like this; None unless PASS.
     reasons: tuple[str, ...]
     per_scene: tuple[SceneScore, ...]
+
+    @property
+    def completed(self) -> int:
+        """Trials, of the `n` that count, that reached their last waypoint."""
+        return sum(item.completed for item in self.per_scene if item.tier != "informational")
+
+    @property
+    def whole(self) -> bool:
+        """Whether every trial that was planned has a result."""
+        return 0 < self.planned == sum(item.n for item in self.per_scene)
 
     @property
     def exit_code(self) -> int:

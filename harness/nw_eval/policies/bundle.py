@@ -181,7 +181,10 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
                 fix="give a policy.yaml, and these weights with --checkpoint",
             )
         return path
-    raise PolicyError(f"unknown policy {str(name_or_path)!r}", fix=nearest(str(path), known))
+    raise PolicyError(
+        f"unknown policy {str(name_or_path)!r}: no policy, folder or card is called that",
+        fix=nearest(str(path), known),
+    )
 
 
 def _imports_code(card: Card) -> bool:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _COLOURS: dict[Word, str] = {
     "PASS": "bold green",
+    "RAN": "bold blue",
     "REGRESSED": "bold red",
     "INCONCLUSIVE": "bold yellow",
     "INFRASTRUCTURE": "bold magenta",
@@ -61,7 +62,7 @@ def print_summary(
         if table.rows:
             _draw(console, table)
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
-    console.print(blind_spot(verdict), markup=False, highlight=False)
+    console.print(blind_spot(verdict, run), markup=False, highlight=False)
     for reason in verdict.reasons:
         console.print(f"* {reason}", markup=False, highlight=False)
 

@@ -1,45 +1,72 @@
-"""The first two lines of every report: the verdict, and what the run could not see."""
+"""The first lines of every report: the verdict, and what it does and does not show."""
 
 from __future__ import annotations
 
+from nw_eval.gate.outlook import percent
 from nw_eval.gate.verdict import Verdict
 from nw_eval.results.provenance import RunInfo
 
 
 def headline(verdict: Verdict, run: RunInfo) -> str:
-    """Return the verdict, success, its certainty, the number of trials and the cost, on a line."""
+    """Return verdict, success (share of waypoints), completed (of trials) and cost, on a line."""
     parts = [verdict.verdict]
     if verdict.effect is not None:
-        percent = f"{100 * verdict.confidence:.4g} %"
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
         parts.append(
-            f"success {verdict.effect:.3f} ({percent} bounds "
+            f"success {verdict.effect:.3f} ({confidence(verdict)} bounds "
             f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
         )
-    scenes = sum(item.n > 0 for item in verdict.per_scene)
-    ran = sum(item.n for item in verdict.per_scene)
-    count = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
-    parts.append(f"{count} trials in {_count(scenes, 'scene')}")
+    parts += _trials(verdict)
     if verdict.errors:
-        parts.append(_count(verdict.errors, "error"))
+        parts.append(count(verdict.errors, "error"))
     cost = _duration(run.wall_s) if run.finished else "not finished"
-    parts.append(f"{cost} on {_count(run.workers, 'worker')}")
+    parts.append(f"{cost} on {count(run.workers, 'worker')}")
     return " · ".join(parts)
 
 
-def blind_spot(verdict: Verdict) -> str:
-    """Return what the run could not have seen, on a line."""
+def blind_spot(verdict: Verdict, run: RunInfo) -> str:
+    """Return what the bounds speak of, and what this run would not have noticed, on a line."""
     if verdict.effect is None:
         return "This run could not see anything: no trial has a result."
+    told = (
+        f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
+        f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"
+    )
+    if verdict.whole:
+        # The simulator gives the same bits every time: on these starts nothing is estimated.
+        told += f"; on the starts of this panel{_seed(run)} it is known: {verdict.effect:.3f}"
+    if verdict.drop_passes is None:
+        return f"{told}."
     return (
-        f"This run could not see drops smaller than {verdict.mde:.2f}: a true success rate from "
-        f"{verdict.interval.low:.2f} to {verdict.interval.high:.2f} could have given the same "
-        f"{verdict.n} trials. It speaks of these scenes and this panel of seeds only."
+        f"{told}. A policy {verdict.drop:.2f} worse would still PASS in "
+        f"{percent(verdict.drop_passes)} of such runs."
     )
 
 
-def _count(number: int, word: str) -> str:
+def confidence(verdict: Verdict) -> str:
+    """Return the confidence of a verdict's bounds in words."""
+    return f"{100 * verdict.confidence:.4g} %"
+
+
+def count(number: int, word: str) -> str:
+    """Return a number with its noun."""
     return f"{number} {word}" if number == 1 else f"{number} {word}s"
+
+
+def _trials(verdict: Verdict) -> list[str]:
+    """Return how many trials completed, and how many there were in how many scenes."""
+    ran = sum(item.n for item in verdict.per_scene)
+    scenes = count(sum(item.n > 0 for item in verdict.per_scene), "scene")
+    if verdict.whole and ran == verdict.n:
+        return [f"completed {verdict.completed} of {count(ran, 'trial')} in {scenes}"]
+    done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []
+    of = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
+    return [*done, f"{of} trials in {scenes}"]
+
+
+def _seed(run: RunInfo) -> str:
+    seed = run.suite.get("seed")
+    return "" if seed is None else f" (seed {seed})"
 
 
 def _duration(seconds: float) -> str:

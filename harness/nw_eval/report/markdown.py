@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from nw_eval.cache import atomic_path
 from nw_eval.errors import StoreError
 from nw_eval.gate.verdict import Verdict
+from nw_eval.report.certainty import how_sure
 from nw_eval.report.headline import blind_spot, headline
 from nw_eval.report.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
@@ -37,9 +38,10 @@ def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder:
     environment.filters["text"] = _text
     return environment.get_template("report.md.j2").render(
         headline=headline(verdict, run),
-        blind_spot=blind_spot(verdict),
+        blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
         interrupted=run.interrupted,
+        how_sure=how_sure(verdict, run),
         tables=[(table, markdown_table(table)) for table in all_tables(run, rows, verdict, folder)],
     )
 

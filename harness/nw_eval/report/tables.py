@@ -15,6 +15,7 @@ from nw_eval.report.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, mean_of_scenes
+from nw_eval.suite.digest import digest_of
 from nw_eval.words import OUTCOMES
 
 WORST = 8
@@ -48,7 +49,7 @@ def scenes_table(verdict: Verdict) -> Table:
             *(("tier",) if tiers else ()),
             "trials",
             "success",
-            f"{percent} interval",
+            f"{percent} each alone",
             "completed",
             f"{percent} of completed",
         ),
@@ -65,9 +66,10 @@ def scenes_table(verdict: Verdict) -> Table:
             for item in scores
         ),
         numbers=frozenset({"trials", "success"}),
-        note="Success is the share of the trail's waypoints reached. Its interval is a stratified "
-        "Bayesian bootstrap, that of completed trials is Wilson's; the verdict uses neither, but "
-        "bounds that hold for any distribution.",
+        note="Success is the share of the trail's waypoints reached, completed the share of trials "
+        "that reached all. Each interval is for its scene alone: of many, some miss. That of "
+        "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
+        "neither, but bounds that hold for any distribution.",
     )
 
 
@@ -240,7 +242,9 @@ def provenance_table(run: RunInfo) -> Table:
     facts = {
         "run": run.id,
         "started": run.started,
-        "suite": f"{run.suite_file} {run.suite_digest[:12]}",
+        "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
+        "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
+        "perturbations: same starts)",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
         "renderer": run.renderer or "none",

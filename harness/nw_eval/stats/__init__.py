@@ -6,22 +6,26 @@ from nw_eval.stats.betting import (
     Groups,
     evidence_above,
     lower_bound,
-    repeats_to_decide,
     trials_to_certify,
     upper_bound,
 )
 from nw_eval.stats.binomial import wilson
 from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_eval.stats.courses import Course
+from nw_eval.stats.foresight import Shares, shares_after, shares_at
 from nw_eval.stats.interval import Estimate, Interval
 
 __all__ = [
+    "Course",
     "Estimate",
     "Groups",
     "Interval",
+    "Shares",
     "evidence_above",
     "lower_bound",
     "mean_of_scenes",
-    "repeats_to_decide",
+    "shares_after",
+    "shares_at",
     "trials_to_certify",
     "upper_bound",
     "wilson",

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp, inf, log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,49 +83,37 @@ def evidence_above(groups: Groups, mean: float) -> float:
     return exp(power) if power < 700.0 else inf
 
 
-def repeats_to_decide(groups: Groups, bar: float, confidence: float = 0.95) -> float:
-    """Return how many times the data would have to be met again until a bound crosses the bar.
-
-    It supposes that further trials look like these: a plan, not a promise.
-
-    Returns:
-        The total as a multiple of the present number of trials: 1 or less if they decide already,
-        `inf` if such data would never decide.
-    """
-    check_confidence(confidence)
-    threshold = -log(1.0 - confidence)
-    above = _growth(groups, bar, threshold)
-    return min(above, _growth(_flipped(groups), 1.0 - bar, threshold))
-
-
 def trials_to_certify(bar: float, confidence: float = 0.95) -> int:
     """Return the fewest trials, all perfect, that lift the lower bound to the bar."""
-    return int(np.ceil(_growth([np.ones(1)], bar, -log(1.0 - confidence)) - 1e-9))
+    check_confidence(confidence)
+    each, threshold = log_bets(np.ones(1), 1.0, bar)[:, 0], -log(1.0 - confidence)
+    low, high = 0, 1
+    while log_mixture(high * each) < threshold:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if log_mixture(middle * each) < threshold else (low, middle)
+    return high
+
+
+def log_bets(values: NDArray[np.float64], shares: Any, mean: float) -> NDArray[np.float64]:
+    """Return the logarithm of what each bet turns a stake of 1 into with each value, shape (K, N).
+
+    Args:
+        values: shape (N,), within [0, 1].
+        shares: of the largest weight that a value has; one number, or shape (N,).
+        mean: the claim that is bet against, between 0 and 1.
+    """
+    return np.log1p(_BETS[:, None] * (shares * (values / mean - 1.0)))
+
+
+def log_mixture(powers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithm of the wealth of all bets together from that of each, (..., K)."""
+    return np.logaddexp.reduce(np.log(_WEIGHTS) + powers, axis=-1)
 
 
 def _flipped(groups: Groups) -> Groups:
     return [1.0 - np.asarray(group, dtype=np.float64) for group in groups]
-
-
-def _growth(groups: Groups, mean: float, threshold: float) -> float:
-    """Return the multiple of the data at which the wealth against `mean` meets the threshold."""
-    values, shares = _weighted(groups)
-    if values.size == 0:
-        return inf
-    powers = _log_bets(values, shares, mean)
-    if powers.max() <= 0.0:
-        return inf
-
-    def wealth(times: float) -> float:
-        return float(np.logaddexp.reduce(np.log(_WEIGHTS) + times * powers))
-
-    low, high = 0.0, 1.0
-    while wealth(high) < threshold:
-        low, high = high, 2.0 * high
-    for _ in range(_STEPS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if wealth(middle) < threshold else (low, middle)
-    return high
 
 
 def _weighted(groups: Groups) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -144,13 +133,5 @@ def _weighted(groups: Groups) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return values, weights / weights.max()
 
 
-def _log_bets(
-    values: NDArray[np.float64], shares: NDArray[np.float64], mean: float
-) -> NDArray[np.float64]:
-    """Return the logarithm of each single bet's wealth, shape (K,)."""
-    gains = shares * (values / mean - 1.0)
-    return np.log1p(_BETS[:, None] * gains[None, :]).sum(axis=1)
-
-
 def _log_wealth(values: NDArray[np.float64], shares: NDArray[np.float64], mean: float) -> float:
-    return float(np.logaddexp.reduce(np.log(_WEIGHTS) + _log_bets(values, shares, mean)))
+    return float(log_mixture(log_bets(values, shares, mean).sum(axis=1)))

@@ -6,20 +6,21 @@ and a seed of its own that nothing else can move.
 
 from __future__ import annotations
 
-from nw_eval.suite.check import check_scenes, check_tiers
+from nw_eval.suite.check import tier_problems
 from nw_eval.suite.dump import suite_yaml
-from nw_eval.suite.load import find_suite, load_suite
+from nw_eval.suite.load import Draft, draft_of, draft_suite, find_suite, load_suite
 from nw_eval.suite.model import Gate, Suite, new_suite
 from nw_eval.suite.override import override
 from nw_eval.suite.schema import json_schema
 from nw_eval.suite.trials import Trial, expand
 
 __all__ = [
+    "Draft",
     "Gate",
     "Suite",
     "Trial",
-    "check_scenes",
-    "check_tiers",
+    "draft_of",
+    "draft_suite",
     "expand",
     "find_suite",
     "json_schema",
@@ -27,4 +28,5 @@ __all__ = [
     "new_suite",
     "override",
     "suite_yaml",
+    "tier_problems",
 ]

@@ -1,77 +1,37 @@
-"""The second pass over a suite: whether its scene names mean scenes."""
+"""Whether the scene names of a suite's tiers mean scenes that it runs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from pathlib import Path
+from pathlib import PurePosixPath
 
-from nw_eval.errors import Problem, SuiteError, nearest
-from nw_eval.suite.model import Suite
+from nw_eval.errors import Problem, nearest
+from nw_eval.suite.load import Draft
 
 
-def is_path(pattern: str, base: Path) -> bool:
-    """Say whether an entry of `scenes` is a place in the file system, not a catalogue's name.
+def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) -> list[Problem]:
+    """Return a problem for each tier that names no scene of the suite.
 
     Args:
-        pattern: a name, a glob, or a path.
-        base: folder that relative paths start from.
+        draft: the suite, as far as it could be read.
+        selected: names of the scenes that it runs, and of those it may mean where `failed`.
+        failed: its entries that could not be opened. A tier that may be about one is left alone,
+            for it would only echo that fault.
     """
-    if pattern.startswith(("neverwhere:", "flex:", "split:", ".", "/", "~")):
-        return True
-    try:
-        return (base / pattern).exists() or any(base.glob(pattern))
-    except (OSError, ValueError):  # Too long for a path, or no glob that pathlib understands.
-        return False
-
-
-def check_scenes(suite: Suite, names: Iterable[str]) -> None:
-    """Check every scene pattern and tier against the names of the catalogue.
-
-    Entries that are paths are left to whoever opens them; with such entries the tiers are left
-    too, for `check_tiers`, because only the opened scenes know their names.
-
-    Raises:
-        SuiteError: patterns or tiers match nothing, all of them told.
-    """
-    known = sorted(names)
-    unknown = {index: p for index, p in enumerate(suite.scenes) if not _matches(p, known)}
-    paths = {index: p for index, p in unknown.items() if is_path(p, suite.base)}
-    problems = [
-        suite.source.problem(
-            ("scenes", index), f"no scene matches {pattern!r}", nearest(pattern, known)
-        )
-        for index, pattern in unknown.items()
-        if index not in paths
-    ]
-    if not paths:
-        chosen = [name for name in known if any(fnmatchcase(name, p) for p in suite.scenes)]
-        problems += _tier_problems(suite, chosen)
-    if problems:
-        raise SuiteError(sorted(problems, key=lambda problem: (problem.line, problem.column)))
-
-
-def check_tiers(suite: Suite, selected: Sequence[str]) -> None:
-    """Check every tier against the names of the scenes that the suite runs.
-
-    Raises:
-        SuiteError: tiers match none of them.
-    """
-    if problems := _tier_problems(suite, selected):
-        raise SuiteError(problems)
-
-
-def _tier_problems(suite: Suite, selected: Sequence[str]) -> list[Problem]:
+    perhaps = [name for entry in failed for name in _names_of(entry)]
     return [
-        suite.source.problem(
+        draft.source.problem(
             ("gate", "tiers", pattern),
             f"gate.tiers: the suite runs no scene {pattern!r}",
             nearest(pattern, selected),
         )
-        for pattern in suite.gate.tiers
-        if not _matches(pattern, selected)
+        for pattern in draft.tiers
+        if not any(fnmatchcase(name, pattern) for name in (*selected, *perhaps))
     ]
 
 
-def _matches(pattern: str, names: Sequence[str]) -> bool:
-    return any(fnmatchcase(name, pattern) for name in names)
+def _names_of(entry: str) -> list[str]:
+    """Return what the scene of a folder may be called: as the folder, or with the one around it."""
+    parts = PurePosixPath(entry.rpartition(":")[2]).parts
+    return ["/".join(parts[-count:]) for count in (1, 2)]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 from pydantic import ValidationError
 
@@ -12,8 +15,56 @@ from nw_eval.suite.model import Source, Suite, new_suite
 from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
 
 
-def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:
-    """Read a suite by name or by path.
+@dataclass(frozen=True, kw_only=True)
+class Draft:
+    """A suite file as far as it could be read, so that one fault does not hide another."""
+
+    source: Source
+    said: Mapping[str, Any]
+    """The file's settings, right or wrong."""
+    problems: tuple[Problem, ...]
+    """What is wrong with the file itself, in its order."""
+    suite: Suite | None
+    """The suite; None if there are problems."""
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative scene and policy paths of the file start from."""
+        return Path(self.source.file).parent
+
+    @property
+    def scenes(self) -> dict[int, str]:
+        """The entries of `scenes` that can be looked for, each once, by their place in the list."""
+        told = self.said.get("scenes")
+        entries = cast("Sequence[Any]", told) if isinstance(told, list | tuple) else ()
+        found: dict[str, int] = {}
+        for index, entry in enumerate(entries):
+            if isinstance(entry, str) and entry:
+                found.setdefault(entry, index)
+        return {index: entry for entry, index in found.items()}
+
+    @property
+    def tiers(self) -> tuple[str, ...]:
+        """The names and globs of `gate.tiers`."""
+        gate = self.said.get("gate")
+        tiers = cast("dict[str, Any]", gate).get("tiers") if isinstance(gate, dict) else None
+        return tuple(cast("dict[str, Any]", tiers)) if isinstance(tiers, dict) else ()
+
+    def text(self, key: str) -> str | None:
+        """Return a setting of the file, if it is text."""
+        told = self.said.get(key)
+        return told if isinstance(told, str) and told else None
+
+
+def draft_of(suite: Suite) -> Draft:
+    """Return a suite that was read already as a draft without problems."""
+    return Draft(
+        source=suite.source, said=suite.model_dump(by_alias=True), problems=(), suite=suite
+    )
+
+
+def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
+    """Read a suite by name or by path, with whatever is wrong with it.
 
     Args:
         name_or_path: `hurdles` is `suites/hurdles.yaml` of the project, or the shipped one;
@@ -22,7 +73,7 @@ def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:
 
     Raises:
         UsageError: there is no such suite; names the nearest one.
-        SuiteError: the file has problems, all of them told, each with its line and column.
+        SuiteError: the file is no mapping of settings at all.
     """
     path = find_suite(name_or_path, search)
     problems: list[Problem] = []
@@ -33,17 +84,34 @@ def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:
             raise SuiteError(error.problems) from None
         # A duplicate key must not hide that another value is wrong: look at what was read, too.
         problems, file = list(error.problems), error.file
+    source = Source(file=file.path, places=file.places)
+    suite: Suite | None = None
     try:
-        suite = new_suite(file.data, Source(file=file.path, places=file.places))
+        suite = new_suite(file.data, source)
     except ValidationError as error:
         # What could not be read stands as None, which is no second fault.
         lines = {problem.line for problem in problems}
         more = validation_problems(error, file, Suite)
         problems += [p for p in more if not (p.line in lines and "None" in p.message)]
-    else:
-        if not problems:
-            return suite
-    raise SuiteError(sorted(problems, key=lambda problem: (problem.line, problem.column)))
+    return Draft(
+        source=source,
+        said=file.data,
+        problems=tuple(sorted(problems, key=lambda problem: (problem.line, problem.column))),
+        suite=None if problems else suite,
+    )
+
+
+def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:
+    """Read a suite by name or by path, as `draft_suite` does.
+
+    Raises:
+        UsageError: there is no such suite; names the nearest one.
+        SuiteError: the file has problems, all of them told, each with its line and column.
+    """
+    draft = draft_suite(name_or_path, search)
+    if draft.suite is None:
+        raise SuiteError(draft.problems)
+    return draft.suite
 
 
 def find_suite(name_or_path: str | Path, search: Path | None = None) -> Path:

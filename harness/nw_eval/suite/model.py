@@ -38,7 +38,7 @@ class Source:
         default_factory=dict, compare=False
     )
 
-    def problem(self, location: tuple[str | int, ...], message: str, fix: str) -> Problem:
+    def problem(self, location: tuple[str | int, ...], message: str, fix: str | None) -> Problem:
         """Return a problem at a setting, or at the nearest one around it that the file has."""
         while location and location not in self.places:
             location = location[:-1]
@@ -105,18 +105,28 @@ class Gate(_Strict):
         gt=0.0,
         lt=1.0,
         description="Absolute bar: the lower confidence bound of mean success must reach it. "
-        "Without one, PASS says only that every trial ran.",
+        "Without one nothing is judged, and the verdict is RAN.",
     )
-    max_drop: float = Field(
-        0.10, gt=0.0, lt=1.0, description="Largest drop against a baseline that may pass."
+    max_drop: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="Largest drop against a baseline that may pass. There is no baseline yet: "
+        "reports say that the drop was not judged, and how often a policy so much worse would "
+        "pass the absolute bar.",
     )
     confidence: float = Field(
-        0.95, ge=0.5, le=0.9999, description="Confidence of each one-sided bound."
+        0.95,
+        ge=0.5,
+        le=0.9999,
+        description="Confidence of each one-sided bound. A wrong PASS has at most probability "
+        "1 - confidence, a wrong REGRESSED too, or twice that with critical scenes.",
     )
     tiers: dict[Pattern, Tier] = Field(
         {},
-        description="Scene names or globs. critical: must have results, and is judged alone too. "
-        "supporting (the default): counts in the mean. informational: is only reported.",
+        description="Scene names or globs. critical: must have results, and convicts if its own "
+        "upper bound is below the bar. supporting (the default): counts in the mean. "
+        "informational: is only reported.",
     )
 
     def tier(self, scene: str) -> Tier:

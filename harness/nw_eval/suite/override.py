@@ -16,13 +16,13 @@ def override(
     robot: str | None = None,
     policy: str | None = None,
     trials: int | None = None,
-    scenes: tuple[str, ...] | None = None,
+    seed: int | None = None,
     record: str | None = None,
 ) -> Suite:
     """Return a suite with some settings replaced; None keeps a setting.
 
-    None of these but the robot is part of `Suite.digest`, so the trials of a changed suite are
-    still the same; another robot meets trials of its own.
+    Robot and seed are part of `Suite.digest`: with another one the trials are others. With another
+    policy, number of trials or record they are still the same.
 
     Raises:
         UsageError: a value cannot be used, for example `trials` of 0.
@@ -31,7 +31,7 @@ def override(
         "robot": robot,
         "policy": policy,
         "trials": trials,
-        "scenes": scenes,
+        "seed": seed,
         "record": record,
     }
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

@@ -1,0 +1,140 @@
+"""Everything that is wrong with a suite, its scenes and its policy, found in one go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from nw_eval.clean import clean
+from nw_eval.errors import NwEvalError, Problem, SuiteError
+
+if TYPE_CHECKING:
+    from nw_eval.policies import Bundle
+    from nw_eval.scenes import Scene
+    from nw_eval.scenes.terrain.options import Collision
+    from nw_eval.suite import Draft
+
+
+class Faults:
+    """What is wrong with a suite: the file's own faults first found, then whatever is added."""
+
+    def __init__(self, draft: Draft) -> None:
+        self._draft = draft
+        self._problems = list(draft.problems)
+        self._others: list[NwEvalError] = []
+
+    def at(self, location: tuple[str | int, ...], error: NwEvalError) -> None:
+        """Add what is wrong with something that the suite names there: a problem for each line."""
+        for line in str(error).splitlines():
+            self._problems.append(self._draft.source.problem(location, line, None))
+
+    def add(self, error: NwEvalError) -> None:
+        """Add what is wrong elsewhere."""
+        self._others.append(error)
+
+    def extend(self, problems: list[Problem]) -> None:
+        """Add problems of the suite's file."""
+        self._problems += problems
+
+    def raise_any(self) -> None:
+        """Raise what was found, if anything was: faults elsewhere alone as what they are.
+
+        Raises:
+            SuiteError: faults of the suite, and any other beside them.
+            NwEvalError: the only fault, which is not the suite's.
+        """
+        if not self._problems and len(self._others) == 1:
+            raise self._others[0]
+        if self._problems or self._others:
+            ordered = sorted(self._problems, key=lambda problem: (problem.line, problem.column))
+            raise SuiteError(ordered, self._others)
+
+
+def open_scenes(draft: Draft, faults: Faults, collision: Collision) -> tuple[Scene, ...]:
+    """Return the scenes that a suite names, as far as they can be opened."""
+    from nw_eval import scenes as places
+    from nw_eval.errors import SceneError
+    from nw_eval.suite import tier_problems
+
+    def opened(patterns: list[str]) -> tuple[Scene, ...]:
+        return places.match_scenes(patterns, draft.base, collision=collision)
+
+    found: list[Scene] = []
+    failed: list[str] = []
+    try:
+        found = list(opened(list(draft.scenes.values())))
+    except (SceneError, OSError):  # Which of them, and what is wrong with the others?
+        for index, pattern in draft.scenes.items():
+            try:
+                found += opened([pattern])
+            except SceneError as error:
+                faults.at(("scenes", index), error)
+                failed.append(pattern)
+            except OSError as error:  # No file system takes such a name.
+                message = f"no scene matches {clean(pattern, at_most=60)!r}: {error.strerror}"
+                faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
+                failed.append(pattern)
+    # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
+    meant = [scene.name for scene in found] + list(places.names() if failed else ())
+    faults.extend(tier_problems(draft, meant, failed))
+    return tuple(found)
+
+
+def open_policy(
+    draft: Draft,
+    faults: Faults,
+    *,
+    given: str | None,
+    checkpoint: Path | None,
+    robot: str | None,
+    allow_code: bool,
+) -> Bundle | None:
+    """Return the policy of a suite or the one that was given, checked; None if it cannot be used.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        given: a bundle's name, folder or card in place of the suite's own.
+        checkpoint: weights to use with the card.
+        robot: in place of the suite's own.
+        allow_code: whether Python code that the card names may be imported.
+    """
+    from nw_eval.errors import PolicyError
+    from nw_eval.policies import find_card, load_bundle
+    from nw_eval.rollout.vetting import vet_bundle
+    from nw_eval.suite.model import Protocol, Robot
+
+    own = draft.text("policy")
+    if given is None and own is None:
+        return None  # The file's own fault says so.
+    reference = given if given is not None else _from_base(draft.base, own or "")
+    try:
+        card = find_card(reference)
+    except PolicyError as error:
+        if given is None:
+            faults.at(("policy",), error)
+        else:
+            faults.add(error)
+        return None
+    try:
+        bundle = load_bundle(card, checkpoint=checkpoint)
+        return vet_bundle(
+            bundle,
+            robot or _known(draft.text("robot"), Robot) or bundle.card.robot,
+            protocol=_known(draft.text("protocol"), Protocol) or "strict",
+            allow_code=allow_code,
+        )
+    except NwEvalError as error:
+        faults.add(error)
+        return None
+
+
+def _known(word: str | None, words: Any) -> str | None:
+    """Return a word of the suite's if it is a valid one; its own fault is told already."""
+    return word if word in get_args(words) else None
+
+
+def _from_base(base: Path, policy: str) -> str:
+    """Return what names a suite's own policy: its relative path starts from the suite's folder."""
+    own = base / policy
+    return str(own) if ("/" in policy or own.suffix == ".yaml") and own.exists() else policy

@@ -1,0 +1,16 @@
+"""`nw-eval suites`: which suites there are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suites:
+    """List the suites that can be asked for by name: scenes, trials in each, bar, what for."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.list_suites())
+        return 0

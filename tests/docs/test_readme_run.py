@@ -1,0 +1,116 @@
+"""The run that the README shows ends in the words that these rows end in today."""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+
+from rich.console import Console
+
+from nw_eval.gate import judge
+from nw_eval.report import print_summary
+from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.row import Row
+from nw_eval.suite import load_suite
+
+README = Path(__file__).parents[2] / "README.md"
+
+# The trials that did not complete, as the README's run has them: waypoints reached by each.
+FALLEN = {
+    "one_high_stone_plaza": [1],
+    "three_benches_cloister": [2],
+    "three_boxes_garden": [3, 3],
+    "three_high_wood_hall": [0, 1, 2, 2, 2, 2, 2, 2],
+    "two_beams_yard_night": [1],
+    "two_brick_dusk": [2],
+    "two_foam_office": [2, 2],
+    "two_kerbs_alley": [2],
+    "two_logs_park": [1],
+    "two_rubber_corridor": [1, 2],
+}
+WAYPOINTS = {"one": 2, "two": 3, "three": 4}
+
+
+def shown() -> str:
+    return README.read_text(encoding="utf-8").split("```\n")[1]
+
+
+def scenes() -> list[str]:
+    """The scenes of its table."""
+    return [line.split()[0] for line in shown().splitlines() if line.startswith(" hurdles/")]
+
+
+def row(scene: str, index: int, reached: int, total: int) -> Row:
+    return Row(
+        trial_id=f"{scene.replace('/', '-')}-{index:03d}",
+        suite="hurdles",
+        scene=scene,
+        task="hurdles",
+        seed_index=index,
+        seed=index,
+        policy="go1-parkour",
+        status="ok",
+        outcome="completed" if reached == total else "collided",
+        end_reason="",
+        completed=reached == total,
+        fraction=reached / total,
+        waypoints_reached=reached,
+        waypoints_total=total,
+        steps=200,
+        sim_s=4.0,
+        physics_s=0.5,
+        render_s=1.0,
+        policy_s=0.1,
+        log_s=0.2,
+        wall_s=2.0,
+        checkpoint_digest="cc" * 32,
+        scene_digest="dd" * 32,
+    )
+
+
+def rows() -> list[Row]:
+    made: list[Row] = []
+    for scene in scenes():
+        name = scene.removeprefix("hurdles/")
+        total = WAYPOINTS[name.split("_")[0]]
+        fallen = FALLEN.get(name, [])
+        reached = [*fallen, *[total] * (10 - len(fallen))]
+        made += [row(scene, index, count, total) for index, count in enumerate(reached)]
+    return made
+
+
+def test_the_scenes_and_the_verdict_of_its_run_are_what_is_printed_today() -> None:
+    suite = load_suite("hurdles")
+    planned = dict.fromkeys(scenes(), 10)
+    seconds, workers = (int(shown().split(" scenes · ")[1].split()[word]) for word in (0, 3))
+    run = RunInfo(
+        id="run",
+        started="2026-11-21T20:03:38Z",
+        finished="2026-11-21T20:04:02Z",
+        wall_s=seconds,
+        suite_file="suites/hurdles.yaml",
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=PolicyInfo(name="go1-parkour", checkpoint_digest="cc" * 32),
+        scenes={
+            name: SceneInfo(digest="dd" * 32, task="hurdles", trials=count)
+            for name, count in planned.items()
+        },
+        workers=workers,
+        code=CodeInfo(version="0.1.0", digest="ee" * 32),
+        machine=MachineInfo(host="ci", cpu="", cores=2, system="", python=""),
+        versions={},
+    )
+    console = Console(file=StringIO(), width=120)
+    print_summary(console, run, rows(), judge(rows(), suite.gate, planned), Path("run"))
+    printed = [line.rstrip() for line in console.file.getvalue().splitlines()]
+    wanted = [line.rstrip() for line in shown().splitlines()]
+    assert [x for x in printed if x.startswith(" hurdles/")] == [
+        x for x in wanted if x.startswith(" hurdles/")
+    ]
+    assert printed[_verdict(printed) :] == wanted[_verdict(wanted) : -1]
+
+
+def _verdict(lines: list[str]) -> int:
+    (found,) = [index for index, line in enumerate(lines) if line.startswith("PASS ·")]
+    return found
