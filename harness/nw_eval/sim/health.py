@@ -45,7 +45,7 @@ def check(data: MjData, time: float) -> None:
     kinds = np.flatnonzero(counts).tolist()
     # What explodes may fill buffers on its way: that it exploded is the news.
     for kind in (kind for kind in kinds if kind in _DIVERGED):
-        raise DivergedError(f"physics diverged at {time:.3f} s: {_DIVERGED[kind]}", fix=_FIX)
+        raise DivergedError(f"physics failed at {time:.3f} s: {_DIVERGED[kind]}", fix=_FIX)
     meaning = _OTHER.get(kinds[0], f"MuJoCo warning {kinds[0]}")
     raise TrialError(f"physics failed at {time:.3f} s: {meaning}", fix=_FIX)
 
