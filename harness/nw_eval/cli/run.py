@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -12,6 +12,8 @@ import tyro
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """Roll a checkpoint out through a suite, write the evidence, and give a verdict."""
+
+    leaves_verdict: ClassVar = True
 
     suite: tyro.conf.Positional[str | None] = None
     """A suite file, or the name of a shipped suite; only --resume can do without."""
@@ -44,6 +46,7 @@ class Run:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.interruption import INTERRUPTED
         from nw_eval.cli.progress import RunProgress
 
         with RunProgress() as progress:
@@ -65,4 +68,6 @@ class Run:
                 listener=progress,
             )
         print(outcome.summary)
-        return outcome.exit_code
+        # An interruption that left no trial missing has interrupted nothing.
+        is_cut = outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE"
+        return INTERRUPTED if is_cut else outcome.exit_code

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.presence import Presence
 from nw_eval.engine.rows import make_row
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def run_trials(
         listener: told of progress.
 
     Raises:
-        StoreError: the journal cannot be written. What it holds stays.
+        StoreError: the journal cannot be written, and what it holds stays; or it was removed.
         TrialError: worker processes cannot be kept alive.
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
@@ -81,6 +82,7 @@ def run_trials(
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
+        presence=Presence(journal.path),
         attempts={name: row.attempt for name, row in latest.items() if row.status == "error"},
     )
     run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
@@ -90,6 +92,7 @@ def run_trials(
         if failed:
             again = [_with_evidence(job) for job in failed]
             run.work(again, interrupts, workers=min(count, len(again)), is_last=True)
+    run.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
         rows=journal.rows,
@@ -115,6 +118,7 @@ class _Run:
     folder: RunFolder
     policy: str
     listener: Listener
+    presence: Presence
     attempts: dict[str, int]  # made so far, by trial id
 
     def work(
@@ -135,6 +139,7 @@ class _Run:
                     else:
                         failed.append(ended.job)
                         self._announce_retry(row)
+                self.presence.check()
                 if interrupts.requested is not None:
                     break
         return failed

@@ -26,6 +26,7 @@ from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
+from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -54,7 +55,8 @@ def settings_of(run: Path) -> Settings:
     """Return what the run of a folder was started with, to go on with it.
 
     Raises:
-        StoreError: it is no run's folder.
+        UsageError: it is no run's folder.
+        StoreError: its run.json is damaged.
     """
     folder = open_run_folder(run)
     info = read_run_info(folder.run_json)
@@ -107,7 +109,7 @@ def run(
     engine = _engine(render)
     opened = Journal.create if resume is None else Journal.resume
     earlier = None if resume is None else read_run_info(folder.run_json)
-    with opened(folder.journal, _header(plan, engine)) as journal:
+    with TracebackIn(folder.path), opened(folder.journal, _header(plan, engine)) as journal:
         if journal.dropped:
             told.message(journal.dropped)
         info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
