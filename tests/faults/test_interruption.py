@@ -129,3 +129,31 @@ def test_workers_do_not_outlive_a_parent_that_is_killed(tiny_run, tmp_path):
     assert wait_until_gone(process.pid, 5.0) == []
     outcome = run.go(resume=True)
     assert [row.status for row in outcome.rows] == ["ok"] * 6
+
+
+def test_a_group_that_is_killed_leaves_nothing_in_shared_memory(tiny_run, tmp_path):
+    # What a killed group leaves behind is what it has mapped by name while it lives.
+    process = start(run := tiny_run("slow", name="cut", trials=6), tmp_path)
+    wait_for_rows(run, 1, process)
+    family = [process.pid, *descendants(process.pid)]
+    mapped = [line for pid in family for line in maps(pid) if "/dev/shm/" in line]
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate(timeout=20)
+    assert len(family) >= 3, "parent and two workers"
+    assert mapped == []
+
+
+def descendants(pid):
+    """Return the processes that a process started, and those that they did."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [each for child in children for each in (int(child), *descendants(int(child)))]
+
+
+def maps(pid):
+    try:
+        return Path(f"/proc/{pid}/maps").read_text().splitlines()
+    except OSError:
+        return []

@@ -40,10 +40,11 @@ def leave_at_signals() -> None:
         signal.signal(number, leave)
 
 
-def hurry_at_signals(code: int) -> None:
-    """End with a code that stands already: a signal can only hurry the interpreter's own end."""
-    for number in _SIGNALS:
-        signal.signal(number, lambda *_: os._exit(code))
+def nothing_left_to_interrupt(code: int) -> None:
+    """Let the interpreter come to its end with a code that stands already."""
+    # Blocked, not ignored: the interpreter puts the handler of Ctrl-C back before it ends.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(code))
 
 
 def leave(*_: object) -> NoReturn:

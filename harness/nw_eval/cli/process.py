@@ -6,7 +6,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING, NoReturn
 
-from nw_eval.cli.interruption import hurry_at_signals, interruption, leave
+from nw_eval.cli.interruption import interruption, leave, nothing_left_to_interrupt
 from nw_eval.cli.outermost import end_of, tell, unforeseen
 from nw_eval.cli.streams import Streams
 from nw_eval.errors import StoreError
@@ -27,7 +27,7 @@ def run_process(*, description: str) -> NoReturn:
         tell(f"error: cannot write to standard output: {trouble.strerror or trouble}")
         if code == 0 and not end.is_written:
             code = StoreError.exit_code
-    hurry_at_signals(code)
+    nothing_left_to_interrupt(code)
     sys.exit(code)
 
 
