@@ -143,6 +143,28 @@ def test_a_group_that_is_killed_leaves_nothing_in_shared_memory(tiny_run, tmp_pa
     assert mapped == []
 
 
+def test_sigterm_ends_a_check_and_the_process_that_opens_its_policy(tiny_run, tmp_path):
+    tiny_run("sleeper", deed="pass")
+    folder, noted = tmp_path / "policies" / "sleeper", tmp_path / "pid"
+    code = f"import os, time; open({str(noted)!r}, 'w').write(str(os.getpid()))"
+    (folder / "sleeper.py").write_text(f"{code}\ntime.sleep(600)\n")
+    main = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
+    process = subprocess.Popen(
+        [*main, "check", "smoke", "--policy", str(folder), "--allow-code"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not (noted.exists() and noted.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    opener = int(noted.read_text())
+    process.terminate()
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (130, "", "interrupted\n")
+    assert not Path(f"/proc/{opener}").exists()
+
+
 def descendants(pid):
     """Return the processes that a process started, and those that they did."""
     try:
