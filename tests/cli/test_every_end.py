@@ -113,6 +113,26 @@ def test_an_interruption_that_a_library_disguises_is_130_too(capsys, monkeypatch
     assert capsys.readouterr().err == "interrupted\n"
 
 
+def test_a_run_that_is_interrupted_ends_with_130_and_says_how_to_go_on(
+    capsys, monkeypatch, regressed_run, tmp_path
+):
+    def press_ctrl_c(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("nw_eval.cli.progress.RunProgress.trial", press_ctrl_c)
+    suite, out = regressed_run.parent / "suite.yaml", tmp_path / "run"
+    with pytest.raises(SystemExit) as left:
+        cli.main(["run", str(suite), "--out", str(out), "--workers", "1"])
+    assert left.value.code == 130
+    said = capsys.readouterr()
+    assert f"interrupted; go on with --resume {out}" in said.err
+    assert "1 of 2 trials" in said.out
+    monkeypatch.undo()
+    with pytest.raises(SystemExit) as left:
+        cli.main(["run", "--resume", str(out), "--workers", "1"])
+    assert left.value.code == CODE_OF_REGRESSED
+
+
 def test_a_progress_display_that_breaks_costs_the_display_and_nothing_else(capsys, monkeypatch):
     from nw_eval.cli.progress import RunProgress
 

@@ -43,7 +43,8 @@ def leave_at_signals() -> None:
 def nothing_left_to_interrupt(code: int) -> None:
     """Let the interpreter come to its end with a code that stands already."""
     # Blocked, not ignored: the interpreter puts the handler of Ctrl-C back before it ends.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    if hasattr(signal, "pthread_sigmask"):  # Not on Windows.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, lambda *_: os._exit(code))
 
 

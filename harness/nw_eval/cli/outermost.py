@@ -65,12 +65,12 @@ def unforeseen(error: BaseException) -> str:
 
 def _code_of(error: BaseException) -> int:
     """Say what happened in one line, and return its code."""
-    if isinstance(error, NwEvalError):
-        tell(f"error: {error}")
-        return error.exit_code
     # Some libraries turn a KeyboardInterrupt that meets their import into an error of their own.
     if isinstance(error, KeyboardInterrupt) or interruption.was_heard:
         tell("interrupted")
         return INTERRUPTED
+    if isinstance(error, NwEvalError):
+        tell(f"error: {error}")
+        return error.exit_code
     tell(f"error: {unforeseen(error)}")
     return NwEvalError.exit_code

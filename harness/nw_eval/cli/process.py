@@ -20,14 +20,17 @@ def run_process(*, description: str) -> NoReturn:
     streams = Streams()
     threading.excepthook = _thread_failed
     sys.unraisablehook = _not_raised
-    interruption.listen()
-    end = end_of(sys.argv[1:], description=description)
-    code = end.code
-    if (trouble := streams.trouble()) is not None:
-        tell(f"error: cannot write to standard output: {trouble.strerror or trouble}")
-        if code == 0 and not end.is_written:
-            code = StoreError.exit_code
-    nothing_left_to_interrupt(code)
+    try:
+        interruption.listen()
+        end = end_of(sys.argv[1:], description=description)
+        code = end.code
+        if (trouble := streams.trouble()) is not None:
+            tell(f"error: cannot write to standard output: {trouble.strerror or trouble}")
+            if code == 0 and not end.is_written:
+                code = StoreError.exit_code
+        nothing_left_to_interrupt(code)
+    except KeyboardInterrupt:  # Between two steps, or while a slow reader is waited for.
+        leave()
     sys.exit(code)
 
 

@@ -16,18 +16,18 @@ from nw_eval.cli.outermost import tell, unforeseen
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
-P = ParamSpec("P")
+_P = ParamSpec("_P")
 
 _LOG_EVERY = 10.0  # Seconds between two lines where there is no terminal.
 
 
 def _harmless(
-    show: Callable[Concatenate[RunProgress, P], None],
-) -> Callable[Concatenate[RunProgress, P], None]:
+    show: Callable[Concatenate[RunProgress, _P], None],
+) -> Callable[Concatenate[RunProgress, _P], None]:
     """Let a method fail without costing the run: what it shows is in the journal as well."""
 
     @wraps(show)
-    def try_to(self: RunProgress, *args: P.args, **kwargs: P.kwargs) -> None:
+    def try_to(self: RunProgress, *args: _P.args, **kwargs: _P.kwargs) -> None:
         if not self.is_broken:
             try:
                 show(self, *args, **kwargs)

@@ -13,7 +13,7 @@ import tyro
 class Report:
     """Judge a finished or interrupted run again from its rows, and write its report."""
 
-    leaves_verdict: ClassVar = True
+    leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     run: tyro.conf.Positional[Path]
     """A run's folder."""

@@ -13,7 +13,7 @@ import tyro
 class Run:
     """Roll a checkpoint out through a suite, write the evidence, and give a verdict."""
 
-    leaves_verdict: ClassVar = True
+    leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     suite: tyro.conf.Positional[str | None] = None
     """A suite file, or the name of a shipped suite; only --resume can do without."""
@@ -47,6 +47,7 @@ class Run:
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.interruption import INTERRUPTED
+        from nw_eval.cli.outermost import tell
         from nw_eval.cli.progress import RunProgress
 
         with RunProgress() as progress:
@@ -69,5 +70,7 @@ class Run:
             )
         print(outcome.summary)
         # An interruption that left no trial missing has interrupted nothing.
-        is_cut = outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE"
-        return INTERRUPTED if is_cut else outcome.exit_code
+        if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
+            tell(f"interrupted; go on with --resume {outcome.folder}")
+            return INTERRUPTED
+        return outcome.exit_code
