@@ -14,7 +14,8 @@ HEAVY = ("mujoco", "torch", "numba", "onnxruntime", "pyarrow", "pandas", "matplo
 
 
 def test_the_command_line_loads_no_heavy_library() -> None:
-    code = f"import nw_eval.cli, sys; print([m for m in {HEAVY!r} if m in sys.modules])"
+    loaded = f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    code = f"import sys, nw_eval.cli.process, nw_eval.cli.verbs; {loaded}"
     shown = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout

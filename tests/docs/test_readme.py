@@ -8,7 +8,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from nw_eval import api
-from nw_eval.cli import Verb
+from nw_eval.cli.verbs import Verb
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, load_card
 from nw_eval.sensors import check_bundle, check_card

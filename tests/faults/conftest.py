@@ -117,6 +117,47 @@ def write_bundle(folder, name):
     return folder
 
 
+PYTHON_CARD = """\
+nw-policy: 1
+name: {name}
+robot: go1
+adapter: python:{name}:Policy
+control: {{action: joint_position_offset, scale: 0.25, delay_steps: 1}}
+observations:
+  proprio: {{sensor: proprio, layout: parkour53}}
+"""
+
+PYTHON_POLICY = """\
+import os, subprocess, sys
+from pathlib import Path
+
+class Odd(BaseException):
+    def __init__(self, one, two):
+        super().__init__("odd")
+
+class Policy:
+    def __init__(self, bundle):
+        self.folder = bundle.folder
+
+    def reset(self, seed):
+        self.step = 0
+
+    def act(self, observation):
+        self.step += 1
+        if self.step == 3:
+            {deed}
+        return [0.0] * 12
+"""
+
+
+def write_python_bundle(folder, name, deed):
+    """Write a policy that stands, but for what it does at its third step; return its folder."""
+    folder.mkdir(parents=True)
+    (folder / "policy.yaml").write_text(PYTHON_CARD.format(name=name))
+    (folder / f"{name}.py").write_text(PYTHON_POLICY.format(deed=deed))
+    return folder
+
+
 def suite_with_both_sides(scene, settings):
     """Return the suite of the first seed whose trials start with the waypoint left and right."""
     for seed in range(1000):
@@ -186,13 +227,23 @@ class TinyRun:
 
 @pytest.fixture
 def tiny_run(tmp_path):
-    """Return a maker of runs: `tiny_run("slow", trials=4)`."""
+    """Return a maker of runs: `tiny_run("slow", trials=4)`, `tiny_run("leaver", deed="exit()")`."""
 
     def make(
-        model, *, name="run", trials=4, duration=0.2, time_limit=60.0, record="none", code=None
+        model,
+        *,
+        name="run",
+        trials=4,
+        duration=0.2,
+        time_limit=60.0,
+        record="none",
+        deed=None,
+        code=None,
     ):
         bundles: Path = code or tmp_path / "policies" / model
-        if not bundles.exists():
+        if deed is not None:
+            write_python_bundle(bundles, model, deed)
+        elif not bundles.exists():
             write_bundle(bundles, model)
         bundle = load_bundle(bundles)
         scene = get_scene(SCENE)
@@ -216,7 +267,7 @@ def tiny_run(tmp_path):
             scenes=(scene,),
             references={},
             trials=expand(suite, [scene]),
-            allow_code=code is not None,
+            allow_code=deed is not None or code is not None,
         )
         jobs = plan_jobs(plan, folder, time_limit=time_limit)
         header = JournalHeader(

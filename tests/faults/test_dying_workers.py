@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from nw_eval.engine.local import LocalWorkers
 from nw_eval.errors import TrialError
 from nw_eval.results.row import rows_digest
 
@@ -61,3 +62,67 @@ def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, mo
     monkeypatch.undo()
     outcome = run.go(resume=True)
     assert [row.status for row in outcome.rows] == ["ok", "ok"]
+
+
+@pytest.mark.parametrize("code", [0, 7])
+def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, code):
+    # With the time limit as the only witness, code 0 would be told as `hung` after 60 s.
+    run = tiny_run("leaver", deed=f"os._exit({code})", trials=1)
+    with LocalWorkers(1) as pool:
+        pool.submit(run.jobs)
+        [ended] = [each for each in pool.finished() if each is not None]
+    assert ended.result.status == "error"
+    assert (ended.result.error_type, ended.result.end_reason) == ("crashed", "exit")
+    assert ended.result.error_text == f"the worker process ended with exit code {code}"
+
+
+def test_a_signal_is_told_from_an_exit(tiny_run):
+    run = tiny_run("faller", deed="os.abort()", trials=1)
+    with LocalWorkers(1) as pool:
+        pool.submit(run.jobs)
+        [ended] = [each for each in pool.finished() if each is not None]
+    assert (ended.result.error_type, ended.result.end_reason) == ("crashed", "")
+    assert ended.result.error_text == "the worker process was killed by SIGABRT"
+
+
+@pytest.mark.parametrize(
+    "deed",
+    ["sys.exit(0)", "raise KeyboardInterrupt", "raise GeneratorExit", "raise Odd(1, 2)"],
+    ids=["exit", "interrupt", "generator", "unpicklable"],
+)
+def test_nothing_that_a_policy_raises_ends_the_run(tiny_run, deed):
+    outcome = tiny_run("raiser", deed=deed, trials=1).go(workers=1)
+    assert outcome.missing == ()
+    assert [row.completed for row in outcome.rows] == [False]
+    assert all(row.error_type for row in outcome.rows)
+
+
+def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
+    forking = tiny_run("forker", deed="os.fork()", trials=3).go(workers=1)
+    still = tiny_run("stander", name="still", deed="pass", trials=3).go(workers=1)
+    assert [row.status for row in forking.rows] == ["ok"] * 3
+    assert [row.state_digest for row in forking.rows] == [row.state_digest for row in still.rows]
+
+
+def test_what_a_worker_started_ends_with_it(tiny_run, monkeypatch):
+    monkeypatch.setattr("nw_eval.engine.local.worker.start", os.setsid)
+    deed = "(self.folder / 'pid').write_text(str(subprocess.Popen(['sleep', '600']).pid))"
+    run = tiny_run("parent", deed=deed, trials=1)
+    outcome = run.go(workers=1)
+    assert [row.status for row in outcome.rows] == ["ok"]
+    [noted] = Path(run.jobs[0].policy).parent.glob("pid")
+    assert is_gone(int(noted.read_text()))
+
+
+def is_gone(pid):
+    """Say whether a process ends within seconds; a zombie has ended."""
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.02)
+    return False

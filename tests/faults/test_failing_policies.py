@@ -86,6 +86,9 @@ WAYS = {
     "killed": dying(signal.SIGKILL),
     "flaky": first(raising(ValueError, "once"), nothing),
     "fickle": first(raising(ValueError, "once"), lambda count: np.full(12, np.nan)),
+    "leaves 0": lambda count: os._exit(0),
+    "leaves 7": lambda count: os._exit(7),
+    "error then leaves": first(raising(ValueError, "once"), lambda count: os._exit(7)),
     "unlucky": first(dying(signal.SIGKILL), raising(ValueError, "no gait")),
 }
 
@@ -213,3 +216,18 @@ def test_a_run_cut_between_a_failure_and_its_repeat_goes_on_to_the_same_rows(mis
     assert rows_digest(resumed.rows) == rows_digest(whole.rows)
     assert (retold.attempt, retold.outcome) == (2, "policy_failed")
     assert retold.error_text != told.error_text, "it names the process, and counts for nothing"
+
+
+def test_a_policy_that_ends_its_process_has_failed(misbehave):
+    run, by_trial = misbehave(["leaves 0", "leaves 7", "fine", "error then leaves"])
+    rows = by_way(run.go(workers=2), by_trial)
+    for way in ("leaves 0", "leaves 7"):
+        row = rows[way]
+        said = (row.status, row.outcome, row.end_reason, row.fraction, row.attempt)
+        assert said == ("ok", "policy_failed", "exit", 0.0, 2)
+        assert f"exit code {way[-1]}" in row.error_text
+        assert (row.error_type, row.waypoints_total, row.mcap_path) == ("crashed", 0, "")
+    assert rows["fine"].attempt == 1
+    other = rows["error then leaves"]
+    assert (other.status, other.outcome, other.end_reason) == ("error", "crashed", "exit")
+    assert "act raised ValueError: once" in other.error_text

@@ -129,3 +129,53 @@ def test_workers_do_not_outlive_a_parent_that_is_killed(tiny_run, tmp_path):
     assert wait_until_gone(process.pid, 5.0) == []
     outcome = run.go(resume=True)
     assert [row.status for row in outcome.rows] == ["ok"] * 6
+
+
+def test_a_group_that_is_killed_leaves_nothing_in_shared_memory(tiny_run, tmp_path):
+    # What a killed group leaves behind is what it has mapped by name while it lives.
+    process = start(run := tiny_run("slow", name="cut", trials=6), tmp_path)
+    wait_for_rows(run, 1, process)
+    family = [process.pid, *descendants(process.pid)]
+    mapped = [line for pid in family for line in maps(pid) if "/dev/shm/" in line]
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate(timeout=20)
+    assert len(family) >= 3, "parent and two workers"
+    assert mapped == []
+
+
+def test_sigterm_ends_a_check_and_the_process_that_opens_its_policy(tiny_run, tmp_path):
+    tiny_run("sleeper", deed="pass")
+    folder, noted = tmp_path / "policies" / "sleeper", tmp_path / "pid"
+    code = f"import os, time; open({str(noted)!r}, 'w').write(str(os.getpid()))"
+    (folder / "sleeper.py").write_text(f"{code}\ntime.sleep(600)\n")
+    main = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
+    process = subprocess.Popen(
+        [*main, "check", "smoke", "--policy", str(folder), "--allow-code"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not (noted.exists() and noted.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    opener = int(noted.read_text())
+    process.terminate()
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (130, "", "interrupted\n")
+    assert not Path(f"/proc/{opener}").exists()
+
+
+def descendants(pid):
+    """Return the processes that a process started, and those that they did."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [each for child in children for each in (int(child), *descendants(int(child)))]
+
+
+def maps(pid):
+    try:
+        return Path(f"/proc/{pid}/maps").read_text().splitlines()
+    except OSError:
+        return []

@@ -1,13 +1,28 @@
 """A log that cannot be written costs the log; a journal that cannot be written ends the run."""
 
 import resource
+import shutil
 from contextlib import contextmanager
 
 import pytest
 
+from nw_eval import api
+from nw_eval.api import reports
 from nw_eval.errors import StoreError
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import MEASURED, rows_digest, to_dict
+
+SUITE = """\
+nw-eval: 1
+name: tiny
+robot: go1
+policy: stand
+trials: 1
+seed: 7
+episode: {duration: 0.2}
+scenes: [flat/carpet_room]
+record: none
+"""
 
 
 @contextmanager
@@ -71,6 +86,44 @@ def test_a_full_disk_under_the_journal_ends_the_run_and_keeps_what_is_finished(t
     assert len(outcome.rows) == 4
     whole = tiny_run("fine", name="whole", trials=4).go(workers=1)
     assert rows_digest(outcome.rows) == rows_digest(whole.rows)
+
+
+def test_a_run_folder_that_is_removed_in_mid_run_ends_the_run_and_is_said(tiny_run):
+    run = tiny_run("fine", name="gone", trials=3)
+    run.ears.trial = lambda _: shutil.rmtree(run.folder.path)
+    with pytest.raises(StoreError, match="gone was removed or replaced while the run went on"):
+        run.go(workers=1)
+
+
+def test_a_run_folder_that_is_replaced_in_mid_run_is_not_taken_for_the_run(tiny_run):
+    run = tiny_run("fine", name="swapped", trials=3)
+
+    def swap(_):
+        run.folder.path.rename(run.folder.path.with_name("kept"))
+        shutil.copytree(run.folder.path.with_name("kept"), run.folder.path)
+
+    run.ears.trial = swap
+    with pytest.raises(StoreError, match="was removed or replaced"):
+        run.go(workers=1)
+    kept = read_journal(run.folder.path.with_name("kept") / "journal.jsonl").rows
+    assert len(kept) == 1
+
+
+def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp_path, monkeypatch):
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(SUITE)
+    written = reports.report
+
+    def remove_and_report(path, **settings):
+        told = written(path, **settings)
+        shutil.rmtree(path)
+        path.mkdir()
+        (path / "report.md").write_text("PASS")
+        return told
+
+    monkeypatch.setattr("nw_eval.api.runs.report", remove_and_report)
+    with pytest.raises(StoreError, match="run was removed or replaced"):
+        api.run(suite, out=tmp_path / "run", workers=1)
 
 
 def test_one_and_two_workers_give_the_same_rows_but_for_wall_times(tiny_run):

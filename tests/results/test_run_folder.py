@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.results.machine import code_info, library_versions, machine_info
 from nw_eval.results.provenance import (
     PolicyInfo,
@@ -75,12 +75,12 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 def test_a_run_opens_by_its_folder_or_a_file_in_it_and_nothing_else_does(tmp_path: Path) -> None:
     folder = create_run_folder(tmp_path, suite="s", policy="p", digest="0" * 8)
-    with pytest.raises(StoreError, match="is not the folder of a run"):
+    with pytest.raises(UsageError, match="is not the folder of a run"):
         open_run_folder(folder.path)
     write_run_info(folder.run_json, info())
     assert open_run_folder(folder.path) == folder
     assert open_run_folder(folder.run_json) == folder
-    with pytest.raises(StoreError, match="is not the folder of a run"):
+    with pytest.raises(UsageError, match="is not the folder of a run"):
         open_run_folder(tmp_path)
 
 

@@ -10,6 +10,7 @@ from nw_eval.api.message import Message
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, report
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +67,7 @@ def run(
     """
     from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
+    from nw_eval.engine.presence import Presence
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
@@ -111,7 +113,11 @@ def run(
         command=tuple(sys.argv),
         listener=listener,
     )
-    return report(folder.path)
+    with TracebackIn(folder.path):
+        judged = report(folder.path)
+    # Writing a report into a folder that was removed makes it anew.
+    Presence(folder.journal).check()
+    return judged
 
 
 def replay(
@@ -126,11 +132,17 @@ def replay(
     """Run a recorded trial again and compare its end bit for bit; exit code 4 if it differs.
 
     Raises:
+        UsageError: there is no such file.
         StoreError: the log cannot be read.
         PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
     """
     from nw_eval.rollout import replay as rollouts
 
+    if not log.is_file():
+        raise UsageError(
+            f"{log} is {'a folder' if log.is_dir() else 'no file'}",
+            fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
+        )
     replayed = rollouts.replay(
         log, policy=policy, checkpoint=checkpoint, start=start, allow_code=allow_code
     )

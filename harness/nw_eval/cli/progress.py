@@ -3,22 +3,46 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import wraps
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from nw_eval.cli.outermost import tell, unforeseen
+
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
+_P = ParamSpec("_P")
+
 _LOG_EVERY = 10.0  # Seconds between two lines where there is no terminal.
+
+
+def _harmless(
+    show: Callable[Concatenate[RunProgress, _P], None],
+) -> Callable[Concatenate[RunProgress, _P], None]:
+    """Let a method fail without costing the run: what it shows is in the journal as well."""
+
+    @wraps(show)
+    def try_to(self: RunProgress, *args: _P.args, **kwargs: _P.kwargs) -> None:
+        if not self.is_broken:
+            try:
+                show(self, *args, **kwargs)
+            except Exception as error:  # noqa: BLE001 - a terminal may break in any way.
+                self.is_broken = True
+                tell(f"warning: no more progress is shown, {unforeseen(error)}")
+
+    return try_to
 
 
 class RunProgress:
     """Listens to `api.run`: scene building, then trials with their rate and success so far."""
 
     def __init__(self) -> None:
+        self.is_broken = False
         self._console = Console(stderr=True)
         self._bars = Progress(
             TextColumn("{task.description}"),
@@ -38,7 +62,7 @@ class RunProgress:
         self._began = self._said = time.perf_counter()
 
     def __enter__(self) -> Self:
-        self._bars.start()
+        self._start()
         return self
 
     def __exit__(
@@ -47,12 +71,22 @@ class RunProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._stop()
+
+    @_harmless
+    def _start(self) -> None:
+        self._bars.start()
+
+    @_harmless
+    def _stop(self) -> None:
         self._bars.stop()
 
+    @_harmless
     def message(self, text: str) -> None:
         """Say one line above the bars."""
         self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
+    @_harmless
     def scene(self, name: str, fraction: float) -> None:
         """Show that a scene is being built, from 0 to 1."""
         label = f"building {name}"
@@ -62,6 +96,7 @@ class RunProgress:
                 self.message(label)
         self._bars.update(self._tasks[label], completed=fraction, visible=fraction < 1.0)
 
+    @_harmless
     def planned(self, *, total: int, finished: int) -> None:
         """Show how many trials there are, and how many an earlier run already finished."""
         self._total, self._done = total, finished
@@ -72,6 +107,7 @@ class RunProgress:
         if finished:
             self.message(f"resuming: {finished} of {total} trials are already finished")
 
+    @_harmless
     def trial(self, row: Row) -> None:
         """Show one more finished trial."""
         self._done += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import tyro
 
@@ -11,6 +12,8 @@ import tyro
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """Judge a finished or interrupted run again from its rows, and write its report."""
+
+    leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     run: tyro.conf.Positional[Path]
     """A run's folder."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -15,6 +15,8 @@ class Run:
 
     A suite without a bar (`gate.success_rate`) is only run: its verdict is RAN, exit code 0.
     """
+
+    leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     suite: tyro.conf.Positional[str | None] = None
     """A suite file, or the name of a shipped suite (`nw-eval suites` lists them); only --resume can
@@ -50,6 +52,8 @@ class Run:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.interruption import INTERRUPTED
+        from nw_eval.cli.outermost import tell
         from nw_eval.cli.progress import RunProgress
 
         with RunProgress() as progress:
@@ -72,4 +76,8 @@ class Run:
                 listener=progress,
             )
         print(outcome.summary)
+        # An interruption that left no trial missing has interrupted nothing.
+        if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
+            tell(f"interrupted; go on with --resume {outcome.folder}")
+            return INTERRUPTED
         return outcome.exit_code

@@ -23,6 +23,7 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.requested: signal.Signals | None = None
+        self._is_ending = False
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -41,9 +42,12 @@ class Interrupts:
         self._before = {}
 
     def _heard(self, number: int, _frame: FrameType | None) -> None:
-        if self.requested is not None:
+        if self.requested is None:
+            self.requested = signal.Signals(number)
+        elif not self._is_ending:
+            # Once: a third one would only disturb the end that the second asked for.
+            self._is_ending = True
             raise KeyboardInterrupt
-        self.requested = signal.Signals(number)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.presence import Presence
 from nw_eval.engine.repeat import is_open, settled
 from nw_eval.engine.rows import make_row
 from nw_eval.rollout.result import policy_fault
@@ -70,7 +71,7 @@ def run_trials(
         listener: told of progress.
 
     Raises:
-        StoreError: the journal cannot be written. What it holds stays.
+        StoreError: the journal cannot be written, and what it holds stays; or it was removed.
         TrialError: worker processes cannot be kept alive.
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
@@ -83,6 +84,7 @@ def run_trials(
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
+        presence=Presence(journal.path),
         errors={name: row for name, row in latest.items() if row.status == "error"},
     )
     run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
@@ -95,6 +97,7 @@ def run_trials(
         while again:
             repeated = [_with_evidence(job) for job in again]
             again = run.work(repeated, interrupts, workers=min(count, len(again)), fresh=True)
+    run.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
         rows=journal.rows,
@@ -120,6 +123,7 @@ class _Run:
     folder: RunFolder
     policy: str
     listener: Listener
+    presence: Presence
     errors: dict[str, Row]  # the latest attempt that ended in an error, by trial id
 
     def awaits_repeat(self, job: TrialJob) -> bool:
@@ -154,6 +158,7 @@ class _Run:
                     else:
                         self._announce_failure(row)
                         self.listener.trial(row)
+                self.presence.check()
                 if interrupts.requested is not None:
                     break
         return again

@@ -27,6 +27,7 @@ from nw_eval.results.provenance import (
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
+from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -69,7 +70,8 @@ def run(
     folder = RunFolder(path=folder.path.resolve())
     engine = _engine(render)
     info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
-    with _journal(folder, _header(plan, engine), info) as journal:
+    header = _header(plan, engine)
+    with TracebackIn(folder.path), _journal(folder, header, info) as journal:
         if journal.dropped:
             told.message(journal.dropped)
         of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +88,11 @@ def open_run_folder(path: Path) -> RunFolder:
     """Return the folder of an existing run; any file directly in it will do for its name.
 
     Raises:
-        StoreError: it is no run folder.
+        UsageError: it is no run folder.
     """
     folder = RunFolder(path=path.parent if path.is_file() else path)
     if not folder.run_json.is_file() and not folder.journal.is_file():
-        raise StoreError(
+        raise UsageError(
             f"{path} is not the folder of a run (no run.json in it)",
             fix="name one of the folders in reports/",
         )

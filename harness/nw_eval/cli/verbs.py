@@ -1,0 +1,59 @@
+"""The verbs of the command line, and how arguments become one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, cast
+
+import tyro
+
+from nw_eval import __version__
+from nw_eval.cli.check import Check
+from nw_eval.cli.policies import Policies
+from nw_eval.cli.replay import Replay
+from nw_eval.cli.report import Report
+from nw_eval.cli.run import Run
+from nw_eval.cli.scenes import Scenes
+from nw_eval.cli.schema import Schema
+from nw_eval.cli.sensors import Sensors
+from nw_eval.cli.splat import Splat
+from nw_eval.cli.suites import Suites
+from nw_eval.cli.warmup import Warmup
+
+Verb = (
+    Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Suites, tyro.conf.subcommand("suites")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Policies, tyro.conf.subcommand("policies")]
+    | Annotated[Scenes, tyro.conf.subcommand("scenes")]
+    | Annotated[Sensors, tyro.conf.subcommand("sensors")]
+    | Annotated[Splat, tyro.conf.subcommand("splat")]
+    | Annotated[Schema, tyro.conf.subcommand("schema")]
+    | Annotated[Warmup, tyro.conf.subcommand("warmup")]
+)
+
+
+def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
+    """Return the verb that the arguments name; calling it returns its exit code.
+
+    Raises:
+        SystemExit: help was asked for and printed (0), or the arguments are none (2).
+    """
+    if list(arguments) == ["--version"]:
+        print(f"nw-eval {__version__}")
+        raise SystemExit(0)
+    verb = tyro.cli(
+        Verb,  # pyright: ignore[reportArgumentType]
+        args=arguments,
+        prog="nw-eval",
+        description=description,
+        config=(
+            tyro.conf.OmitSubcommandPrefixes,
+            tyro.conf.FlagCreatePairsOff,
+            tyro.conf.DisallowNone,  # Who wants none leaves the option out.
+            tyro.conf.PositionalMetavarFromFieldName,
+        ),
+    )
+    return cast("Callable[[], int]", verb)

@@ -1,0 +1,224 @@
+"""One worker process: jobs go in through one pipe, results come out of another as lines of JSON.
+
+What a worker says is text and never an object of Python's: one that a hostile file has taken over
+can say something wrong, but run nothing here. Parent and worker share no lock, so none is left
+behind in shared memory by a group that is killed, and nobody waits for one that a dead process
+holds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection
+from time import monotonic
+from typing import NoReturn
+
+from pydantic import TypeAdapter, ValidationError
+
+from nw_eval.clean import clean
+from nw_eval.engine.interrupts import interrupts_blocked
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.result import TrialResult
+
+# What a worker says as soon as it has a job: from here on its end is the job's.
+_TAKEN = b"taken"
+# Bytes of a result that anybody reads; honest ones have about two thousand.
+_LONGEST = 1 << 20
+# Seconds until a new process must have taken its job: it imports next to nothing before.
+_START_LIMIT = 120.0
+# Seconds in which a process that has closed its pipe, or was killed, must be gone.
+_LAST_MOMENTS = 5.0
+# Exit code of a worker that cannot even say what went wrong.
+_SPEECHLESS = 70
+
+
+class UnstartedError(Exception):
+    """A worker ended before it took its job, which is not to blame."""
+
+
+class WorkerProcess:
+    """A process that runs one job after the other.
+
+    Args:
+        start: called once in the process.
+        run: called there with each job.
+
+    Raises:
+        OSError: no process can be started.
+    """
+
+    def __init__(
+        self, *, start: Callable[[], None], run: Callable[[TrialJob], TrialResult]
+    ) -> None:
+        context = get_context("spawn")
+        theirs, self._jobs = context.Pipe(duplex=False)
+        self._results, back = context.Pipe(duplex=False)
+        # Its processes are ours to end: a daemon could have none of its own, which policies may.
+        self._process = context.Process(target=_serve, args=(start, run, theirs, back))
+        # Starting it later would lift the block: it lifts its own block of the same signals.
+        resource_tracker.ensure_running()
+        try:
+            with interrupts_blocked():
+                self._process.start()
+        except BaseException:
+            self._jobs.close()
+            self._results.close()
+            raise
+        finally:
+            theirs.close()
+            back.close()
+        self.job: TrialJob | None = None
+        self.jobs_done = 0
+        self._is_taken = False
+        self._deadline = 0.0
+        self._heard = b""
+
+    @property
+    def handles(self) -> tuple[Connection, int]:
+        """What to wait for: one of them is ready when there is something to look at."""
+        return self._results, self._process.sentinel
+
+    def give(self, job: TrialJob) -> None:
+        """Hand over a job to a process that has none."""
+        self.job = job
+        self._is_taken = False
+        self._deadline = monotonic() + _START_LIMIT
+        with suppress(OSError):  # It has died; `look` says so.
+            self._jobs.send(job)
+
+    def look(self) -> TrialResult | None:
+        """Return the result of the job if it has one by now, whichever way it ended.
+
+        Raises:
+            UnstartedError: the process ended, or hangs, before it took the job.
+        """
+        assert self.job is not None, "give it a job first"
+        # Asked before the pipe is read: whatever a dead process wrote is in there.
+        code = self._process.exitcode
+        is_open = self._read()
+        if not self._is_taken and _TAKEN + b"\n" in self._heard:
+            self._is_taken = True
+            self._deadline = monotonic() + self.job.time_limit
+        *lines, _ = self._heard.split(b"\n")
+        if len(lines) > 1:
+            self._heard = b""
+            self.jobs_done += 1
+            return _decoded(lines[1])
+        if code is None and not is_open:
+            self._process.join(_LAST_MOMENTS)
+            code = self._process.exitcode
+        if code is None and is_open and monotonic() <= self._deadline:
+            return None
+        if not self._is_taken:
+            raise UnstartedError
+        if code is None and is_open:
+            return _hung(self.job)
+        return _dead(code)
+
+    def kill(self) -> None:
+        """End the process and all that it started, without waiting; to be called once."""
+        if self._process.pid is not None:
+            # Its group is its own (see `worker.start`), or there is none of that number.
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.kill()
+
+    def close(self) -> None:
+        """Wait for a killed process, and close its pipes."""
+        self._process.join(_LAST_MOMENTS)
+        self._jobs.close()
+        self._results.close()
+
+    def _read(self) -> bool:
+        """Take in what the worker has said; return whether it can say more."""
+        with suppress(OSError):
+            while self._results.poll():
+                # Not `recv`, which would wait for the rest of what a stopped process began.
+                piece = os.read(self._results.fileno(), 1 << 16)
+                self._heard += piece
+                if not piece or len(self._heard) > _LONGEST:
+                    return False
+            return True
+        return False
+
+
+def _decoded(line: bytes) -> TrialResult:
+    try:
+        return TypeAdapter(TrialResult).validate_json(line)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the line"
+        return _crashed(f"the worker's answer cannot be read: {place}: {first['msg']}")
+
+
+def _hung(job: TrialJob) -> TrialResult:
+    return TrialResult(
+        status="error",
+        error_type="hung",
+        error_text=f"no result within {job.time_limit:g} s; raise --time-limit if the machine "
+        "is slow, or look at the policy",
+    )
+
+
+def _dead(code: int | None) -> TrialResult:
+    if code is None:
+        return _crashed("the worker process closed its pipe, or said more than a result holds")
+    if code >= 0:
+        return _crashed(f"the worker process ended with exit code {code}", end_reason="exit")
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:  # A real-time signal has a number only.
+        name = f"signal {-code}"
+    hint = "; the machine may be out of memory" if -code == signal.SIGKILL else ""
+    return _crashed(f"the worker process was killed by {name}{hint}")
+
+
+def _crashed(text: str, *, end_reason: str = "") -> TrialResult:
+    return TrialResult(
+        status="error", error_type="crashed", error_text=clean(text), end_reason=end_reason
+    )
+
+
+def _serve(
+    start: Callable[[], None],
+    run: Callable[[TrialJob], TrialResult],
+    jobs: Connection,
+    results: Connection,
+) -> NoReturn:
+    """Run jobs until the pipe ends: the main function of the process."""
+    own = os.getpid()
+    try:
+        start()
+        while True:
+            job: TrialJob = jobs.recv()
+            _say(results, _TAKEN)
+            answer = _answer(run, job)
+            if os.getpid() != own:
+                break  # A copy that a policy made with os.fork speaks for nobody.
+            _say(results, answer)
+    except EOFError:
+        os._exit(0)
+    finally:
+        # Nothing is left to tidy up, and nobody to read a traceback.
+        os._exit(_SPEECHLESS)
+
+
+def _answer(run: Callable[[TrialJob], TrialResult], job: TrialJob) -> bytes:
+    try:
+        return json.dumps(asdict(run(job))).encode()
+    except BaseException as error:  # noqa: BLE001 - whatever it is, it costs this trial only.
+        reason = "exit" if isinstance(error, SystemExit) else ""
+        result = _crashed(f"{type(error).__name__}: {error}", end_reason=reason)
+        return json.dumps(asdict(result)).encode()
+
+
+def _say(results: Connection, line: bytes) -> None:
+    rest = memoryview(line + b"\n")
+    while rest:
+        rest = rest[os.write(results.fileno(), rest) :]
