@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from pebble import ProcessExpired, ProcessPool
 
+from nw_eval.confinement import child_environment, interrupts_blocked
 from nw_eval.engine import worker
-from nw_eval.engine.environment import worker_environment
-from nw_eval.engine.interrupts import interrupts_blocked
 from nw_eval.errors import TrialError
 from nw_eval.rollout.result import TrialResult
 
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from concurrent.futures import Future
 
+    from nw_eval.engine.output import WorkerOutput
+    from nw_eval.engine.worker import WorkerStart
     from nw_eval.rollout.job import TrialJob
 
 # Trials that a worker runs before a fresh one takes its place: a leak has an end.
@@ -68,11 +69,22 @@ class LocalWorkers:
 
     Args:
         workers: number of processes.
+        start: what each of them starts with.
+        output: where what they print goes.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
     """
 
-    def __init__(self, workers: int, *, recycle_after: int = RECYCLE_AFTER) -> None:
+    def __init__(
+        self,
+        workers: int,
+        *,
+        start: WorkerStart,
+        output: WorkerOutput,
+        recycle_after: int = RECYCLE_AFTER,
+    ) -> None:
         self._count = workers
+        self._start_with = start
+        self._output = output
         self._recycle_after = recycle_after
         self._context = _TrackedSpawn()
         self._pool: ProcessPool | None = None
@@ -83,7 +95,7 @@ class LocalWorkers:
         self._rebuilds = 0
 
     def __enter__(self) -> Self:
-        self._cleanup.enter_context(worker_environment())
+        self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         self._start()
         return self
 
@@ -140,6 +152,7 @@ class LocalWorkers:
             max_workers=self._count,
             max_tasks=self._recycle_after,
             initializer=worker.start,
+            initargs=(self._start_with, self._output.end),
             context=self._context,  # type: ignore[arg-type]
         )
         with interrupts_blocked():

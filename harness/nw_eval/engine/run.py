@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.output import WorkerOutput
+from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.rows import make_row
 
 if TYPE_CHECKING:
     import signal
     from collections.abc import Sequence
 
+    from nw_eval.engine.worker import WorkerStart
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -81,6 +84,7 @@ def run_trials(
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
+        start=worker_start(jobs, folder),
         attempts={name: row.attempt for name, row in latest.items() if row.status == "error"},
     )
     run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
@@ -115,6 +119,7 @@ class _Run:
     folder: RunFolder
     policy: str
     listener: Listener
+    start: WorkerStart
     attempts: dict[str, int]  # made so far, by trial id
 
     def work(
@@ -125,7 +130,12 @@ class _Run:
         if not jobs or interrupts.requested is not None:
             return failed
         recycle = 1 if is_last else RECYCLE_AFTER
-        with LocalWorkers(workers, recycle_after=recycle) as pool:
+        with (
+            WorkerOutput(self.folder.workers_log) as output,
+            LocalWorkers(
+                workers, start=self.start, output=output, recycle_after=recycle
+            ) as pool,
+        ):
             pool.submit(jobs)
             for ended in pool.finished():
                 if ended is not None:

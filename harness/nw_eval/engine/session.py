@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.confinement import Fence, offered
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, needs_splats, open_backend
@@ -24,6 +25,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.rollout.access import why_off
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
 
@@ -110,7 +112,14 @@ def run(
     with opened(folder.journal, _header(plan, engine)) as journal:
         if journal.dropped:
             told.message(journal.dropped)
-        info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
+        info = _info(
+            plan,
+            folder,
+            workers=workers,
+            renderer=engine["renderer"],
+            render=render,
+            command=command,
+        )
         if earlier is not None:
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
         write_run_info(folder.run_json, info)
@@ -170,6 +179,7 @@ def _info(
     *,
     workers: int | None,
     renderer: str,
+    render: Backend,
     command: tuple[str, ...],
 ) -> RunInfo:
     """Return a run's provenance as it starts."""
@@ -194,6 +204,7 @@ def _info(
         collision=_collision(plan.references),
         workers=workers or default_workers(),
         renderer=renderer,
+        fence=_fence(plan, render),
         command=command,
         code=code_info(),
         machine=machine_info(),
@@ -229,6 +240,12 @@ def _finish(
             }
         ),
     )
+
+
+def _fence(plan: Plan, render: Backend) -> str:
+    """Return what stands round the workers of a run."""
+    off = why_off(allow_code=plan.allow_code, render=render)
+    return str(Fence(off=off) if off else offered(network=plan.bundle.card.adapter == "remote"))
 
 
 def _collision(references: Mapping[str, str]) -> Collision:
