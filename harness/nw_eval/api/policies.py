@@ -77,13 +77,23 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
         UsageError: there is a card already.
     """
     from nw_eval.policies.card_file import CARD_FILE
-    from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
-    from nw_eval.robots import get_robot
+    from nw_eval.policies.inspect.draft import draft_of
+    from nw_eval.rollout.access import inspecting_rules
+    from nw_eval.rollout.isolated import call_isolated
 
     card = out or checkpoint.parent / CARD_FILE
     if card.exists():
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot), folder=card.parent)
+    text = str(
+        call_isolated(
+            draft_of,
+            subject=str(checkpoint),
+            rules=inspecting_rules(checkpoint),
+            checkpoint=str(checkpoint),
+            robot=robot,
+            folder=str(card.parent),
+        )
+    )
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 

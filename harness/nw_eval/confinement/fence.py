@@ -28,7 +28,7 @@ class Fence:
         if self.off:
             return f"off: {self.off}"
         if not self.landlock and not self.seccomp:
-            return "none: the system has neither Landlock nor seccomp for it"
+            return "none: the system has neither Landlock nor seccomp"
         parts = (
             f"landlock {self.landlock}" if self.landlock else "no Landlock",
             "seccomp" if self.seccomp else "no seccomp",

@@ -59,17 +59,24 @@ def refuse(*, network: bool) -> bool:
     """
     if platform.machine() not in MACHINES:
         return False
-    steps = program(platform.machine(), process=os.getpid(), network=network)
-    code = (_Instruction * len(steps))(
-        *((step.code, step.if_true, step.if_false, step.value) for step in steps)
-    )
     try:
-        kernel.prctl(_NO_NEW_PRIVILEGES, 1)
-        filter_ = _Program(len(steps), code)
-        kernel.prctl(_SET_SECCOMP, _MODE_FILTER, ctypes.byref(filter_))
+        install(program(platform.machine(), process=os.getpid(), network=network))
     except OSError:
         return False
     return True
+
+
+def install(steps: Sequence[Step]) -> None:
+    """Put a filter round this thread, besides those that are there already.
+
+    Raises:
+        OSError: the kernel refuses it, or has no filters.
+    """
+    code = (_Instruction * len(steps))(
+        *((step.code, step.if_true, step.if_false, step.value) for step in steps)
+    )
+    kernel.prctl(_NO_NEW_PRIVILEGES, 1)
+    kernel.prctl(_SET_SECCOMP, _MODE_FILTER, ctypes.byref(_Program(len(steps), code)))
 
 
 def program(machine: str, *, process: int, network: bool) -> tuple[Step, ...]:

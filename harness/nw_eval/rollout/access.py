@@ -9,7 +9,7 @@ from nw_eval.confinement import Rules, memory_to_open, memory_to_run
 from nw_eval.scenes.whereabouts import scene_paths
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from nw_eval.policies import Bundle
@@ -19,11 +19,20 @@ OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
 
 
+def inspecting_rules(checkpoint: Path) -> Rules:
+    """Return the rules of a process that reads one checkpoint, without a card."""
+    return Rules(
+        reads=(checkpoint.resolve(),),
+        memory=memory_to_open(_size(checkpoint)),
+        seconds=OPENING_SECONDS,
+    )
+
+
 def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
     """Return the rules of a process that opens a bundle's checkpoint, and runs it once."""
     return Rules(
         reads=_files(bundle),
-        memory=memory_to_open(_size(bundle)),
+        memory=memory_to_open(_size(bundle.checkpoint)),
         seconds=OPENING_SECONDS,
         off=why_off(allow_code=allow_code),
     )
@@ -36,6 +45,7 @@ def running_rules(
     logs: Path | None = None,
     allow_code: bool = False,
     render: Backend = "cpu",
+    also: Sequence[Path] = (),
 ) -> Rules:
     """Return the rules of a process that runs trials.
 
@@ -45,17 +55,19 @@ def running_rules(
         logs: the folder of their logs; None = none is written.
         allow_code: whether Python code that the card names may be imported.
         render: the splat backend.
+        also: further files that it reads.
     """
     places = tuple(dict.fromkeys(scenes))
     return Rules(
         reads=(
             *_files(bundle),
             *(folder for scene in places for folder in scene_paths(scene)),
+            *(path.resolve() for path in also),
             *_cache(),
         ),
         writes=() if logs is None else (logs.resolve(),),
         network=bundle.card.adapter == "remote",
-        memory=memory_to_run(_size(bundle), scenes=len(places)),
+        memory=memory_to_run(_size(bundle.checkpoint), scenes=len(places)),
         off=why_off(allow_code=allow_code, render=render),
     )
 
@@ -79,8 +91,8 @@ def _cache() -> tuple[Path, ...]:
         return ()
 
 
-def _size(bundle: Bundle) -> int:
+def _size(checkpoint: Path | None) -> int:
     try:
-        return 0 if bundle.checkpoint is None else bundle.checkpoint.stat().st_size
+        return 0 if checkpoint is None else checkpoint.stat().st_size
     except OSError:  # It is gone; whoever reads it says so.
         return 0
