@@ -1,6 +1,5 @@
 """What a confined process can do, and what it cannot, tried in real ones."""
 
-import os
 import subprocess
 import sys
 import time
@@ -49,13 +48,13 @@ def test_a_confined_process_reads_and_writes_its_own_places_and_no_other(functio
     }
     assert came == dict.fromkeys(came, REFUSED)
     assert (places["outside"] / "file").read_text() == "secret"
-    assert os.listdir(places["outside"]) == ["file"]
+    assert [path.name for path in places["outside"].iterdir()] == ["file"]
     assert (places["inside"] / "file").read_text() == "open"
 
 
 @fenced
 def test_a_policy_that_asks_a_server_gets_sockets_and_nothing_else(functions, places):
-    came = attempted(functions, places, network=True)
+    came = attempted(functions, places, network="all")
     assert came["socket"].startswith("<socket.socket")
     refused = ("read outside", "run", "fork", "kill the parent", "write outside")
     assert {came[name] for name in refused} == {REFUSED}
@@ -197,12 +196,13 @@ except PermissionError:
 def test_where_the_kernel_says_no_the_process_goes_on_and_says_so(tmp_path, missing, said):
     script = tmp_path / "script.py"
     script.write_text(WITHOUT)
-    done = subprocess.run([sys.executable, script, *missing], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, script, *missing], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
 
 
 def test_trying_the_fence_leaves_the_caller_outside(tmp_path):
-    assert offered() == offered(network=False)
-    assert isinstance(offered(), Fence)
+    assert isinstance(offered(network="server"), Fence)
     (tmp_path / "file").write_text("x")
     subprocess.run([sys.executable, "-c", ""], check=True)

@@ -3,27 +3,20 @@
 import hashlib
 import json
 import os
-import pickle  # noqa: TID251 - what a worker that is taken over would send.
 import re
 import subprocess
 import sys
-import threading
 from dataclasses import replace
-from multiprocessing import Pipe
-from pathlib import Path
 
 import pytest
 import torch
 
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine import Plan, plan_jobs, run_trials
-from nw_eval.engine.channel import result_pipe
 from nw_eval.engine.output import LARGEST, WorkerOutput
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.result import TrialResult
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes import get_scene
 from nw_eval.suite.model import new_suite
@@ -156,28 +149,6 @@ def test_a_run_that_prints_nothing_has_no_file_for_it(tmp_path):
     with WorkerOutput(tmp_path / "workers.log"):
         pass
     assert list(tmp_path.iterdir()) == []
-
-
-class Leaving:
-    def __reduce__(self):
-        return os.mkdir, ("taken-over",)
-
-
-def test_a_pickle_of_a_workers_runs_nothing_here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    receiver, sender = result_pipe(*Pipe(duplex=False))
-    result = TrialResult(status="ok", outcome="fell", waypoint_times=(0.5,))
-    for sent in (result, KeyError("x"), SystemExit(0)):
-        sender.send(sent)
-        assert repr(receiver.recv()) == repr(sent)
-    for hostile in (Leaving(), subprocess.Popen, threading.Lock):
-        sender.send(hostile)
-        with pytest.raises(pickle.UnpicklingError, match="sent no result"):
-            receiver.recv()
-    sender.send_bytes(b"\x80\x04 no pickle")
-    with pytest.raises(pickle.UnpicklingError, match="sent no result"):
-        receiver.recv()
-    assert not (tmp_path / "taken-over").exists()
 
 
 DOORS = """\

@@ -6,6 +6,8 @@ Numbers: Linux's `arch/x86/entry/syscalls/syscall_64.tbl` and, for aarch64,
 
 from __future__ import annotations
 
+from typing import Literal
+
 Numbers = dict[str, tuple[int | None, int | None]]
 """By name: of x86_64, of aarch64."""
 
@@ -109,13 +111,11 @@ REFUSED: Numbers = {
     "setdomainname": (171, 162),
 }
 
-NETWORK: Numbers = {
-    "socket": (41, 198),
-    "connect": (42, 203),
-    "bind": (49, 200),
-    "listen": (50, 201),
-}
-"""Refused unless the network is allowed. A connection that a process was started with stays."""
+Network = Literal["none", "server", "all"]
+"""Which sockets a process may have: none of its own, those that others connect to, any."""
+
+SOCKETS: Numbers = {"socket": (41, 198), "bind": (49, 200), "listen": (50, 201)}
+CONNECT: Numbers = {"connect": (42, 203)}
 
 ON_PROCESSES: Numbers = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
 """Whose first argument is a process: allowed on this one only."""

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from contextlib import contextmanager, suppress
-from multiprocessing import connection, parent_process
+from multiprocessing import connection, parent_process, resource_tracker
 from typing import TYPE_CHECKING
 
 from nw_eval.confinement import kernel
@@ -65,6 +65,7 @@ def interrupts_blocked() -> Generator[None]:
     `exec` to new processes, so workers, and those that replace them later, are deaf to it from
     their first instruction, and print no tracebacks while they import.
     """
+    resource_tracker.ensure_running()  # Starting later, it would lift the block.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from nw_eval.confinement import landlock, seccomp
+from nw_eval.confinement.calls import Network
 from nw_eval.confinement.libraries import DEVICES, library_paths
 
 
@@ -19,8 +20,8 @@ class Fence:
     """The kernel's version of Landlock; 0 = it has none for us: files are open."""
     seccomp: bool = False
     """Whether system calls are refused; if not, programs may be started and sockets made."""
-    network: bool = False
-    """Whether sockets may be made in any case: a card asks a server."""
+    network: Network = "none"
+    """Which sockets may be made in any case."""
     off: str = ""
     """Why none was raised; empty = one was."""
 
@@ -32,24 +33,24 @@ class Fence:
         parts = (
             f"landlock {self.landlock}" if self.landlock else "no Landlock",
             "seccomp" if self.seccomp else "no seccomp",
-            *(("network allowed",) if self.network else ()),
+            *(() if self.network == "none" else ("network allowed",)),
         )
         return ", ".join(parts)
 
 
-def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: bool) -> Fence:
+def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: Network) -> Fence:
     """Fence this thread, and all threads that it starts, in for good.
 
     Args:
         reads: files and folders that may be read, besides those of libraries.
         writes: folders below which files may be read, made, written and removed.
-        network: whether sockets may be made.
+        network: which sockets may be made.
 
     Returns:
         What the kernel did. It does less, or nothing, where it is old, is not Linux, or where a
         container forbids it; that is no error.
     """
-    allowed = (*library_paths(network=network), *reads)
+    allowed = (*library_paths(network=network == "all"), *reads)
     try:
         known = landlock.restrict(reads=allowed, writes=(*writes, *DEVICES), network=network)
     except OSError:
@@ -58,7 +59,7 @@ def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: b
 
 
 @cache
-def offered(*, network: bool = False) -> Fence:
+def offered(*, network: Network = "none") -> Fence:
     """Return what a fence comes to on this machine: a thread is fenced in to find out."""
     found: list[Fence] = []
 

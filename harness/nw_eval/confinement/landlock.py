@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from nw_eval.confinement import kernel
+from nw_eval.confinement.calls import Network
 
 _CREATE, _ADD_RULE, _RESTRICT = 444, 445, 446  # The same numbers on every machine.
 _ASK_VERSION = 1
@@ -25,7 +26,8 @@ _REMOVE_DIR, _REMOVE_FILE, _MAKE_DIR, _MAKE_REG = 1 << 4, 1 << 5, 1 << 7, 1 << 8
 _REFER, _TRUNCATE = 1 << 13, 1 << 14  # A link or a rename between folders; cutting a file short.
 _FIRST = (1 << 13) - 1
 _SINCE = {2: _REFER, 3: _TRUNCATE, 5: 1 << 15}  # 5: ioctl of devices.
-_TCP = 0b11  # bind and connect, since 4
+_BIND, _CONNECT = 1 << 0, 1 << 1  # of TCP, since 4
+_TCP: dict[Network, int] = {"none": _BIND | _CONNECT, "server": _CONNECT, "all": 0}
 _UNIX, _SIGNALS = 1 << 0, 1 << 1  # Unix sockets without a path; signals: to others, since 6
 
 _READ = _READ_FILE | _READ_DIR
@@ -54,13 +56,13 @@ def version() -> int:
     return 0
 
 
-def restrict(*, reads: Iterable[Path], writes: Iterable[Path], network: bool) -> int:
+def restrict(*, reads: Iterable[Path], writes: Iterable[Path], network: Network) -> int:
     """Take away all of the file system but these paths; nothing can give it back.
 
     Args:
         reads: files, and folders with all below them, that may be read. Nothing may be executed.
         writes: likewise written too, made and removed.
-        network: whether TCP, and Unix sockets without a path, may be used.
+        network: which sockets may be used.
 
     Returns:
         The kernel's version of Landlock; 0 = it has none, and nothing was done.
@@ -76,8 +78,8 @@ def restrict(*, reads: Iterable[Path], writes: Iterable[Path], network: bool) ->
         handled |= rights if known >= since else 0
     rules = _Ruleset(
         files=handled,
-        network=_TCP if known >= 4 and not network else 0,
-        scopes=0 if known < 6 else _SIGNALS if network else _SIGNALS | _UNIX,
+        network=_TCP[network] if known >= 4 else 0,
+        scopes=0 if known < 6 else _SIGNALS if network == "all" else _SIGNALS | _UNIX,
     )
     size = 8 if known < 4 else 16 if known < 6 else 24
     ruleset = kernel.call(_CREATE, ctypes.byref(rules), size, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from nw_eval.confinement.calls import Network
 from nw_eval.confinement.family import die_with_parent, leave_terminal
 from nw_eval.confinement.fence import Fence, raise_fence
 from nw_eval.confinement.limits import OPENING, limit
@@ -18,7 +19,7 @@ class Rules:
     """Files and folders that it reads, besides those of libraries."""
     writes: tuple[Path, ...] = ()
     """Folders in which it makes, writes and removes files."""
-    network: bool = False
+    network: Network = "none"
     memory: int | None = OPENING
     """Bytes of its own; None = as many as there are."""
     seconds: int | None = None

@@ -15,7 +15,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from nw_eval.confinement import kernel
-from nw_eval.confinement.calls import CLONE, CLONE3, MACHINES, NETWORK, ON_PROCESSES, REFUSED, Numbers
+from nw_eval.confinement.calls import (
+    CLONE,
+    CLONE3,
+    CONNECT,
+    MACHINES,
+    ON_PROCESSES,
+    REFUSED,
+    SOCKETS,
+    Network,
+    Numbers,
+)
 
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 _NUMBER, _MACHINE, _FIRST_ARGUMENT = 0, 4, 16  # Offsets in struct seccomp_data; little-endian.
@@ -48,11 +58,11 @@ class Step:
     if_false: int = 0
 
 
-def refuse(*, network: bool) -> bool:
+def refuse(*, network: Network) -> bool:
     """Refuse system calls to this thread, for good.
 
     Args:
-        network: whether sockets may be made.
+        network: which sockets may be made.
 
     Returns:
         Whether it was done: this machine's numbers are known, and the kernel can.
@@ -79,20 +89,24 @@ def install(steps: Sequence[Step]) -> None:
     kernel.prctl(_SET_SECCOMP, _MODE_FILTER, ctypes.byref(_Program(len(steps), code)))
 
 
-def program(machine: str, *, process: int, network: bool) -> tuple[Step, ...]:
+def program(machine: str, *, process: int, network: Network) -> tuple[Step, ...]:
     """Return the filter of a machine.
 
     Args:
         machine: a key of `MACHINES`.
         process: which may be sent signals and given limits: this one.
-        network: whether sockets may be made.
+        network: which sockets may be made.
     """
     column = list(MACHINES).index(machine)
 
     def numbers(calls: Numbers) -> list[int]:
         return [number for of in calls.values() if (number := of[column]) is not None]
 
-    refused = numbers(REFUSED) + ([] if network else numbers(NETWORK))
+    refused = numbers(REFUSED)
+    if network != "all":
+        refused += numbers(CONNECT)
+    if network == "none":
+        refused += numbers(SOCKETS)
     return (
         Step(_LOAD, _MACHINE),
         Step(_EQUAL, MACHINES[machine], if_true=1),
@@ -128,9 +142,7 @@ def program(machine: str, *, process: int, network: bool) -> tuple[Step, ...]:
 def _for_each(numbers: Iterable[int], then: Sequence[Step]) -> list[Step]:
     """Return steps that go into `then`, which returns, at each of some numbers."""
     return [
-        step
-        for number in numbers
-        for step in (Step(_EQUAL, number, if_false=len(then)), *then)
+        step for number in numbers for step in (Step(_EQUAL, number, if_false=len(then)), *then)
     ]
 
 

@@ -21,14 +21,12 @@ from pebble import ProcessExpired, ProcessPool
 
 from nw_eval.confinement import child_environment, interrupts_blocked
 from nw_eval.engine import worker
-from nw_eval.engine.channel import result_pipe
 from nw_eval.errors import TrialError
 from nw_eval.rollout.result import TrialResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from concurrent.futures import Future
-    from multiprocessing.connection import Connection
 
     from nw_eval.engine.output import WorkerOutput
     from nw_eval.engine.worker import WorkerStart
@@ -59,9 +57,6 @@ class _TrackedSpawn(SpawnContext):
     def __init__(self) -> None:
         super().__init__()
         self.started: list[SpawnProcess] = []
-
-    def Pipe(self, duplex: bool = True) -> tuple[Connection, Connection]:  # type: ignore[override]  # noqa: N802 - likewise.
-        return result_pipe(*super().Pipe(duplex))
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 - multiprocessing's name.
         process = SpawnProcess(*args, **kwargs)

@@ -132,9 +132,7 @@ class _Run:
         recycle = 1 if is_last else RECYCLE_AFTER
         with (
             WorkerOutput(self.folder.workers_log) as output,
-            LocalWorkers(
-                workers, start=self.start, output=output, recycle_after=recycle
-            ) as pool,
+            LocalWorkers(workers, start=self.start, output=output, recycle_after=recycle) as pool,
         ):
             pool.submit(jobs)
             for ended in pool.finished():

@@ -245,7 +245,8 @@ def _finish(
 def _fence(plan: Plan, render: Backend) -> str:
     """Return what stands round the workers of a run."""
     off = why_off(allow_code=plan.allow_code, render=render)
-    return str(Fence(off=off) if off else offered(network=plan.bundle.card.adapter == "remote"))
+    network = "all" if plan.bundle.card.adapter == "remote" else "none"
+    return str(Fence(off=off) if off else offered(network=network))
 
 
 def _collision(references: Mapping[str, str]) -> Collision:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nw_eval.cache import cache_dir
-from nw_eval.confinement import Rules, memory_to_open, memory_to_run
+from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.scenes.whereabouts import scene_paths
 
 if TYPE_CHECKING:
@@ -66,10 +66,18 @@ def running_rules(
             *_cache(),
         ),
         writes=() if logs is None else (logs.resolve(),),
-        network=bundle.card.adapter == "remote",
+        network="all" if bundle.card.adapter == "remote" else "none",
         memory=memory_to_run(_size(bundle.checkpoint), scenes=len(places)),
         off=why_off(allow_code=allow_code, render=render),
     )
+
+
+def fence_in_server(bundle: Bundle) -> None:
+    """Fence this process in, which serves a policy, before it opens it.
+
+    It may listen, and connect to nobody; its memory has no limit, each client takes some.
+    """
+    raise_fence(reads=_files(bundle), writes=(), network="server")
 
 
 def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:

@@ -158,7 +158,9 @@ def _answer(
         answer = {"error": str(error), "kind": type(error).__name__}
     except MemoryError:
         held = "" if rules.memory is None else f" than {rules.memory / 2**30:.1f} GiB"
-        answer = {"error": f"opening the checkpoint takes more memory{held}; export the actor alone"}
+        answer = {
+            "error": f"opening the checkpoint takes more memory{held}; export the actor alone"
+        }
     except Exception as error:  # noqa: BLE001 - it is told, and the process ends.
         answer = {"error": f"{type(error).__name__}: {error}"}
     sender.send_bytes(json.dumps(answer).encode())
