@@ -66,7 +66,9 @@ def test_code_that_the_caller_trusts_may_do_what_he_may(functions, places):
 
 
 def test_a_process_gets_as_much_memory_as_its_rules_say(functions):
-    with pytest.raises(PolicyError, match=r"takes more memory than 1\.0 GiB; export the actor"):
+    with pytest.raises(
+        PolicyError, match=r"^x: .* takes more memory than 1\.0 GiB; export the actor"
+    ):
         call_isolated(functions.fills_memory, subject="x")
     assert call_isolated(functions.fills_memory, subject="x", rules=Rules(memory=2**33)) == 2**31
 

@@ -7,10 +7,13 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from nw_eval.cache import cache_dir
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine import Plan, plan_jobs, run_trials
 from nw_eval.engine.output import LARGEST, WorkerOutput
@@ -19,15 +22,17 @@ from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes import get_scene
+from nw_eval.splat.files import write_splat
+from nw_eval.splat.gaussians import Gaussians
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 
 SCENE = "flat/carpet_room"
 
 
-def jobs_of(policy, folder, *, allow_code=False, record="all"):
+def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
     """Return the one job of a tiny run: a fifth of a second in the flat room."""
-    bundle, scene = load_bundle(policy), get_scene(SCENE)
+    bundle, reference, scene = load_bundle(policy), scene, get_scene(scene)
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -37,7 +42,7 @@ def jobs_of(policy, folder, *, allow_code=False, record="all"):
             "trials": 1,
             "seed": 1,
             "episode": {"duration": 0.2},
-            "scenes": [SCENE],
+            "scenes": [reference],
             "record": record,
         }
     )
@@ -45,7 +50,7 @@ def jobs_of(policy, folder, *, allow_code=False, record="all"):
         suite=suite,
         bundle=bundle,
         scenes=(scene,),
-        references={},
+        references={scene.name: reference},
         trials=expand(suite, [scene]),
         allow_code=allow_code,
     )
@@ -102,6 +107,44 @@ def test_a_trial_has_the_same_bits_inside_the_fence_as_without(kind, script, tmp
     assert outside.steps == 10
     assert log.stat().st_size == pytest.approx(outside.mcap_bytes, rel=0.01)
     assert sorted(path.name for path in folder.path.iterdir()) == ["journal.jsonl", "mcap"]
+
+
+SCAN = """\
+nw-scene: 1
+name: mine/scan
+task: hurdles
+licence: CC-BY-4.0
+trail: [[1.5, 0, 0], [3, 0, 0]]
+spawn: {position: [0, 0, 0]}
+collision: ground.obj
+splat: splat.ply
+"""
+GROUND = "v -3 -3 0\nv 6 -3 0\nv 6 3 0\nv -3 3 0\nf 1 2 3\nf 1 3 4\n"
+
+
+def test_a_scan_of_the_users_is_read_in_the_fence_and_its_cache_is_not_written(script, tmp_path):
+    place = tmp_path / "scan"
+    place.mkdir()
+    (place / "scene.yaml").write_text(SCAN)
+    (place / "ground.obj").write_text(GROUND)
+    rng = np.random.default_rng(0)
+    splat = Gaussians(
+        means=rng.uniform(-3, 3, (100, 3)).astype(np.float32),
+        log_scales=np.full((100, 3), -2, np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (100, 1)),
+        opacity_logits=np.ones(100, np.float32),
+        sh=rng.uniform(-1, 1, (100, 1, 3)).astype(np.float32),
+    )
+    write_splat(place / "splat.ply", splat)
+    get_scene(place).splat_store()
+    folder = RunFolder(path=tmp_path / "run")
+    jobs = jobs_of(script, folder, scene=str(place))
+    # Files that were there, and not folders: other tests may add to the same cache meanwhile.
+    kept = [path for path in cache_dir().rglob("*") if path.is_file()]
+    before = [path.stat().st_mtime_ns for path in kept]
+    [row] = run(jobs, folder)
+    assert (row.status, row.outcome) == ("ok", "timeout"), row.error_text
+    assert [path.stat().st_mtime_ns for path in kept] == before
 
 
 PRINTING = """\
@@ -187,3 +230,18 @@ def test_no_door_opens_a_checkpoint_in_the_process_that_was_called(tmp_path):
     assert info["fence"] == str(offered())
     report = (tmp_path / "run" / "report.md").read_text()
     assert re.search(rf"\| fence +\| {offered()} +\|", report)
+
+
+@pytest.mark.skipif(not offered().seccomp, reason="this kernel has no seccomp for us")
+def test_a_server_of_policies_is_fenced_in_before_it_says_where_it_is():
+    command = ["-c", "from nw_eval.cli import main; main()", "policies", "serve", "stand"]
+    server = subprocess.Popen(
+        [sys.executable, *command, "--port", "0"], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert server.stdout.readline().startswith("serving stand at ws://127.0.0.1:")
+        for thread in Path(f"/proc/{server.pid}/task").iterdir():
+            assert "\nSeccomp:\t2\n" in (thread / "status").read_text()
+    finally:
+        server.kill()
+        server.communicate()

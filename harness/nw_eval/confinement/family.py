@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 from contextlib import contextmanager, suppress
 from multiprocessing import connection, parent_process, resource_tracker
@@ -32,7 +31,8 @@ def leave_terminal(output: int | None) -> None:
     os.dup2(nowhere, 0)
     for stream in (1, 2):
         os.dup2(nowhere if output is None else output, stream)
-    os.close(nowhere)
+    if nowhere > 2:
+        os.close(nowhere)
 
 
 def die_with_parent(*, has_children: bool) -> None:
@@ -47,14 +47,15 @@ def die_with_parent(*, has_children: bool) -> None:
     parent = parent_process()
     if parent is None:
         return
-    if not has_children and sys.platform == "linux":
-        # The kernel means the thread that started this process: it lives as long as the pool
-        # that it belongs to, or waits for this process.
-        kernel.prctl(_DEATH_OF_PARENT, signal.SIGKILL)
-        if os.getppid() != parent.pid:
-            os._exit(1)
-    else:
-        threading.Thread(target=_wait_for, args=(parent.sentinel,), daemon=True).start()
+    if not has_children:
+        # The kernel means the thread that started this process: it waits for this process, or
+        # lives as long as all of them.
+        with suppress(OSError):
+            kernel.prctl(_DEATH_OF_PARENT, signal.SIGKILL)
+            if os.getppid() != parent.pid:
+                os._exit(1)
+            return
+    threading.Thread(target=_wait_for, args=(parent.sentinel,), daemon=True).start()
 
 
 @contextmanager

@@ -93,9 +93,10 @@ def call_isolated(
             process.kill()
             process.join()
     if "error" in answer:
-        kind = _KINDS.get(str(answer.get("kind")), PolicyError)
-        lines = str(answer["error"]).splitlines()[:_LINES]
-        raise kind("\n".join(clean(line) for line in lines))
+        kind = _KINDS.get(str(answer.get("kind")))
+        words = "\n".join(clean(line) for line in str(answer["error"]).splitlines()[:_LINES])
+        # What was not raised on purpose does not say what it is about.
+        raise PolicyError(f"{subject}: {words}") if kind is None else kind(words)
     return answer["value"]
 
 
