@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from nw_eval.engine.environment import worker_environment
-from nw_eval.engine.interrupts import Interrupts, interrupts_blocked
+from nw_eval.confinement import child_environment, interrupts_blocked
+from nw_eval.engine.interrupts import Interrupts
 
 
 def test_the_first_signal_asks_and_the_second_ends():
@@ -51,7 +51,7 @@ def test_a_process_started_deaf_does_not_hear_ctrl_c():
 def test_workers_get_one_thread_and_the_parent_keeps_its_own_setting(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
-    with worker_environment():
+    with child_environment():
         assert (os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]) == ("1", "1")
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "NUMBA_NUM_THREADS" not in os.environ

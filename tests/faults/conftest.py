@@ -1,6 +1,7 @@
 """A tiny run: the flat room, a fifth of a second a trial, and policies that misbehave."""
 
 import hashlib
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.engine import Plan, plan_jobs, run_trials
+from nw_eval.engine.local import LocalWorkers
+from nw_eval.engine.output import WorkerOutput
+from nw_eval.engine.prepare import worker_start
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
@@ -223,6 +227,16 @@ class TinyRun:
                 workers=workers,
                 listener=self.ears,
             )
+
+    @contextmanager
+    def pool(self):
+        """One worker, for those who want to see what comes out of it."""
+        start = worker_start(self.jobs, self.folder)
+        with (
+            WorkerOutput(self.folder.workers_log) as output,
+            LocalWorkers(1, start=start, output=output) as workers,
+        ):
+            yield workers
 
 
 @pytest.fixture

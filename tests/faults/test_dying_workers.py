@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.engine.local import LocalWorkers
 from nw_eval.errors import TrialError
 from nw_eval.results.row import rows_digest
 
@@ -68,7 +67,7 @@ def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, mo
 def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, code):
     # With the time limit as the only witness, code 0 would be told as `hung` after 60 s.
     run = tiny_run("leaver", deed=f"os._exit({code})", trials=1)
-    with LocalWorkers(1) as pool:
+    with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
     assert ended.result.status == "error"
@@ -78,7 +77,7 @@ def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, c
 
 def test_a_signal_is_told_from_an_exit(tiny_run):
     run = tiny_run("faller", deed="os.abort()", trials=1)
-    with LocalWorkers(1) as pool:
+    with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
     assert (ended.result.error_type, ended.result.end_reason) == ("crashed", "")

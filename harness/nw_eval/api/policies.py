@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -77,13 +77,23 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
         UsageError: there is a card already.
     """
     from nw_eval.policies.card_file import CARD_FILE
-    from nw_eval.policies.inspect import inspect_checkpoint, write_card_draft
-    from nw_eval.robots import get_robot
+    from nw_eval.policies.inspect.draft import draft_of
+    from nw_eval.rollout.access import inspecting_rules
+    from nw_eval.rollout.isolated import call_isolated
 
     card = out or checkpoint.parent / CARD_FILE
     if card.exists():
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    text = write_card_draft(inspect_checkpoint(checkpoint), get_robot(robot), folder=card.parent)
+    text = str(
+        call_isolated(
+            draft_of,
+            subject=str(checkpoint),
+            rules=inspecting_rules(checkpoint),
+            checkpoint=str(checkpoint),
+            robot=robot,
+            folder=str(card.parent),
+        )
+    )
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 
@@ -96,6 +106,7 @@ def serve_policy(
     host: str = "127.0.0.1",
     port: int = 8765,
     allow_code: bool = False,
+    confined: bool = False,
 ) -> Generator[str]:
     """Serve a policy over a websocket, for `adapter: remote`, and give a line that says where.
 
@@ -105,21 +116,29 @@ def serve_policy(
         host: address to listen on; whoever reaches it can use the policy.
         port: 0 for a free one.
         allow_code: whether Python code that the card names may be imported.
+        confined: raise the fence round this process, for good; for one that does nothing else.
 
     Raises:
         PolicyError: the policy cannot be opened.
         UsageError: the address is taken or is not this machine's.
         PrerequisiteError: websockets is not installed.
     """
-    from nw_eval.policies import load_bundle
-    from nw_eval.policies.serve import serving
-    from nw_eval.sensors import check_card
+    from nw_eval.confinement import child_environment
 
-    bundle = load_bundle(policy, checkpoint=checkpoint)
-    specs = check_card(bundle.card, code_from=bundle.folder if allow_code else None)
-    shapes = {spec.name: spec.shape for spec in specs}
-    with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
-        yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
+    # Before anything is imported that starts threads, which would stay outside of the fence.
+    with child_environment() if confined and not allow_code else nullcontext():
+        from nw_eval.policies import load_bundle
+        from nw_eval.policies.serve import serving
+        from nw_eval.rollout.access import fence_in_server
+        from nw_eval.sensors import check_card
+
+        bundle = load_bundle(policy, checkpoint=checkpoint)
+        specs = check_card(bundle.card, code_from=bundle.folder if allow_code else None)
+        shapes = {spec.name: spec.shape for spec in specs}
+        if confined and not allow_code:
+            fence_in_server(bundle)
+        with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
+            yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
 
 
 def schema(kind: Literal["suite", "policy"]) -> str:

@@ -136,20 +136,25 @@ def replay(
         StoreError: the log cannot be read.
         PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
     """
-    from nw_eval.rollout import replay as rollouts
+    from nw_eval.rollout.replay_apart import replay_apart
 
     if not log.is_file():
         raise UsageError(
             f"{log} is {'a folder' if log.is_dir() else 'no file'}",
             fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
         )
-    replayed = rollouts.replay(
-        log, policy=policy, checkpoint=checkpoint, start=start, allow_code=allow_code
+    replayed = replay_apart(
+        log,
+        policy=policy,
+        checkpoint=checkpoint,
+        start=start,
+        allow_code=allow_code,
+        picture=picture is not None,
     )
     text = replayed.text
-    if picture is not None:
-        from nw_eval.rollout.contact_sheet import write_contact_sheet
+    if picture is not None and replayed.picture is not None:
+        from nw_eval.rollout.contact_sheet import write_picture
 
-        write_contact_sheet(replayed.recording, picture)
+        write_picture(replayed.picture, picture)
         text += f"\n{picture}"
     return Message(text=text, exit_code=0 if replayed.is_identical else StoreError.exit_code)

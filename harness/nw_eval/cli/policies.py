@@ -118,6 +118,7 @@ class Serve:
             host=self.host,
             port=self.port,
             allow_code=self.allow_code,
+            confined=True,
         ) as where:
             print(where, flush=True)
             stop.wait()

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
     from types import FrameType, TracebackType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -48,18 +46,3 @@ class Interrupts:
             # Once: a third one would only disturb the end that the second asked for.
             self._is_ending = True
             raise KeyboardInterrupt
-
-
-@contextmanager
-def interrupts_blocked() -> Generator[None]:
-    """Start processes and threads that never see Ctrl-C.
-
-    A terminal sends Ctrl-C to every process of its group. Masks pass to new threads and over
-    `exec` to new processes, so workers, and those that replace them later, are deaf to it from
-    their first instruction, and print no tracebacks while they import.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

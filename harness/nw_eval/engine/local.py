@@ -10,17 +10,20 @@ from __future__ import annotations
 from collections import deque
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.confinement import child_environment
 from nw_eval.engine import worker
-from nw_eval.engine.environment import worker_environment
 from nw_eval.engine.process import UnstartedError, WorkerProcess
 from nw_eval.errors import TrialError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from nw_eval.engine.output import WorkerOutput
+    from nw_eval.engine.worker import WorkerStart
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.result import TrialResult
 
@@ -46,11 +49,22 @@ class LocalWorkers:
 
     Args:
         workers: number of processes.
+        start: what each of them starts with.
+        output: where what they print goes.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
     """
 
-    def __init__(self, workers: int, *, recycle_after: int = RECYCLE_AFTER) -> None:
+    def __init__(
+        self,
+        workers: int,
+        *,
+        start: WorkerStart,
+        output: WorkerOutput,
+        recycle_after: int = RECYCLE_AFTER,
+    ) -> None:
         self._count = workers
+        self._start_with = start
+        self._output = output
         self._recycle_after = recycle_after
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
@@ -58,7 +72,7 @@ class LocalWorkers:
         self._stillborn = 0
 
     def __enter__(self) -> Self:
-        self._cleanup.enter_context(worker_environment())
+        self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -94,7 +108,9 @@ class LocalWorkers:
     def _start(self) -> None:
         """Start one more worker with the next job."""
         try:
-            new = WorkerProcess(start=worker.start, run=worker.run_job)
+            new = WorkerProcess(
+                start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
+            )
         except OSError as error:
             raise TrialError(
                 f"worker processes cannot be started: {error.strerror or error}",

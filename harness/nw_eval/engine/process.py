@@ -14,7 +14,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import NoReturn
@@ -22,7 +22,7 @@ from typing import NoReturn
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.clean import clean
-from nw_eval.engine.interrupts import interrupts_blocked
+from nw_eval.confinement import interrupts_blocked, kill_group
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 
@@ -61,8 +61,6 @@ class WorkerProcess:
         self._results, back = context.Pipe(duplex=False)
         # Its processes are ours to end: a daemon could have none of its own, which policies may.
         self._process = context.Process(target=_serve, args=(start, run, theirs, back))
-        # Starting it later would lift the block: it lifts its own block of the same signals.
-        resource_tracker.ensure_running()
         try:
             with interrupts_blocked():
                 self._process.start()
@@ -123,11 +121,8 @@ class WorkerProcess:
 
     def kill(self) -> None:
         """End the process and all that it started, without waiting; to be called once."""
-        if self._process.pid is not None:
-            # Its group is its own (see `worker.start`), or there is none of that number.
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.kill()
+        kill_group(self._process.pid)
+        self._process.kill()
 
     def close(self) -> None:
         """Wait for a killed process, and close its pipes."""

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.output import WorkerOutput
+from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.presence import Presence
 from nw_eval.engine.repeat import is_open, settled
 from nw_eval.engine.rows import make_row
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Sequence
 
+    from nw_eval.engine.worker import WorkerStart
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -84,6 +87,7 @@ def run_trials(
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
+        start=worker_start(jobs, folder),
         presence=Presence(journal.path),
         errors={name: row for name, row in latest.items() if row.status == "error"},
     )
@@ -123,6 +127,7 @@ class _Run:
     folder: RunFolder
     policy: str
     listener: Listener
+    start: WorkerStart
     presence: Presence
     errors: dict[str, Row]  # the latest attempt that ended in an error, by trial id
 
@@ -146,7 +151,10 @@ class _Run:
         if not jobs or interrupts.requested is not None:
             return again
         recycle = 1 if fresh else RECYCLE_AFTER
-        with LocalWorkers(workers, recycle_after=recycle) as pool:
+        with (
+            WorkerOutput(self.folder.workers_log) as output,
+            LocalWorkers(workers, start=self.start, output=output, recycle_after=recycle) as pool,
+        ):
             pool.submit(jobs)
             for ended in pool.finished():
                 if ended is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from nw_eval.confinement import Fence, offered
 from nw_eval.engine.cpu import cpu_kind
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
@@ -25,6 +26,7 @@ from nw_eval.results.provenance import (
     write_run_info,
 )
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.rollout.access import why_off
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
@@ -69,7 +71,14 @@ def run(
     # Workers and rows need a path that means the same everywhere.
     folder = RunFolder(path=folder.path.resolve())
     engine = _engine(render)
-    info = _info(plan, folder, workers=workers, renderer=engine["renderer"], command=command)
+    info = _info(
+        plan,
+        folder,
+        workers=workers,
+        renderer=engine["renderer"],
+        render=render,
+        command=command,
+    )
     header = _header(plan, engine)
     with TracebackIn(folder.path), _journal(folder, header, info) as journal:
         if journal.dropped:
@@ -143,6 +152,7 @@ def _info(
     *,
     workers: int | None,
     renderer: str,
+    render: Backend,
     command: tuple[str, ...],
 ) -> RunInfo:
     """Return a run's provenance as it starts."""
@@ -168,6 +178,7 @@ def _info(
         collision=_collision(plan.references),
         workers=workers or default_workers(),
         renderer=renderer,
+        fence=_fence(plan, render),
         command=command,
         code=code_info(),
         machine=machine_info(),
@@ -192,6 +203,13 @@ def _finish(
             }
         ),
     )
+
+
+def _fence(plan: Plan, render: Backend) -> str:
+    """Return what stands round the workers of a run."""
+    off = why_off(allow_code=plan.allow_code, render=render)
+    network = "all" if plan.bundle.card.adapter == "remote" else "none"
+    return str(Fence(off=off) if off else offered(network=network))
 
 
 def _collision(references: Mapping[str, str]) -> Collision:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import threading
-from multiprocessing import connection, parent_process
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from nw_eval.confinement import Rules, confine
+
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.library import Library
     from nw_eval.rollout.result import TrialResult
@@ -16,8 +19,18 @@ if TYPE_CHECKING:
 _library: Library | None = None
 
 
-def start() -> None:
-    """Prepare a worker.
+@dataclass(frozen=True, kw_only=True)
+class WorkerStart:
+    """What a worker starts with, before it has a job."""
+
+    rules: Rules
+    """What it may do."""
+    renders: bool
+    """Whether it draws splats: it loads kernels before their cache is out of its reach."""
+
+
+def start(given: WorkerStart, output: Connection) -> None:
+    """Prepare and confine a worker; what it prints goes to `output`.
 
     It must not outlive the process that started it, however that died. And SIGTERM must end it at
     once: a handler in Python waits for a policy that hangs in native code, and there is nothing to
@@ -25,7 +38,13 @@ def start() -> None:
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    if given.renders:
+        with suppress(Exception):  # The trial that wants them says what is wrong.
+            from nw_eval.splat.warmup import warmup
+
+            warmup()
+    confine(given.rules, output=output.fileno())
+    output.close()
 
 
 def run_job(job: TrialJob) -> TrialResult:
@@ -38,10 +57,3 @@ def run_job(job: TrialJob) -> TrialResult:
     if _library is None:
         _library = Library()
     return run_trial(job, library=_library)
-
-
-def _die_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)

@@ -248,6 +248,7 @@ def provenance_table(run: RunInfo) -> Table:
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
         "renderer": run.renderer or "none",
+        "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
         "code": run.code.digest[:12],
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),

@@ -78,6 +78,7 @@ class RunInfo(_Model):
     collision: str = "terrain"  # How scan meshes collided, for --resume.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
+    fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
     command: tuple[str, ...] = ()
     code: CodeInfo
     machine: MachineInfo

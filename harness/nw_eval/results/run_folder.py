@@ -41,9 +41,19 @@ class RunFolder:
         """The report for people."""
         return self.path / "report.md"
 
+    @property
+    def workers_log(self) -> Path:
+        """What worker processes printed, if they did."""
+        return self.path / "workers.log"
+
+    @property
+    def logs(self) -> Path:
+        """The logs of trials: all that worker processes write."""
+        return self.path / "mcap"
+
     def mcap(self, scene: str, trial_id: str) -> Path:
         """Path of a trial's log; `relative` gives what its row says."""
-        return self.path / "mcap" / PurePosixPath(scene) / f"{trial_id}.mcap"
+        return self.logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def relative(self, path: Path) -> str:
         """Return a path of this folder as rows hold it: relative, with slashes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,11 +38,14 @@ _LABEL = 22  # pixels
 _SETTLING = 40  # control steps until a robot that was put down stands
 
 
-def write_contact_sheet(recording: Recording, path: Path) -> None:
+def contact_sheet(recording: Recording) -> bytes:
     """Draw a recorded trial at six moments: from outside, and what the robot's camera saw.
 
+    Returns:
+        A PNG.
+
     Raises:
-        StoreError: the log has no states, or the picture cannot be written.
+        StoreError: the log has no states.
     """
     states = recording.log.states()
     if not states:
@@ -61,7 +65,7 @@ def write_contact_sheet(recording: Recording, path: Path) -> None:
                 spectator.aboard(world, trail, _EGO, width=width, height=height),
             ]
             columns.append((label, views))
-    _write(path, columns, rows=2, across=len(columns) // 2 or 1)
+    return _drawn(columns, rows=2, across=len(columns) // 2 or 1)
 
 
 def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) -> None:
@@ -83,11 +87,26 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
                 spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
             ]
         cells.append((f"{scene.name}: {scene.title}", views))
-    _write(path, cells, rows=2, across=max(1, round(len(cells) ** 0.5)))
+    write_picture(_drawn(cells, rows=2, across=max(1, round(len(cells) ** 0.5))), path)
 
 
-def _write(path: Path, cells: list[tuple[str, list[Bytes]]], *, rows: int, across: int) -> None:
-    """Lay cells out in a grid: each has a label and `rows` views below one another."""
+def write_picture(picture: bytes, path: Path) -> None:
+    """Write a PNG to a file, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    try:
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(picture)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {path}: {error.strerror or error}", fix="choose another --out"
+        ) from error
+
+
+def _drawn(cells: list[tuple[str, list[Bytes]]], *, rows: int, across: int) -> bytes:
+    """Return a PNG of cells in a grid: each has a label and `rows` views below one another."""
     view_height, view_width, _ = cells[0][1][0].shape
     cell_height = _LABEL + rows * view_height
     down = -(-len(cells) // across)
@@ -97,13 +116,9 @@ def _write(path: Path, cells: list[tuple[str, list[Bytes]]], *, rows: int, acros
         sheet.paste(_label(label, view_width), (x, y))
         for row, view in enumerate(views):
             sheet.paste(PillowImage.fromarray(view), (x, y + _LABEL + row * view_height))
-    try:
-        with atomic_path(path) as temporary:
-            sheet.save(temporary, format="PNG", optimize=True)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}", fix="choose another --out"
-        ) from error
+    with BytesIO() as file:
+        sheet.save(file, format="PNG", optimize=True)
+        return file.getvalue()
 
 
 def _label(text: str, width: int) -> PillowImage.Image:

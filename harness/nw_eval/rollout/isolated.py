@@ -1,4 +1,4 @@
-"""Calls a function in a process of its own: for checkpoints that are themselves programs.
+"""Calls a function in a confined process: for whatever opens a stranger's checkpoint.
 
 What comes back is JSON, never an object of Python's, so a process that a hostile file has taken
 over can say something wrong, but run nothing here.
@@ -7,19 +7,49 @@ over can say something wrong, but run nothing here.
 from __future__ import annotations
 
 import json
-import os
+import signal
 from collections.abc import Callable, Mapping
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from nw_eval import errors
-from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.clean import clean
+from nw_eval.confinement import Rules, child_environment, confine, interrupts_blocked, kill_group
+from nw_eval.errors import (
+    IncomparableError,
+    NwEvalError,
+    PolicyError,
+    PrerequisiteError,
+    SceneError,
+    StoreError,
+    TrialError,
+    UsageError,
+)
+
+if TYPE_CHECKING:
+    from multiprocessing.context import SpawnProcess
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_ANSWER = 2**26
+"""Bytes of an answer: a report, or a picture."""
+_LINES = 100
+_LIBRARIES_ONLY = Rules()
+
+_KINDS: dict[str, type[NwEvalError]] = {
+    kind.__name__: kind
+    for kind in (
+        NwEvalError,
+        UsageError,
+        SceneError,
+        PolicyError,
+        PrerequisiteError,
+        TrialError,
+        StoreError,
+        IncomparableError,
+    )
+}
 
 
 def call_isolated(
@@ -27,59 +57,112 @@ def call_isolated(
     /,
     *,
     subject: str,
+    rules: Rules = _LIBRARIES_ONLY,
     time_limit: float = TIME_LIMIT,
+    renders: bool = False,
     **arguments: Any,
 ) -> Any:
-    """Call a function in a fresh process and return what it returns.
+    """Call a function in a fresh, confined process and return what it returns.
 
     Args:
         function: a module's own function, which returns what JSON can hold.
         subject: what is being looked at, for errors.
+        rules: what the process may do.
         time_limit: wall seconds.
+        renders: whether it draws splats, for which it loads kernels before it is confined.
         **arguments: plain values.
 
     Raises:
         NwEvalError: what the function raised, of the same class.
-        PolicyError: the process died, or did not come back in time.
+        PolicyError: the process died, took more than it may, or did not come back in time.
     """
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_answer, args=(sender, function, dict(arguments)), daemon=True)
-    process.start()
-    sender.close()
+    process = context.Process(
+        target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
+    )
     try:
-        if not receiver.poll(time_limit):
-            raise PolicyError(
-                f"{subject}: no answer from the checkpoint within {time_limit:g} s",
-                fix="run it on its own: it may wait for something, or be too large",
-            )
-        try:
-            answer = json.loads(receiver.recv_bytes())
-        except EOFError:
-            process.join()
-            raise PolicyError(
-                f"{subject}: the process that opened the checkpoint died "
-                f"(exit code {process.exitcode})",
-                fix="load the checkpoint on its own with an observation of the card's shapes",
-            ) from None
+        with child_environment(fenced=not rules.off), interrupts_blocked():
+            process.start()
+        sender.close()
+        answer = _received(receiver, process, subject, time_limit)
     finally:
         receiver.close()
-        process.kill()
-        process.join()
+        if process.pid is not None:
+            kill_group(process.pid)
+            process.kill()
+            process.join()
     if "error" in answer:
-        kind = getattr(errors, str(answer["kind"]), NwEvalError)
-        raise kind(str(answer["error"]))
+        kind = _KINDS.get(str(answer.get("kind")))
+        words = "\n".join(clean(line) for line in str(answer["error"]).splitlines()[:_LINES])
+        # What was not raised on purpose does not say what it is about.
+        raise PolicyError(f"{subject}: {words}") if kind is None else kind(words)
     return answer["value"]
 
 
-def _answer(sender: Connection, function: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+def _received(
+    receiver: Connection, process: SpawnProcess, subject: str, time_limit: float
+) -> dict[str, Any]:
+    """Return what a process says.
+
+    Raises:
+        PolicyError: it says nothing, in time or ever, or nothing that can be read.
+    """
+    if not receiver.poll(time_limit):
+        raise PolicyError(
+            f"{subject}: no answer from the checkpoint within {time_limit:g} s",
+            fix="run it on its own: it may wait for something, or be too large",
+        )
     try:
+        answer = json.loads(receiver.recv_bytes(_ANSWER))
+    except EOFError:
+        kill_group(process.pid)
+        process.join()
+        raise _died(subject, process.exitcode) from None
+    except (OSError, ValueError, RecursionError):
+        answer = None
+    if not isinstance(answer, dict) or not ({"value", "error"} & answer.keys()):
+        raise PolicyError(
+            f"{subject}: the process that opened the checkpoint gave no answer that can be read",
+            fix="do not use this checkpoint",
+        )
+    return answer
+
+
+def _died(subject: str, code: int | None) -> PolicyError:
+    if code == -signal.SIGXCPU:
+        return PolicyError(
+            f"{subject}: opening the checkpoint takes too long: more processor time than it may",
+            fix="run it on its own: it may never end, or be too large",
+        )
+    return PolicyError(
+        f"{subject}: the process that opened the checkpoint died (exit code {code})",
+        fix="load the checkpoint on its own with an observation of the card's shapes",
+    )
+
+
+def _answer(
+    sender: Connection,
+    rules: Rules,
+    renders: bool,
+    function: Callable[..., Any],
+    arguments: Mapping[str, Any],
+) -> None:
+    try:
+        if renders:
+            from nw_eval.splat.warmup import warmup
+
+            warmup()
+        confine(rules)
         answer = {"value": function(**arguments)}
     except NwEvalError as error:
-        kind = type(error) if type(error).__module__ == errors.__name__ else NwEvalError
-        answer = {"error": str(error), "kind": kind.__name__}
+        answer = {"error": str(error), "kind": type(error).__name__}
+    except MemoryError:
+        held = "" if rules.memory is None else f" than {rules.memory / 2**30:.1f} GiB"
+        answer = {
+            "error": f"opening the checkpoint takes more memory{held}; export the actor alone"
+        }
     except Exception as error:  # noqa: BLE001 - it is told, and the process ends.
-        answer = {"error": f"{type(error).__name__}: {error}", "kind": "PolicyError"}
+        answer = {"error": f"{type(error).__name__}: {error}"}
     sender.send_bytes(json.dumps(answer).encode())
     sender.close()

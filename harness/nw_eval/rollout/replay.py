@@ -125,17 +125,11 @@ def replay(
     """
     if not 0.0 <= start < math.inf:
         raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
-    recording = read_recording(path)
-    recorded, library = recording.job, library or Library()
-    job = replace(
-        recorded,
-        policy=policy or _found(recorded),
-        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
-        allow_code=allow_code,
+    library = library or Library()
+    recording = agreed(
+        path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    recording = replace(recording, job=job)  # What is drawn of it is what the caller agreed to.
-    if policy is None:
-        _refuse_servers(recording, library)
+    job = recording.job
     with open_trial(job, library, StageClock()) as trial:
         if start > 0.0:
             restore(trial, recording, start)
@@ -148,6 +142,34 @@ def replay(
         differences=_differences(recording.verdict, as_metadata(result)),
         version_differences=_version_differences(recording.versions),
     )
+
+
+def agreed(
+    path: Path,
+    *,
+    policy: str | None,
+    checkpoint: Path | None,
+    allow_code: bool,
+    library: Library,
+) -> Recording:
+    """Return what a log says about its trial, with what its caller chose; arguments as `replay`.
+
+    Raises:
+        StoreError: the log cannot be read.
+        PolicyError: the bundle is missing, or is on a server that the log alone names.
+    """
+    recording = read_recording(path)
+    recorded = recording.job
+    job = replace(
+        recorded,
+        policy=policy or _found(recorded),
+        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
+        allow_code=allow_code,
+    )
+    recording = replace(recording, job=job)
+    if policy is None:
+        _refuse_servers(recording, library)
+    return recording
 
 
 def restore(trial: OpenTrial, recording: Recording, time: float) -> None:

@@ -1,4 +1,4 @@
-"""Checks a bundle before a run, without ever running a checkpoint's program in this process."""
+"""Checks a bundle before a run, without ever opening its checkpoint in this process."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle, physics_steps
 from nw_eval.robots import get_robot
+from nw_eval.rollout.access import opening_rules
 from nw_eval.rollout.isolated import call_isolated
 from nw_eval.sensors import check_bundle, check_card
 
@@ -17,7 +18,7 @@ def vet_bundle(
 ) -> Bundle:
     """Check a card against robot, protocol and checkpoint.
 
-    Checkpoints that are programs (TorchScript, Python) are opened in a process of their own.
+    Checkpoints, and Python code, are opened in a confined process.
 
     Returns:
         The bundle; a remote one with the digest of what its server says that it serves.
@@ -27,25 +28,22 @@ def vet_bundle(
             served.
     """
     physics_steps(bundle.card, protocol)
-    if is_program(bundle.card.adapter):
-        call_isolated(
-            _check,
-            subject=str(bundle.card_path),
-            card=str(bundle.card_path.resolve()),
-            checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
-            robot=robot,
-            allow_code=allow_code,
-        )
-        return bundle
     if bundle.card.adapter == "remote":
         bundle = _asked(bundle, robot, allow_code=allow_code)
-    check_bundle(bundle, get_robot(robot), allow_code=allow_code)
+    if bundle.checkpoint is None and not bundle.code_sha256:
+        # There is nothing of a stranger's to open but the card, and a server was asked already.
+        check_bundle(bundle, get_robot(robot), allow_code=allow_code)
+        return bundle
+    call_isolated(
+        _check,
+        subject=str(bundle.card_path),
+        rules=opening_rules(bundle, allow_code=allow_code),
+        card=str(bundle.card_path.resolve()),
+        checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        robot=robot,
+        allow_code=allow_code,
+    )
     return bundle
-
-
-def is_program(adapter: str) -> bool:
-    """Whether checkpoints of an adapter have code of their own, be it confined code."""
-    return adapter == "torchscript" or adapter.startswith("python:")
 
 
 def _asked(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies.inspect.arrays import parts_of, wanted_inputs
-from nw_eval.policies.inspect.facts import EXPORT, CheckpointFacts
+from nw_eval.policies.inspect.facts import EXPORT, CheckpointFacts, inspect_checkpoint
 from nw_eval.policies.inspect.guesses import FrameGuess, is_scan
 from nw_eval.policies.inspect.known import known_observations
 from nw_eval.policies.inspect.motors import control_lines
 from nw_eval.policies.inspect.text import CHECK, plain, quoted, slug
 from nw_eval.policies.inspect.vectors import Part
-from nw_eval.robots import RobotSpec
+from nw_eval.robots import RobotSpec, get_robot
 
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
 
@@ -56,6 +56,17 @@ def write_card_draft(facts: CheckpointFacts, robot: RobotSpec, folder: Path | No
         *body,
     ]
     return "\n".join(lines) + "\n"
+
+
+def draft_of(*, checkpoint: str, robot: str, folder: str) -> str:
+    """Return the card of a checkpoint; as `write_card_draft`, from plain values.
+
+    Raises:
+        PolicyError: as `inspect_checkpoint` and `write_card_draft`.
+        UsageError: there is no such robot.
+    """
+    facts = inspect_checkpoint(Path(checkpoint))
+    return write_card_draft(facts, get_robot(robot), folder=Path(folder))
 
 
 def _name(path: Path) -> str:

@@ -10,6 +10,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, Card, JointControl, load_bundle
 from nw_eval.policies.joints import short_name
 from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.rollout.access import running_rules
 from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.rollout.isolated import call_isolated
 from nw_eval.rollout.probe.budget import Metered
@@ -25,6 +26,7 @@ from nw_eval.rollout.probe.findings import (
 from nw_eval.rollout.probe.following import Followed
 from nw_eval.rollout.probe.parts import parts_of
 from nw_eval.rollout.probe.recording import Recording, Stage
+from nw_eval.scenes import get_scene
 from nw_eval.sensors import check_bundle
 
 FLAT = "flat/carpet_room"
@@ -52,10 +54,16 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
     Raises:
         PolicyError, SceneError: it cannot be run at all, or fails as it runs.
     """
+    sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
+    place = get_scene(scene)
+    if sees and place.splat is not None:
+        place.splat_store()  # The cache is out of that process's reach.
     answer = call_isolated(
         _probe,
         subject=str(bundle.card_path),
+        rules=running_rules(bundle, scenes=[scene], allow_code=allow_code),
         time_limit=_TIME_LIMIT,
+        renders=sees,
         card=str(bundle.card_path.resolve()),
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         scene=scene,

@@ -1,0 +1,32 @@
+"""Processes that open strangers' files: confined before the first of these is opened.
+
+rules.py        what a process may do; `confine` makes it so
+fence.py        Landlock and seccomp together, and what they came to
+landlock.py     which files may be opened
+seccomp.py      which system calls are refused
+calls.py        their numbers
+kernel.py       calls that Python has no function for
+libraries.py    what Python and its libraries read on their own
+limits.py       memory and time
+family.py       parents, children and the terminal
+environment.py  what children inherit
+"""
+
+from nw_eval.confinement.environment import child_environment
+from nw_eval.confinement.family import interrupts_blocked, kill_group
+from nw_eval.confinement.fence import Fence, offered, raise_fence
+from nw_eval.confinement.limits import memory_to_open, memory_to_run
+from nw_eval.confinement.rules import Rules, confine
+
+__all__ = [
+    "Fence",
+    "Rules",
+    "child_environment",
+    "confine",
+    "interrupts_blocked",
+    "kill_group",
+    "memory_to_open",
+    "memory_to_run",
+    "offered",
+    "raise_fence",
+]

@@ -1,0 +1,87 @@
+"""Parents and children: gone together; and children out of reach of the terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from contextlib import contextmanager, suppress
+from multiprocessing import connection, parent_process, resource_tracker
+from typing import TYPE_CHECKING
+
+from nw_eval.confinement import kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+_DEATH_OF_PARENT = 1  # prctl
+
+
+def leave_terminal(output: int | None) -> None:
+    """Make this process the first of a session of its own, and turn its output away.
+
+    A terminal's signals do not reach it, and whoever kills its group kills what it started.
+
+    Args:
+        output: file descriptor for what it prints; None = nowhere.
+    """
+    with suppress(OSError):  # It is the first of a session already.
+        os.setsid()
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, 0)
+    for stream in (1, 2):
+        os.dup2(nowhere if output is None else output, stream)
+    if nowhere > 2:
+        os.close(nowhere)
+
+
+def die_with_parent(*, has_children: bool) -> None:
+    """End this process when the one that started it ends, however that died.
+
+    The kernel does it where it can, also in the midst of native code. Where this process may have
+    children of its own, a thread must do it, to end them first.
+
+    Args:
+        has_children: whether code that runs here may start processes.
+    """
+    parent = parent_process()
+    if parent is None:
+        return
+    if not has_children:
+        # The kernel means the thread that started this process: it waits for this process, or
+        # lives as long as all of them.
+        with suppress(OSError):
+            kernel.prctl(_DEATH_OF_PARENT, signal.SIGKILL)
+            if os.getppid() != parent.pid:
+                os._exit(1)
+            return
+    threading.Thread(target=_wait_for, args=(parent.sentinel,), daemon=True).start()
+
+
+@contextmanager
+def interrupts_blocked() -> Generator[None]:
+    """Start processes and threads that never see Ctrl-C.
+
+    A terminal sends Ctrl-C to every process of its group. Masks pass to new threads and over
+    `exec` to new processes, so workers, and those that replace them later, are deaf to it from
+    their first instruction, and print no tracebacks while they import.
+    """
+    resource_tracker.ensure_running()  # Starting later, it would lift the block.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def kill_group(process: int | None) -> None:
+    """Kill a child that was confined, and whatever it started; it must not be waited for yet."""
+    with suppress(OSError):
+        if process is not None and os.getpgid(process) == process:
+            os.killpg(process, signal.SIGKILL)
+
+
+def _wait_for(sentinel: int) -> None:
+    connection.wait([sentinel])
+    kill_group(os.getpid())
+    os._exit(1)

@@ -1,0 +1,72 @@
+"""The operating system's fence round a process that opens strangers' files, and what it came to."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from nw_eval.confinement import landlock, seccomp
+from nw_eval.confinement.calls import Network
+from nw_eval.confinement.libraries import DEVICES, library_paths
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fence:
+    """What stands between a process and the rest of the machine."""
+
+    landlock: int = 0
+    """The kernel's version of Landlock; 0 = it has none for us: files are open."""
+    seccomp: bool = False
+    """Whether system calls are refused; if not, programs may be started and sockets made."""
+    network: Network = "none"
+    """Which sockets may be made in any case."""
+    off: str = ""
+    """Why none was raised; empty = one was."""
+
+    def __str__(self) -> str:
+        if self.off:
+            return f"off: {self.off}"
+        if not self.landlock and not self.seccomp:
+            return "none: the system has neither Landlock nor seccomp"
+        parts = (
+            f"landlock {self.landlock}" if self.landlock else "no Landlock",
+            "seccomp" if self.seccomp else "no seccomp",
+            *(() if self.network == "none" else ("network allowed",)),
+        )
+        return ", ".join(parts)
+
+
+def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: Network) -> Fence:
+    """Fence this thread, and all threads that it starts, in for good.
+
+    Args:
+        reads: files and folders that may be read, besides those of libraries.
+        writes: folders below which files may be read, made, written and removed.
+        network: which sockets may be made.
+
+    Returns:
+        What the kernel did. It does less, or nothing, where it is old, is not Linux, or where a
+        container forbids it; that is no error.
+    """
+    allowed = (*library_paths(network=network == "all"), *reads)
+    try:
+        known = landlock.restrict(reads=allowed, writes=(*writes, *DEVICES), network=network)
+    except OSError:
+        known = 0
+    return Fence(landlock=known, seccomp=seccomp.refuse(network=network), network=network)
+
+
+@cache
+def offered(*, network: Network = "none") -> Fence:
+    """Return what a fence comes to on this machine: a thread is fenced in to find out."""
+    found: list[Fence] = []
+
+    def attempt() -> None:
+        found.append(raise_fence(reads=(), writes=(), network=network))
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return found[0]

@@ -1,0 +1,117 @@
+"""What each kind of a stranger's file may do; `docs/security.md` shows this table.
+
+A confined process is behind the fence of the operating system, with limits of time and memory.
+Numbers stand where they are held to: `limits.py`, `rollout/access.py`, `policies/safety`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Where = Literal["a confined process", "the main process", "both", "an open process"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrangersFile:
+    """A kind of file that may come from a stranger."""
+
+    kind: str
+    read_by: str
+    where: Where
+    may: str
+    """What it can make this program do."""
+    refused: str
+    """What is refused before it is read, or while it is."""
+
+
+_ARCHIVE = "pickles with anything but tensors, sizes over the limits, zip bombs"
+
+FILES: tuple[StrangersFile, ...] = (
+    StrangersFile(
+        kind="ONNX checkpoint",
+        read_by="onnxruntime",
+        where="a confined process",
+        may="arithmetic",
+        refused="external data, custom operators, nested functions and sizes over the limits",
+    ),
+    StrangersFile(
+        kind="TorchScript checkpoint",
+        read_by="torch.jit, from an archive rebuilt of the members that were checked",
+        where="a confined process",
+        may="arithmetic, by operators of a list",
+        refused=f"all other operators; {_ARCHIVE}",
+    ),
+    StrangersFile(
+        kind="torch.export checkpoint",
+        read_by="a reader of our own, which calls torch's operators of a list",
+        where="a confined process",
+        may="arithmetic",
+        refused=f"all other operators; {_ARCHIVE}",
+    ),
+    StrangersFile(
+        kind="state dict, safetensors",
+        read_by="a reader of our own",
+        where="a confined process",
+        may="fill the networks that we know",
+        refused=_ARCHIVE,
+    ),
+    StrangersFile(
+        kind="Python code that a card names",
+        read_by="Python",
+        where="an open process",
+        may="whatever you may",
+        refused="all of it, without `--allow-code`",
+    ),
+    StrangersFile(
+        kind="policy card, suite",
+        read_by="ruamel.yaml, pydantic",
+        where="the main process",
+        may="choose among what we offer",
+        refused="tags, aliases that grow, unknown keys, paths that leave its folder",
+    ),
+    StrangersFile(
+        kind="scene: YAML, XML, meshes",
+        read_by="readers of our own, trimesh",
+        where="the main process",
+        may="shape a place",
+        refused="paths that leave its folder, numbers out of bounds, sizes over the limits",
+    ),
+    StrangersFile(
+        kind="splat: PLY, SPZ, SPLAT, gsplat PT",
+        read_by="NumPy; torch with `weights_only` for PT",
+        where="the main process",
+        may="colour a place",
+        refused="counts that the file does not hold, pickles with anything but tensors",
+    ),
+    StrangersFile(
+        kind="log of a trial (MCAP)",
+        read_by="mcap, zstandard; its trial runs again in a confined process",
+        where="both",
+        may="name a built-in scene or a folder, and a policy's card, which is then a stranger's",
+        refused="code, servers and renderers that its reader did not name",
+    ),
+    StrangersFile(
+        kind="rows: journal, Parquet, run.json",
+        read_by="json, pyarrow, pydantic",
+        where="the main process",
+        may="be judged",
+        refused="rows whose checksum does not fit",
+    ),
+    StrangersFile(
+        kind="answers of a policy's server",
+        read_by="msgpack: the greeting in the main process, the rest in confined ones",
+        where="both",
+        may="be actions, words of an error",
+        refused="messages over the limits, other types",
+    ),
+)
+
+_HEAD = ("file", "read by", "where", "may", "refused")
+
+
+def table() -> str:
+    """Return the kinds of files as a Markdown table."""
+    rows = [_HEAD, tuple("---" for _ in _HEAD)]
+    rows += [(file.kind, file.read_by, file.where, file.may, file.refused) for file in FILES]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
