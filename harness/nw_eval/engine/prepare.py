@@ -29,7 +29,7 @@ def open_backend(render: Backend, listener: Listener) -> None:
     """
     from nw_eval.splat.warmup import warmup
 
-    seconds = warmup(render)
+    seconds = warmup(render, listener.message)
     if seconds > _WORTH_SAYING:
         listener.message(f"compiled the renderer in {seconds:.0f} s; next time it is in the cache")
 
