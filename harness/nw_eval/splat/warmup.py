@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -13,16 +12,10 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
 
 
-def warmup(
-    backend: Literal["cpu", "cuda"] = "cpu", say: Callable[[str], None] | None = None
-) -> float:
+def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
     Workers that start afterwards find everything there; in a fence they could not write it.
-
-    Args:
-        backend: what will render.
-        say: is told, in one line, why the cache of compiled kernels cannot be used.
 
     Returns:
         Seconds that it took: about 10 when compiled, 0.3 when loaded.
@@ -33,12 +26,6 @@ def warmup(
     from nw_eval.splat.render import open_renderer
 
     started = time.perf_counter()
-    if backend == "cpu" and say is not None:
-        from nw_eval.splat.kernels.kept import folder_note
-
-        note = folder_note()
-        if note is not None:
-            say(note)
     gaussians = Gaussians(
         means=np.array([[0, 0, 2]], dtype=np.float32),
         log_scales=np.full((1, 3), -1, dtype=np.float32),
@@ -49,3 +36,10 @@ def warmup(
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     open_renderer(memory_store(gaussians), backend).render(camera)
     return time.perf_counter() - started
+
+
+def kernel_note() -> str | None:
+    """Return why the user's cache cannot keep compiled kernels, in one line; None if it can."""
+    from nw_eval.splat.kernels.kept import folder_note
+
+    return folder_note()

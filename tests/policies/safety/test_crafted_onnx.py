@@ -32,7 +32,7 @@ REASONS = {
     "sparse_weights": "it has sparse tensors",
     "sparse_constant": "it has sparse tensors",
     "training_graph": "it has graphs for training",
-    "two_to_the_thirty_nodes": r"nodes when its functions are written out, over 20000",
+    "two_to_the_thirty_nodes": "over 20000 nodes when its functions are written out",
     "a_function_that_calls_itself": "the function 'local::F' calls itself",
     "functions_that_call_each_other": "the function 'local::F' calls itself",
     "a_chain_of_five_thousand_functions": "over 64 functions call each other",

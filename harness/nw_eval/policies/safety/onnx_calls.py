@@ -55,7 +55,7 @@ def check_calls(
             raise PolicyError(f"{where}: over {_NESTED} functions call each other", fix=_FIX)
         if nodes > most:
             raise PolicyError(
-                f"{where}: {nodes} nodes when its functions are written out, over {most}", fix=_FIX
+                f"{where}: over {most} nodes when its functions are written out", fix=_FIX
             )
         return nodes, depth
 
