@@ -1,6 +1,7 @@
 """The compiled store: what it holds, how much, and what it refuses."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from splat_rooms import cloud, eye_camera, room
 
+from nw_eval.cache import read_sealed, sealed_path
 from nw_eval.errors import SceneError
 from nw_eval.splat import (
     CpuRenderer,
@@ -26,6 +28,12 @@ def compiled(tmp_path):
     path = tmp_path / "room.nwsplat"
     compile_store(room(5000), path, key="room")
     return path
+
+
+def forge(path, data):
+    """Write another content with a right seal, as nobody but this program does."""
+    with sealed_path(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def test_a_file_holds_what_was_compiled(compiled):
@@ -87,7 +95,7 @@ def test_a_file_cut_short_does_not_open(compiled, keep):
 
 def test_a_longer_file_and_a_missing_one_do_not_open(compiled):
     compiled.write_bytes(compiled.read_bytes() + b"x")
-    with pytest.raises(SceneError, match="its header says"):
+    with pytest.raises(SceneError, match="its end is missing or changed"):
         open_store(compiled)
     compiled.unlink()
     with pytest.raises(SceneError, match="No such file"):
@@ -97,38 +105,38 @@ def test_a_longer_file_and_a_missing_one_do_not_open(compiled):
 def test_another_content_or_format_does_not_open(compiled):
     with pytest.raises(SceneError, match="holds 'room', not 'other'"):
         open_store(compiled, key="other")
-    data = bytearray(compiled.read_bytes())
+    data = bytearray(read_sealed(compiled))
     data[:4096] = data[:4096].replace(b'"format": ', b'"format": 9')[:4096]
-    compiled.write_bytes(data)
-    with pytest.raises(SceneError, match="store format 9"):
+    forge(compiled, data)
+    with pytest.raises(SceneError, match="store format 93"):
         open_store(compiled)
 
 
 def test_a_header_that_lies_about_its_arrays_does_not_open(compiled):
-    data = bytearray(compiled.read_bytes())
+    data = bytearray(read_sealed(compiled))
     header = json.loads(data[:4096])
     for change in ({"count": 99_999}, {"sh_count": 5}, {"arrays": {}}, {"count": -4}):
         lying = json.dumps(header | change).encode().ljust(4095) + b"\n"
-        compiled.write_bytes(lying + data[4096:])
-        with pytest.raises(SceneError, match=r"header"):
+        forge(compiled, lying + data[4096:])
+        with pytest.raises(SceneError, match=r"its header"):
             open_store(compiled)
 
 
 def test_damage_within_the_arrays_breaks_the_picture_at_most(compiled):
     # Any bit pattern in the values that kernels read: not a number, infinite, denormal.
-    data = bytearray(compiled.read_bytes())
+    data = bytearray(read_sealed(compiled))
     places = json.loads(data[:4096])["arrays"]
     rng = np.random.default_rng(0)
     for name in ("geometry", "dc", "sh"):
         start, count = places[name]
         width = 2 if name == "sh" else 4
         data[start : start + width * count] = rng.bytes(width * count)
-    compiled.write_bytes(data)
+    forge(compiled, data)
     image = CpuRenderer(open_store(compiled)).render(eye_camera(0, 96, 64))
     assert image.rgb.shape == (64, 96, 3)
     start, count = places["bounds"]
     data[start : start + 4] = np.float32(np.nan).tobytes()
-    compiled.write_bytes(data)
+    forge(compiled, data)
     with pytest.raises(SceneError, match="its bounds are damaged"):
         open_store(compiled)
 
@@ -144,6 +152,24 @@ def test_the_cache_compiles_once_and_heals(own_cache):
     assert compiled_store(gaussians) == path
     assert open_store(path).count == memory_store(gaussians).count
     assert compiled_store(cloud(500, seed=1)) != path
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_a_flipped_bit_anywhere_is_seen_and_mended():
+    gaussians = cloud(500)
+    path = compiled_store(gaussians)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(3)
+    places = [0, 4095, 4096, len(whole) - 49, len(whole) - 48, len(whole) - 1]
+    for time, place in enumerate([*places, *rng.integers(len(whole), size=60)]):
+        data = bytearray(whole)
+        data[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(data)
+        os.utime(path, (time, time))  # Clocks of files tick slower than this loop.
+        with pytest.raises(SceneError, match="rebuilt on the next use"):
+            open_store(path)
+        assert compiled_store(gaussians) == path
+        assert path.read_bytes() == whole
 
 
 def test_a_splat_file_is_compiled_by_its_content(own_cache, tmp_path):

@@ -33,10 +33,13 @@ def open_backend(render: Backend, listener: Listener) -> None:
     Raises:
         PrerequisiteError: the backend's packages or device are missing.
     """
-    from nw_eval.splat.warmup import warmup
+    from nw_eval.splat.warmup import kernel_note, warmup
 
     seconds = warmup(render)
-    if seconds > _WORTH_SAYING:
+    note = kernel_note() if render == "cpu" else None
+    if note is not None:
+        listener.message(note)
+    elif seconds > _WORTH_SAYING:
         listener.message(f"compiled the renderer in {seconds:.0f} s; next time it is in the cache")
 
 

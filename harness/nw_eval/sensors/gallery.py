@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cache import atomic_path
-from nw_eval.errors import StoreError
 from nw_eval.policies import Bundle, Card
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
@@ -166,13 +165,8 @@ def write_sheet(panels: Sequence[Panel], path: Path) -> None:
         pen.text((x + 1, y), panel.name, fill=(20, 24, 30), font=large)
         sheet.paste(PillowImage.fromarray(panel.image), (x, y + _LABEL))
         pen.text((x + 1, y + _LABEL + height + 2), panel.caption, fill=(96, 102, 112), font=small)
-    try:
-        with atomic_path(path) as temporary:
-            sheet.save(temporary, format="PNG", optimize=True)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}", fix="choose another file"
-        ) from error
+    with atomic_path(path) as temporary:
+        sheet.save(temporary, format="PNG", optimize=True)
 
 
 def _observe(

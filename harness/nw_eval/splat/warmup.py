@@ -15,6 +15,8 @@ from nw_eval.splat.store import memory_store
 def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
+    Workers that start afterwards find everything there; in a fence they could not write it.
+
     Returns:
         Seconds that it took: about 10 when compiled, 0.3 when loaded.
 
@@ -34,3 +36,10 @@ def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     open_renderer(memory_store(gaussians), backend).render(camera)
     return time.perf_counter() - started
+
+
+def kernel_note() -> str | None:
+    """Return why the user's cache cannot keep compiled kernels, in one line; None if it can."""
+    from nw_eval.splat.kernels.kept import folder_note
+
+    return folder_note()

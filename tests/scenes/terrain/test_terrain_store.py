@@ -1,8 +1,12 @@
 """The cache of compiled terrain."""
 
+import io
+import os
+
 import numpy as np
 import pytest
 
+from nw_eval.cache import sealed_path
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.scenes.terrain import store
@@ -38,6 +42,35 @@ def test_a_damaged_file_is_compiled_again(tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     assert digest(store.compiled_terrain(MESH, **WAY).solids) == digest(first.solids)
     assert path.stat().st_size > 100
+
+
+def test_flipped_bits_and_foreign_files_are_compiled_again(tmp_path, monkeypatch):
+    first = store.compiled_terrain(MESH, **WAY)
+    (path,) = tmp_path.rglob("*.npz")
+    whole = path.read_bytes()
+    other = io.BytesIO()
+    np.savez(other, meta=np.zeros(3))
+    compiled = []
+    monkeypatch.setattr(store, "build_terrain", lambda *_, **__: compiled.append(1) or first)
+    rng = np.random.default_rng(5)
+    foreign = [b"", b"PK", other.getvalue(), bytes(len(whole))]
+    for number in range(40):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(foreign[number] if number < len(foreign) else data)
+        os.utime(path, (number, number))  # Clocks of files tick slower than this loop.
+        assert store.compiled_terrain(MESH, **WAY) is first
+        assert len(compiled) == number + 1
+        assert digest(store.compiled_terrain(MESH, **WAY).solids) == digest(first.solids)
+    assert len(compiled) == 40
+
+
+def test_a_sealed_file_of_another_kind_is_compiled_again(tmp_path):
+    first = store.compiled_terrain(MESH, **WAY)
+    (path,) = tmp_path.rglob("*.npz")
+    with sealed_path(path) as temporary:
+        temporary.write_bytes(b"a splat, say")
+    assert digest(store.compiled_terrain(MESH, **WAY).solids) == digest(first.solids)
 
 
 def test_what_changes_the_terrain_changes_the_key():

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
@@ -18,6 +18,9 @@ from nw_eval.policies.onnx_session import open_session
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.recurrence import state_pairs
 from nw_eval.policies.safety import check_onnx
+
+if TYPE_CHECKING:
+    import onnxruntime as ort
 
 _DTYPES: dict[str, Any] = {
     "tensor(float)": np.float32,
@@ -51,7 +54,7 @@ class OnnxPolicy:
         try:
             self._assemble = InputAssembler(bundle.card, self.inputs)
         except PolicyError as error:
-            raise PolicyError(f"{bundle.card_path}: {error}") from None
+            raise PolicyError(f"{bundle.card_path}: {clean(error)}") from None
         feeding = [self._fed_by[spec.name] for spec in self._recurrent]
         actions = [node for node in outputs if node.name not in feeding]
         self._outputs = [_output(bundle, actions, joints), *feeding]
@@ -73,7 +76,9 @@ class OnnxPolicy:
         try:
             raw, *states = self._session.run(self._outputs, feeds)
         except Exception as error:
-            raise TrialError(f"policy {self._name!r} failed: {_reason(error)}") from error
+            raise TrialError(
+                f"policy {self._name!r} failed: {clean(error, at_most=200)}"
+            ) from error
         for spec, state in zip(self._recurrent, states, strict=True):
             self._memory[spec.name] = np.asarray(state)
         return checked_action(raw, joints=self._joints, policy=self._name)
@@ -119,7 +124,7 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
             if name not in known:
                 raise PolicyError(
                     f"{bundle.card_path}: recurrent: the checkpoint has no {kind} {name!r}",
-                    fix=nearest(name, known),
+                    fix=clean(nearest(name, known)),
                 )
         if len(inputs[source]) != len(targets[target]):
             raise PolicyError(
@@ -137,7 +142,7 @@ def _open(bundle: Bundle) -> ort.InferenceSession:
         return open_session(data)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
         raise PolicyError(
-            f"{bundle.checkpoint}: not a usable ONNX file: {_reason(error)}",
+            f"{bundle.checkpoint}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
 
@@ -145,7 +150,7 @@ def _open(bundle: Bundle) -> ort.InferenceSession:
 def _spec(bundle: Bundle, node: Any) -> InputSpec:
     if node.type not in _DTYPES:
         raise PolicyError(
-            f"{bundle.checkpoint}: input {node.name!r} is a {node.type}",
+            f"{bundle.checkpoint}: input {clean(node.name, at_most=100)!r} is a {node.type}",
             fix=f"export it as one of {', '.join(_DTYPES)}",
         )
     shape = tuple(size if isinstance(size, int) else None for size in node.shape)
@@ -158,7 +163,7 @@ def _output(bundle: Bundle, nodes: Any, joints: int) -> str:
     if wanted is not None and wanted not in by_name:
         raise PolicyError(
             f"{bundle.card_path}: the checkpoint has no output {wanted!r}",
-            fix=nearest(wanted, by_name),
+            fix=clean(nearest(wanted, by_name)),
         )
     if not nodes:
         raise PolicyError(
@@ -169,12 +174,8 @@ def _output(bundle: Bundle, nodes: Any, joints: int) -> str:
     size = node.shape[-1] if node.shape else None
     if isinstance(size, int) and size != joints:
         raise PolicyError(
-            f"{bundle.card_path}: output {node.name!r} of the checkpoint has {size} numbers, "
-            f"the robot {bundle.card.robot!r} has {joints} joints",
+            f"{bundle.card_path}: output {clean(node.name, at_most=100)!r} of the checkpoint has "
+            f"{size} numbers, the robot {bundle.card.robot!r} has {joints} joints",
             fix="name the action with `output`, or the right robot with `robot`",
         )
     return str(node.name)
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

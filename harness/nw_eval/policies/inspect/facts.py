@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.inspect.exporter import ExporterMetadata, read_exporter_metadata
 from nw_eval.policies.inspect.script import ScriptInput, script_inputs
@@ -137,20 +138,14 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
-    import onnxruntime as ort
+    from nw_eval.policies.onnx_session import open_session
 
     check_onnx(data, str(path))
-    options = ort.SessionOptions()
-    # Optimising would compute constant parts of the graph, whatever their size.
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 4
     try:
-        session = ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session = open_session(data, optimise=False)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
-        reason = " ".join(str(error).split())[:200]
         raise PolicyError(
-            f"{path}: not a usable ONNX file: {reason}",
+            f"{path}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
     inputs = tuple(_node(node.name, node.shape, node.type) for node in session.get_inputs())

@@ -10,13 +10,18 @@ take three quarters of the time of torch's, and it keeps its memory from step to
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import onnxruntime as ort
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from nw_eval.policies.networks.onnx_graph import MICROSOFT, Graph
+from nw_eval.policies.networks.onnx_graph import Graph
+from nw_eval.policies.safety.onnx_fields import MICROSOFT
+
+if TYPE_CHECKING:
+    import onnxruntime as ort
 
 FRAMES = 7
 PROPRIO = 53

@@ -6,16 +6,17 @@ messages again. A graph needs few of them, so they are written here without the 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
 from nw_eval.policies.onnx_session import open_session
+from nw_eval.policies.safety.onnx_fields import MICROSOFT
 
-MICROSOFT = "com.microsoft"
-"""The domain of the operators that onnxruntime adds to the standard."""
+if TYPE_CHECKING:
+    import onnxruntime as ort
+
 _OPSETS = {"": 17, MICROSOFT: 1}
 _IR_VERSION = 8
 _TYPES = {"float32": 1, "int64": 7}

@@ -26,5 +26,7 @@ class Limits:
     """Number of tensors."""
     tensor_bytes: int = 2**30
     """Sum of the sizes of all tensors, counted one by one: views of one storage count each."""
+    nodes: int = 20_000
+    """Nodes of a graph, calls of functions written out."""
     depth: int = 64
     """Nesting of dicts and lists."""

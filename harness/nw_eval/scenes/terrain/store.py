@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from dataclasses import asdict
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cache import atomic_path, cache_dir
+from nw_eval.cache import cache_dir, read_sealed, sealed_path
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.health.finding import Finding
 from nw_eval.scenes.mesh import TriangleMesh
@@ -46,6 +47,9 @@ def compiled_terrain(
     """Return the terrain of a mesh from the cache; compile it on first use.
 
     Arguments as `build_terrain`. A damaged file in the cache is written again.
+
+    Raises:
+        StoreError: the cache cannot be written.
     """
     chosen = TerrainOptions() if options is None else options
     key = terrain_key(mesh, trail=trail, spawn=spawn, options=chosen)
@@ -79,14 +83,14 @@ def _write(path: Path, key: str, terrain: Terrain) -> None:
     }
     arrays: dict[str, Any] = {f"heights_{i}": field.heights for i, field in enumerate(fields)}
     text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
+    with sealed_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **{_META: text}, **arrays)
 
 
 def _read(path: Path, key: str, mesh: TriangleMesh, options: TerrainOptions) -> Terrain | None:
     """Return what a file holds; None if it is missing, damaged, or of another content."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as data:
             meta = json.loads(bytes(data[_META]))
             if meta["key"] != key:
                 return None
@@ -94,7 +98,7 @@ def _read(path: Path, key: str, mesh: TriangleMesh, options: TerrainOptions) -> 
                 HeightField(heights=data[f"heights_{index}"], **_tuples(field))
                 for index, field in enumerate(meta["fields"])
             ]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
     solids: tuple[HeightField | Box | FlexMesh, ...] = (
         *fields,

@@ -1,6 +1,7 @@
 """The compiled half of the renderer, from the vector type up.
 
-jit.py        how kernels are compiled and cached
+jit.py        how kernels are compiled
+kept.py       their machine code in the user's cache, private and checked
 simd.py       Float8 and Mask8: eight float32 lanes, their operators and masks
 memory.py     loads and stores of lanes, of two half rows, of single elements
 bits.py       bit patterns of floats; the clock of the stages

@@ -8,27 +8,30 @@ cache folder carries a hash of the source of every kernel file.
 from __future__ import annotations
 
 import hashlib
+import platform
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import llvmlite
 import numba
-import numba.core.config
+import numpy as np
 
-from nw_eval.cache import cache_dir
+from nw_eval.splat.kernels.kept import kept_code
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _hash_sources(folder: Path) -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
+    digest = hashlib.sha256(" ".join(versions).encode())
     for path in sorted(folder.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 
 
 KERNEL_VERSION = _hash_sources(Path(__file__).parent)
-"""Changes whenever any kernel file or Numba itself changes."""
+"""Changes whenever any kernel file or what compiles it changes."""
 
 
 def kernel(function: Function) -> Function:
@@ -38,24 +41,18 @@ def kernel(function: Function) -> Function:
     pixel gets the same bits whatever the threads or the pixel set around it, and on every machine
     that has a fused multiply-add (measured: AVX2 and AVX-512 agree).
     """
-    return _compile(function, inline="never")
+    compiled = _compile(function, inline="never")
+    cache = kept_code(function, KERNEL_VERSION)
+    if cache is not None:
+        compiled._cache = cache  # noqa: SLF001 - Numba has no public way to bring one's own cache.
+    return compiled
 
 
 def inlined(function: Function) -> Function:
     """Compile as a part of the kernels that call it."""
-    return _compile(function, inline="always", cache=False)
+    return _compile(function, inline="always")
 
 
-def _compile(
-    function: Function, *, inline: Literal["always", "never"], cache: bool = True
-) -> Function:
-    config: Any = numba.core.config
-    previous = config.CACHE_DIR
-    config.CACHE_DIR = str(cache_dir("numba", KERNEL_VERSION)) if cache else previous
-    try:
-        compiler: Any = numba.njit(
-            nogil=True, boundscheck=False, error_model="numpy", cache=cache, inline=inline
-        )
-        return compiler(function)
-    finally:
-        config.CACHE_DIR = previous
+def _compile(function: Callable[..., Any], *, inline: Literal["always", "never"]) -> Any:
+    compiler: Any = numba.njit(nogil=True, boundscheck=False, error_model="numpy", inline=inline)
+    return compiler(function)

@@ -1,0 +1,170 @@
+"""Reading protobuf messages by a table of the fields that they may have, and of no others.
+
+What is read here is what every other reader makes of the file: a field that is not in the table,
+that is of another wire type, or that comes twice where it may come once (readers merge or
+overwrite, each in its way) is refused. Texts are UTF-8 and bounded.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+FIELDS = 500_000
+"""Fields of one file, all messages together: what some seconds can read."""
+NAME, TEXT = 2048, 2**20
+"""Bytes of a name, and of a text that a person or an exporter wrote."""
+
+_VARINT, _EIGHT, _SIZED, _FOUR = 0, 1, 2, 5  # Wire types; 3 and 4 are groups, which nobody writes.
+_NUMBERS = {"int": _VARINT, "float": _FOUR, "double": _EIGHT}
+_TEXTS = {"name": NAME, "text": TEXT}
+
+Value = int | str | memoryview
+
+
+class Field(NamedTuple):
+    """A field: its name, what it holds, whether it may come more than once."""
+
+    name: str
+    kind: str
+    many: bool
+
+
+Table = Mapping[str, Mapping[int, Field]]
+
+
+def table(messages: Mapping[str, str]) -> Table:
+    """Return the fields of each message by number, from texts such as `1 name name, 2 dims int*`.
+
+    A kind is `int`, `float`, `double`, `bytes`, `name`, `text` or a message; `*` means many.
+    """
+    return {
+        message: {
+            int(number): Field(name, kind, bool(star))
+            for number, name, kind, star in re.findall(r"(\d+) (\w+) (\w+)(\*?)", text)
+        }
+        for message, text in messages.items()
+    }
+
+
+class Message(dict[str, list[Value]]):
+    """Values by the names of their fields; absent ones are absent.
+
+    An `int` is signed. Packed numbers, bytes and inner messages are views of their bytes.
+    """
+
+    def text(self, name: str) -> str:
+        """Return a name or text, empty if absent."""
+        return "".join(value for value in self.get(name, []) if isinstance(value, str))
+
+    def integer(self, name: str) -> int:
+        """Return a number, 0 if absent."""
+        return sum(value for value in self.get(name, []) if isinstance(value, int))
+
+    def views(self, name: str) -> list[memoryview]:
+        """Return bytes or inner messages."""
+        return [value for value in self.get(name, []) if isinstance(value, memoryview)]
+
+
+class Reader:
+    """Reads the messages of one file."""
+
+    def __init__(self, known: Table) -> None:
+        self._known = known
+        self._left = FIELDS
+
+    def read(self, data: memoryview, kind: str) -> Message:
+        """Return one message; those inside of it stay bytes.
+
+        Raises:
+            ValueError: it is damaged, has a field that it may not have, the file has too many
+                fields, or a text is too long or not UTF-8.
+        """
+        message = Message()
+        place = 0
+        while place < len(data):
+            self._left -= 1
+            if self._left < 0:
+                raise ValueError(f"it has more than {FIELDS} fields")
+            tag, place = _varint(data, place)
+            number, wire = tag >> 3, tag & 7
+            raw, place = _raw(data, place, wire)
+            field = self._known[kind].get(number)
+            if field is None:
+                raise ValueError(f"field {number} of {kind} is unknown to this version")
+            # Numbers of a list may come packed together.
+            if wire != _NUMBERS.get(field.kind, _SIZED) and not (wire == _SIZED and field.many):
+                raise ValueError(f"`{field.name}` of {kind} is of another type")
+            if isinstance(raw, memoryview) and field.kind in _TEXTS:
+                raw = _text(raw, f"`{field.name}` of {kind}", _TEXTS[field.kind])
+            values = message.setdefault(field.name, [])
+            if values and not field.many:
+                raise ValueError(f"`{field.name}` of {kind} comes twice")
+            values.append(raw)
+        return message
+
+    def inside(self, message: Message, kind: str) -> Iterator[tuple[str, memoryview]]:
+        """Give kind and bytes of all messages inside of one."""
+        for field in self._known[kind].values():
+            if field.kind in self._known:
+                for view in message.views(field.name):
+                    yield field.kind, view
+
+
+def integers(values: list[Value], at_most: int) -> list[int]:
+    """Return signed numbers that came one by one or packed.
+
+    Raises:
+        ValueError: they are more than `at_most`.
+    """
+    numbers: list[int] = []
+    for value in values:
+        if isinstance(value, int):
+            numbers.append(value)
+        elif isinstance(value, memoryview):
+            place = 0
+            while place < len(value) and len(numbers) <= at_most:
+                number, place = _varint(value, place)
+                numbers.append(_signed(number))
+    if len(numbers) > at_most:
+        raise ValueError(f"a list has more than {at_most} numbers")
+    return numbers
+
+
+def _raw(data: memoryview, place: int, wire: int) -> tuple[int | memoryview, int]:
+    if wire == _VARINT:
+        number, place = _varint(data, place)
+        return _signed(number), place
+    size = {_EIGHT: 8, _FOUR: 4}.get(wire, -1)
+    if wire == _SIZED:
+        size, place = _varint(data, place)
+    if size < 0 or place + size > len(data):
+        raise ValueError(f"a field reaches beyond its message at byte {place}")
+    return data[place : place + size], place + size
+
+
+def _varint(data: memoryview, place: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if place >= len(data):
+            break
+        byte = data[place]
+        place += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value & (2**64 - 1), place
+    raise ValueError(f"a number without an end at byte {place}")
+
+
+def _signed(number: int) -> int:
+    return number - (number >> 63 << 64)
+
+
+def _text(data: memoryview, what: str, limit: int) -> str:
+    if len(data) > limit:
+        raise ValueError(f"{what} has {len(data)} bytes, over {limit}")
+    try:
+        return bytes(data).decode()
+    except UnicodeDecodeError:
+        raise ValueError(f"{what} is not UTF-8") from None

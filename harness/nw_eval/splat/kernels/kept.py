@@ -1,0 +1,151 @@
+"""Machine code of the kernels, kept in a folder of the user's own and sealed.
+
+Numba reads what it has kept with pickle, which runs whatever is in it, and runs the machine code: a
+file that another user wrote is an attack, one that is cut short a crash. So the folder is private,
+and a file is given to Numba only if it is what was written; another one is removed, and its kernel
+is compiled again. That is against damage and against other users. Who has this user's rights needs
+no cache to run code.
+
+Where nothing can be kept or read, as in a fenced process, kernels are compiled in memory.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+
+from nw_eval.cache import DamagedError, check_private, private_dir, read_sealed, sealed_path
+from nw_eval.errors import StoreError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+_LENT = "NW_EVAL_KERNELS"
+"""The temporary folder that the first process of a run lends to its workers."""
+
+
+def kept_code(function: Callable[..., Any], version: str) -> FunctionCache | None:
+    """Return the cache of one kernel, for Numba; None where nothing can be kept.
+
+    Args:
+        function: the kernel before it is compiled.
+        version: names the sources and what compiles them. Numba itself tells types of arguments
+            and kinds of processor apart.
+    """
+    folder, _ = _folder()
+    return None if folder is None else _Kept(function, folder, version)
+
+
+def folder_note() -> str | None:
+    """Return why this process keeps code elsewhere than in the cache; None if it does not."""
+    return _folder()[1]
+
+
+@cache
+def _folder() -> tuple[Path | None, str | None]:
+    try:
+        return private_dir("kernels"), None
+    except StoreError as error:
+        reason = str(error)
+    with suppress(OSError, StoreError):
+        lent = Path(os.environ.get(_LENT) or tempfile.mkdtemp(prefix="nw-eval-kernels-"))
+        check_private(lent)
+        if _LENT not in os.environ:
+            os.environ[_LENT] = str(lent)
+            atexit.register(shutil.rmtree, lent, ignore_errors=True)
+        return lent, f"kernels are compiled for this run only: {reason}"
+    return None, f"kernels are compiled in every process: {reason}"
+
+
+class _Locator:
+    """What Numba asks for the place of a function's code."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._py_file = function.__code__.co_filename
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], _file: str) -> _Locator:
+        return cls(function)
+
+    def ensure_cache_path(self) -> None:
+        pass
+
+    def get_cache_path(self) -> str:
+        return ""
+
+    def get_source_stamp(self) -> str:
+        return ""
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Serialised(CompileResultCacheImpl):
+    """How Numba turns compiled code into bytes and back."""
+
+    _locator_classes = [_Locator]  # noqa: RUF012 - Numba's name and type.
+
+
+class _Kept(FunctionCache):
+    """The kept code of one kernel."""
+
+    _impl_class = _Serialised
+
+    def __init__(self, function: Callable[..., Any], folder: Path, version: str) -> None:
+        super().__init__(function)
+        self._cache_path = str(folder)
+        name = f"{self._impl.filename_base}.{version}"
+        self._cache_file = _Files(folder, name)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep one compiled signature, if it can be kept."""
+        with suppress(OSError, StoreError):
+            super().save_overload(sig, data)
+
+
+class _Files(IndexDataCacheFile):
+    """One sealed file for each signature of a kernel and kind of processor, and no index."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        super().__init__(str(folder), name, "")
+        self._folder = folder
+        self._name = name
+
+    def flush(self) -> None:
+        for path in self._folder.glob(f"{self._name}.*.nbc"):
+            path.unlink(missing_ok=True)
+
+    def save(self, key: Any, data: Any) -> None:
+        self._save_data(self._file(key), (key, data))
+
+    def load(self, key: Any) -> Any:
+        path = self._folder / self._file(key)
+        try:
+            read_sealed(path)
+            kept, data = self._load_data(path.name)
+        except DamagedError:
+            with suppress(OSError):
+                path.unlink()
+            return None
+        except OSError:
+            return None
+        return data if kept == key else None
+
+    def _file(self, key: Any) -> str:
+        return f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Generator[Any]:
+        with sealed_path(Path(filepath)) as temporary, temporary.open("wb") as file:
+            yield file
