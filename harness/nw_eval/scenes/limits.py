@@ -39,6 +39,3 @@ QUAT = 1e3
 MESH_BYTES = 400_000_000
 MESH_FACES = 4_000_000
 """Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
-
-GAUSSIANS = 12_000_000
-"""Of one splat file: large scenes have 6 million, and each takes some 500 bytes while it is read."""
