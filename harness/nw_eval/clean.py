@@ -35,13 +35,18 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
     # More than this is never looked at: the text may be millions of characters long.
     line = " ".join(whole[: 4 * at_most].split())
     line = "".join(_visible(character) for character in line)
-    line = _CREDENTIALS.sub("://", line)
+    line = without_credentials(line)
     line = re.sub(r"^::", r"\\x3a:", line)
     line = re.sub(r"##(?=\w*\[)", r"#\\x23", line)
     if len(line) <= at_most and len(whole) <= 4 * at_most:
         return line
     kept = line[:at_most]
     return kept + _MORE.format(max(len(whole) - len(kept), 1))
+
+
+def without_credentials(text: str) -> str:
+    """Return a text whose addresses name no user and no password."""
+    return _CREDENTIALS.sub("://", text)
 
 
 def _visible(character: str) -> str:

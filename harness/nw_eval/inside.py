@@ -22,8 +22,25 @@ def inside(folder: Path, name: str) -> Path:
         name: relative, with slashes; what it names need not exist.
 
     Raises:
+        OutsideError: as `checked`; or a link on the way leads out of the folder.
+    """
+    relative = checked(name)
+    root = folder.resolve()
+    try:
+        path = (root / relative).resolve()
+    except (OSError, RuntimeError) as error:  # A circle of links, a name that is too long.
+        raise OutsideError(f"it cannot be resolved: {error}") from None
+    if not path.is_relative_to(root):
+        raise OutsideError(f"a link on its way leads to {path}")
+    return path
+
+
+def checked(name: str) -> PurePosixPath:
+    """Return a name as a relative path, where there is nothing to look at yet.
+
+    Raises:
         OutsideError: the name is empty or too long, is absolute, has `..`, a drive, a scheme, a
-            backslash or a zero byte, or a link on its way leads out of the folder.
+            backslash or a zero byte.
     """
     if not name or "\0" in name:
         raise OutsideError("it is empty" if not name else "it has a zero byte")
@@ -36,14 +53,7 @@ def inside(folder: Path, name: str) -> Path:
         raise OutsideError("it has `..`")
     if _bytes(name) > _PATH or max(map(_bytes, relative.parts), default=0) > _NAME:
         raise OutsideError("it is longer than a file system allows")
-    root = folder.resolve()
-    try:
-        path = (root / relative).resolve()
-    except (OSError, RuntimeError) as error:  # A circle of links, a name that is too long.
-        raise OutsideError(f"it cannot be resolved: {error}") from None
-    if not path.is_relative_to(root):
-        raise OutsideError(f"a link on its way leads to {path}")
-    return path
+    return relative
 
 
 def _bytes(part: str) -> int:

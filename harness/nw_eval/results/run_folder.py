@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError
+from nw_eval.inside import OutsideError, inside
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,18 @@ class RunFolder:
         return self.path / "report.md"
 
     def mcap(self, scene: str, trial_id: str) -> Path:
-        """Path of a trial's log; `relative` gives what its row says."""
+        """Path of a trial's log; `relative` gives what its row says.
+
+        Raises:
+            StoreError: the names lead out of the folder.
+        """
+        try:
+            inside(self.path / "mcap", f"{scene}/{trial_id}.mcap")
+        except OutsideError as error:
+            raise StoreError(
+                f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
+                fix="rename the scene",
+            ) from None
         return self.path / "mcap" / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def relative(self, path: Path) -> str:
