@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from nw_eval.clean import clean
+
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
@@ -50,8 +52,8 @@ class RunProgress:
         self._bars.stop()
 
     def message(self, text: str) -> None:
-        """Say one line above the bars."""
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+        """Say one line above the bars, whatever words of strangers are in it."""
+        self._console.print(clean(text), highlight=False, markup=False, soft_wrap=True)
 
     def scene(self, name: str, fraction: float) -> None:
         """Show that a scene is being built, from 0 to 1."""
