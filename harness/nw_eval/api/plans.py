@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.api.message import Message
 from nw_eval.errors import UsageError, nearest
+from nw_eval.inside import what_is
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,6 +108,6 @@ def check(
 def _policy_reference(suite: Suite, given: str | None) -> str:
     """Return what names the policy: a suite's own relative path starts from the suite's folder."""
     own = suite.base / suite.policy
-    if given is None and ("/" in suite.policy or own.suffix == ".yaml") and own.exists():
+    if given is None and ("/" in suite.policy or own.suffix == ".yaml") and what_is(own) != "nothing":
         return str(own)
     return suite.policy

@@ -11,7 +11,7 @@ import logging
 import socket
 import threading
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
@@ -206,13 +206,15 @@ def _limit_sockets(server: Server) -> None:
     accepted, slots = server.handler, threading.BoundedSemaphore(_SOCKETS)
 
     def handler(sock: socket.socket, address: Any) -> None:
-        if not slots.acquire(blocking=False):
-            sock.close()
-            return
+        has_slot = slots.acquire(blocking=False)
         try:
-            accepted(sock, address)
+            if not has_slot:
+                with suppress(OSError):
+                    sock.shutdown(socket.SHUT_RDWR)
+            accepted(sock, address)  # Cleans up behind one that is shut, too.
         finally:
-            slots.release()
+            if has_slot:
+                slots.release()
 
     server.handler = handler
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError
-from nw_eval.inside import OutsideError, inside
+from nw_eval.inside import OutsideError, inside, what_is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +102,8 @@ def open_run_folder(path: Path) -> RunFolder:
     Raises:
         StoreError: it is no run folder.
     """
-    folder = RunFolder(path=path.parent if path.is_file() else path)
-    if not folder.run_json.is_file() and not folder.journal.is_file():
+    folder = RunFolder(path=path.parent if what_is(path) == "file" else path)
+    if what_is(folder.run_json) != "file" and what_is(folder.journal) != "file":
         raise StoreError(
             f"{path} is not the folder of a run (no run.json in it)",
             fix="name one of the folders in reports/",

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
-from nw_eval.inside import OutsideError, inside
+from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.scenes import limits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
@@ -55,6 +55,7 @@ Sliding = Annotated[float, Field(gt=0, le=limits.FRICTION)]
 Turning = Annotated[float, Field(ge=0, le=limits.FRICTION)]
 Noise = Annotated[float, Field(ge=0, le=limits.NOISE)]
 Angle = Annotated[float, Field(ge=-2 * np.pi, le=2 * np.pi)]
+Spread = Annotated[float, Field(ge=0, le=2 * np.pi)]
 Component = Annotated[float, Field(ge=-limits.QUAT, le=limits.QUAT)]
 Quat = Annotated[tuple[Component, Component, Component, Component], AfterValidator(_turns)]
 Far = Annotated[float, Field(ge=-limits.MESH_REACH, le=limits.MESH_REACH)]
@@ -89,7 +90,7 @@ class _Spawn(_Model):
     yaw: Angle = 0.0
     x_jitter: Noise = 0.1
     y_jitter: Noise = 0.1
-    yaw_jitter: Angle = Field(default=0.1, ge=0)
+    yaw_jitter: Spread = 0.1
 
 
 class _Similarity(_Model):
@@ -193,7 +194,7 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     splat = None
     if text.splat is not None:
         splat = FileSplat(path=_beside(folder, file, "splat", text.splat))
-        if not splat.path.is_file():
+        if what_is(splat.path) != "file":
             problem = file.problem(
                 ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
             )

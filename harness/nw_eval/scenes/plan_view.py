@@ -83,7 +83,9 @@ def draw_plan(scene: Scene, path: Path) -> None:
     x, y, _ = scene.spawn.position
     ahead = np.array([np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)]) * 0.5
     axes.arrow(x, y, *ahead, width=0.04, color="red")
-    axes.set(title=f"{scene.name}: {scene.title}", xlabel="x, m", ylabel="y, m")
+    # A dollar sign in a title begins no formula.
+    axes.set_title(f"{scene.name}: {scene.title}", parse_math=False)
+    axes.set(xlabel="x, m", ylabel="y, m")
     figure.colorbar(image, label="height of the ground, m", shrink=0.8)
     try:
         with atomic_path(path) as temporary:
