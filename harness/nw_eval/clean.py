@@ -16,7 +16,7 @@ LONGEST = 1000
 
 _HARMFUL = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Unicode categories that draw nothing, or turn or break a line: they are shown as escapes."""
-_CREDENTIALS = re.compile(r"(?<=[A-Za-z])://[^\s/?#]*@")
+_CREDENTIALS = re.compile(r"(?<=[A-Za-z])(://?)[^\s/?#]*@")  # A path has one slash.
 _MORE = " ... and {} more characters"
 
 
@@ -46,7 +46,7 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
 
 def without_credentials(text: str) -> str:
     """Return a text whose addresses name no user and no password."""
-    return _CREDENTIALS.sub("://", text)
+    return _CREDENTIALS.sub(r"\1", text)
 
 
 def _visible(character: str) -> str:

@@ -224,7 +224,9 @@ def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(
 
 EVIL = (
     "\x1b[2Ja\u202eb ::error::c ##[d] @maintainer see #12, GH-3, org/repo#4, www.evil.example, "
-    "https://evil.example/x, a@b.example, &#64;maintainer <!-- hidden --> <b> `` | $x$ " + "y" * 5000
+    "https://evil.example/x, a@b.example, &#64;maintainer <!-- hidden --> <b> `` | $x$ "
+    + "y"
+    * 5000
 )
 
 
@@ -250,5 +252,7 @@ def test_strangers_words_notify_nobody_and_link_nowhere(
 def test_a_forged_row_advises_no_command_outside_the_run(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
-    text = render([make_row("a", k, 1, mcap_path=p) for k, p in enumerate(("/x", "../x"))], {"a": 2})
+    text = render(
+        [make_row("a", k, 1, mcap_path=p) for k, p in enumerate(("/x", "../x"))], {"a": 2}
+    )
     assert "nw-eval replay" not in text

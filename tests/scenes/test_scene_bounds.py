@@ -1,8 +1,9 @@
-"""What a stranger's scene may say: names that are names, files of its folder, numbers of a place."""
+"""What a stranger's scene may say: names, files of its folder, numbers of a place."""
 
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -131,7 +132,7 @@ def test_a_long_trail_is_compared_with_the_legs_near_a_point_only_and_all_the_sa
     random = np.random.default_rng(4)
     trail = np.cumsum(random.normal(size=(120, 3)), axis=0)
     points = random.uniform(-15, 15, (4000, 2))
-    every = list(zip(trail[:-1], trail[1:], strict=True))
+    every = list(pairwise(trail))
     np.testing.assert_allclose(
         trail_heights(trail, points), _nearest_heights(every, points), rtol=0, atol=1e-12
     )

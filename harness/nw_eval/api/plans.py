@@ -108,6 +108,10 @@ def check(
 def _policy_reference(suite: Suite, given: str | None) -> str:
     """Return what names the policy: a suite's own relative path starts from the suite's folder."""
     own = suite.base / suite.policy
-    if given is None and ("/" in suite.policy or own.suffix == ".yaml") and what_is(own) != "nothing":
+    if (
+        given is None
+        and ("/" in suite.policy or own.suffix == ".yaml")
+        and what_is(own) != "nothing"
+    ):
         return str(own)
     return suite.policy

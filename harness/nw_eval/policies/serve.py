@@ -167,9 +167,7 @@ def answer(policy: Policy, data: bytes | str) -> dict[str, Any]:
 
 
 def _fault(error: Exception) -> dict[str, Any]:
-    """Return an error as a client may know it: what it is, in a line, and nothing of this machine's
-    stack.
-    """
+    """Return an error as a client may know it: a line, and nothing of this machine's stack."""
     kind = "" if isinstance(error, NwEvalError) else f"{type(error).__name__}: "
     return {"error": kind + clean(error, at_most=_ERROR)}
 

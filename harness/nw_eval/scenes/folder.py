@@ -28,6 +28,7 @@ _GROUND_REACH = 60.0
 
 _Read = TypeVar("_Read", bound=BaseModel)
 
+
 def _line(text: str) -> str:
     return clean(text, at_most=200)
 

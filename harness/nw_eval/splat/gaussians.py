@@ -17,7 +17,7 @@ SH0 = 0.28209479177387814
 """The constant harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH0 * sh[:, 0] + ..."""
 
 MOST = 12_000_000
-"""Gaussians of one file. Large scenes have 6 million; each takes some 500 bytes while it is read."""
+"""Gaussians of one file: large scenes have 6 million, and each takes 500 bytes while it is read."""
 
 F32 = NDArray[np.float32]
 

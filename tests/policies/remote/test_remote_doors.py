@@ -12,7 +12,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from websockets.exceptions import InvalidHandshake, InvalidStatus
+from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve as fake_serve
 
@@ -99,17 +99,18 @@ def _status(address: Address, host: str) -> int:
     return int(head.split()[1])
 
 
-def test_one_client_too_many_is_told_so_and_the_next_is_served(address, tmp_path, monkeypatch):
+def test_one_client_too_many_is_told_so_and_the_next_is_served(address, tmp_path):
     with contextlib.ExitStack() as crowd:
         for _ in range(server_module.CONNECTIONS):
             one = crowd.enter_context(connect(address.url, proxy=None, compression=None))
             one.recv(timeout=5)
         with pytest.raises(PolicyError, match="says: 64 clients are connected already"):
             open_policy(remote(tmp_path, address.url))
-    for _ in range(50):
-        with contextlib.suppress(KeyError):
-            assert greeting(address.url)["policy"] == "still"
+    # A place is free again when its thread has seen the client leave.
+    for _ in range(100):
+        if "error" not in greeting(address.url):
             return
+        threading.Event().wait(0.05)
     pytest.fail("nobody is served any more")
 
 
@@ -119,13 +120,13 @@ def test_sockets_that_say_nothing_are_limited_too(still, monkeypatch):
         for _ in range(3):
             silent = socket.create_connection((where.host, where.port), timeout=5)
             crowd.enter_context(silent)
-        with pytest.raises((InvalidHandshake, OSError, EOFError)):
+        with pytest.raises((WebSocketException, OSError, EOFError)):
             greeting(where.url)
 
 
 def test_an_error_of_the_policy_is_one_short_line():
     class Angry:
-        def reset(self, seed):
+        def reset(self, _seed):
             raise RuntimeError(EVIL)
 
     told = answer(Angry(), encode({"call": "reset", "seed": 1}))["error"]  # type: ignore[arg-type]
@@ -149,13 +150,15 @@ def test_an_error_of_the_policy_is_one_short_line():
     ],
 )  # fmt: skip
 def test_a_message_that_unpacks_to_more_than_it_is_gets_refused(data):
-    with pytest.raises(ValueError, match="it is|it holds|exceeds|too big"):
+    with pytest.raises(ValueError, match=r"it is|it holds|exceeds|too big"):
         decode(data)
 
 
 @contextlib.contextmanager
 def redirecting(to: str) -> Iterator[str]:
     class Handler(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
         def do_GET(self):
             self.send_response(302)
             self.send_header("Location", to)

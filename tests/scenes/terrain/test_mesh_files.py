@@ -144,7 +144,8 @@ def test_the_parser_writes_nothing_of_its_own_to_the_screen(tmp_path, capfd):
     path.write_text(PLY.replace("element face", "comment TextureFile x.png\nelement face"))
     assert area(read_mesh(path)) == pytest.approx(1.0)
     (tmp_path / "a.stl").write_text(
-        "solid a\nfacet normal a b c\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendfacet\nendsolid\n"
+        "solid a\nfacet normal a b c\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n"
+        "endsolid\n"
     )
     assert area(read_mesh(tmp_path / "a.stl")) == pytest.approx(0.5)
     assert capfd.readouterr().err == ""

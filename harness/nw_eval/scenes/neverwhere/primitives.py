@@ -101,7 +101,8 @@ def _solid(geom: PlacedGeom, kind: str) -> Box | Primitive:
         raise element.error(f"it lies at {center.tolist()}", fix=f"within {REACH:g} m, please")
     if len(size) < count or not LEAST_SIZE <= min(size[:count]) <= max(size[:count]) <= REACH:
         raise element.error(
-            f"size={element.get('size')!r} makes no {kind}", fix=f"give {count} positive numbers, {LEAST_SIZE:g} to {REACH:g} m"
+            f"size={element.get('size')!r} makes no {kind}",
+            fix=f"give {count} positive numbers, {LEAST_SIZE:g} to {REACH:g} m",
         )
     x, y, z = center.tolist()
     quat = quaternion(rotation)
