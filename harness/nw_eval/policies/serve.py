@@ -35,7 +35,8 @@ _SOCKETS = 4 * CONNECTIONS  # of those that said nothing yet, too
 _OPENING = 5.0  # s until a client must have said what it wants
 _ERROR = 300  # characters
 # Who fails to connect is told so; here a scan of ports would fill the screen with tracebacks.
-_SILENT = logging.Logger("nw_eval.policies.serve", level=logging.CRITICAL + 1)
+_SILENT = logging.getLogger(__name__)
+_SILENT.setLevel(logging.CRITICAL + 1)
 
 
 @dataclass(frozen=True, kw_only=True)
