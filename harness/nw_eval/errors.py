@@ -81,6 +81,9 @@ class SuiteError(NwEvalError):
 
     exit_code = 2
 
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        super().__init__(problems)
+
 
 class SceneError(NwEvalError):
     """A scene cannot be loaded or built."""
