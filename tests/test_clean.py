@@ -45,3 +45,11 @@ def test_a_text_of_millions_of_characters_is_cut_and_says_so():
     line = clean("x" * 5_000_000)
     assert len(line) < 1100
     assert line.endswith(" ... and 4999000 more characters")
+
+
+def test_passwords_in_addresses_stay_behind():
+    assert clean("no server at ws://bob:p@ss@host:1/x?y=a@b") == "no server at ws://host:1/x?y=a@b"
+
+
+def test_orders_of_other_ci_runners_lose_their_form():
+    assert clean("a ##vso[task.x]") == "a #\\x23vso[task.x]"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from nw_eval.inside import OutsideError, inside
+from nw_eval.inside import OutsideError, inside, what_is
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,10 @@ def test_links_in_a_circle_are_refused(tmp_path):
     (tmp_path / "b").symlink_to(tmp_path / "a")
     with pytest.raises(OutsideError):
         inside(tmp_path, "a")
+
+
+def test_what_no_file_system_can_have_is_nothing(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "a")
+    for name in ("n" * 300, "a", "a\0b", "none"):
+        assert what_is(tmp_path / name) == "nothing"
+    assert what_is(tmp_path) == "folder"

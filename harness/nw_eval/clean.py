@@ -3,7 +3,7 @@
 Names, errors and logs may come from strangers: a checkpoint's message, a scene's name, a server's
 answer. Printed raw, an escape sequence repaints a terminal, a line that begins with `::` gives a
 CI runner orders, and a bidirectional mark turns a name around. Everything foreign passes here on
-its way to a console, a log, a row or a page.
+its way to a console, a log, a row or a page. Passwords in addresses stay behind.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ LONGEST = 1000
 
 _HARMFUL = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Unicode categories that draw nothing, or turn or break a line: they are shown as escapes."""
+_CREDENTIALS = re.compile(r"(?<=[A-Za-z])(://?)[^\s/?#]*@")  # A path has one slash.
 _MORE = " ... and {} more characters"
 
 
@@ -23,7 +24,8 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
     """Return foreign text as one harmless line.
 
     White space becomes single spaces, invisible characters become visible escapes, what a CI
-    runner takes for an order (`::error` at the start of a line, `##[` anywhere) loses that form.
+    runner takes for an order (`::error` at the start of a line, `##[` or `##vso[` anywhere) loses
+    that form, and `ws://user:password@host` is `ws://host`.
 
     Args:
         text: anything; its `str` is meant.
@@ -33,11 +35,18 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
     # More than this is never looked at: the text may be millions of characters long.
     line = " ".join(whole[: 4 * at_most].split())
     line = "".join(_visible(character) for character in line)
-    line = re.sub(r"^::", r"\\x3a:", line).replace("##[", r"#\x23[")
+    line = without_credentials(line)
+    line = re.sub(r"^::", r"\\x3a:", line)
+    line = re.sub(r"##(?=\w*\[)", r"#\\x23", line)
     if len(line) <= at_most and len(whole) <= 4 * at_most:
         return line
     kept = line[:at_most]
     return kept + _MORE.format(max(len(whole) - len(kept), 1))
+
+
+def without_credentials(text: str) -> str:
+    """Return a text whose addresses name no user and no password."""
+    return _CREDENTIALS.sub(r"\1", text)
 
 
 def _visible(character: str) -> str:

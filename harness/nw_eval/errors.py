@@ -14,7 +14,8 @@
     ├─ StoreError          exit 4   results that cannot be written, or that are damaged
     └─ IncomparableError   exit 5   runs that do not pair
 
-A message says what happened, the value, the place and the fix, in that order, on one line.
+A message says what happened, the value, the place and the fix, in that order, on one line. Names
+and texts of strangers' files are made harmless here, once, whoever prints the error.
 """
 
 from __future__ import annotations
@@ -23,24 +24,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+from nw_eval.clean import clean
+
+_LONGEST = 2000  # characters of what happened; the fix comes on top, whole
 _LISTED = 12  # names in a hint; a longer list hides the message
-
-
-class NwEvalError(Exception):
-    """Root of every error that nw-eval raises on purpose. `said` is its message without the fix."""
-
-    exit_code = 4
-
-    def __init__(self, message: str, *, fix: str | None = None) -> None:
-        super().__init__(message if fix is None else f"{message}; {fix}")
-        self.said = message
-        self.fix = fix
-
-
-class UsageError(NwEvalError):
-    """An option or argument cannot be used as given."""
-
-    exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +41,47 @@ class Problem:
     fix: str | None = None
 
     def __str__(self) -> str:
-        text = f"{self.file}:{self.line}:{self.column}: {self.message}"
-        return text if self.fix is None else f"{text}; {self.fix}"
+        where = f"{self.file}:{self.line}:{self.column}"
+        return _with_fix(clean(f"{where}: {self.message}", at_most=_LONGEST), self.fix)
+
+
+def _with_fix(said: str, fix: str | None) -> str:
+    return said if fix is None else f"{said}; {clean(fix)}"
+
+
+class NwEvalError(Exception):
+    """Root of every error that nw-eval raises on purpose.
+
+    Args:
+        message: what happened; or all faults of something, each of which gets its own line.
+        fix: what to do about it.
+    """
+
+    exit_code = 4
+
+    def __init__(self, message: str | Iterable[Problem | str], *, fix: str | None = None) -> None:
+        lines = (message,) if isinstance(message, str) else tuple(message)
+        # A pickled error is made again of these, on its way between processes.
+        super().__init__(lines)
+        self.fix = fix
+        self.problems = tuple(line for line in lines if isinstance(line, Problem))
+
+    @property
+    def said(self) -> str:
+        """The message without the fix."""
+        return "\n".join(
+            str(line) if isinstance(line, Problem) else clean(line, at_most=_LONGEST)
+            for line in self.args[0]
+        )
+
+    def __str__(self) -> str:
+        return _with_fix(self.said, self.fix)
+
+
+class UsageError(NwEvalError):
+    """An option or argument cannot be used as given."""
+
+    exit_code = 2
 
 
 class SuiteError(NwEvalError):
@@ -67,9 +93,9 @@ class SuiteError(NwEvalError):
 
     exit_code = 2
 
-    def __init__(self, problems: Sequence[Problem], others: Sequence[NwEvalError] = ()) -> None:
-        super().__init__("\n".join(str(fault) for fault in (*problems, *others)))
-        self.problems = tuple(problems)
+    def __init__(self, problems: Iterable[Problem], others: Sequence[NwEvalError] = ()) -> None:
+        lines = (line for other in others for line in str(other).splitlines())
+        super().__init__((*problems, *lines))
         self.others = tuple(others)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path, PurePosixPath, PureWindowsPath
+import re
+import stat
+from pathlib import Path, PurePosixPath
+from typing import Literal
 
 _PATH, _NAME = 2048, 255  # bytes of a path, and of one name in it, that file systems take
 
@@ -19,20 +22,9 @@ def inside(folder: Path, name: str) -> Path:
         name: relative, with slashes; what it names need not exist.
 
     Raises:
-        OutsideError: the name is empty or too long, is absolute, has `..`, a drive, a backslash or
-            a zero byte, or a link on its way leads out of the folder.
+        OutsideError: as `checked`; or a link on the way leads out of the folder.
     """
-    if not name or "\0" in name:
-        raise OutsideError("it is empty" if not name else "it has a zero byte")
-    if "\\" in name or PureWindowsPath(name).drive:
-        raise OutsideError("it has a backslash or a drive")
-    relative = PurePosixPath(name)
-    if relative.is_absolute():
-        raise OutsideError("it is an absolute path")
-    if ".." in relative.parts:
-        raise OutsideError("it has `..`")
-    if _bytes(name) > _PATH or max(map(_bytes, relative.parts), default=0) > _NAME:
-        raise OutsideError("it is longer than a file system allows")
+    relative = checked(name)
     root = folder.resolve()
     try:
         path = (root / relative).resolve()
@@ -43,5 +35,35 @@ def inside(folder: Path, name: str) -> Path:
     return path
 
 
+def checked(name: str) -> PurePosixPath:
+    """Return a name as a relative path, where there is nothing to look at yet.
+
+    Raises:
+        OutsideError: the name is empty or too long, is absolute, has `..`, a drive, a scheme, a
+            backslash or a zero byte.
+    """
+    if not name or "\0" in name:
+        raise OutsideError("it is empty" if not name else "it has a zero byte")
+    if "\\" in name or re.match(r"[A-Za-z][\w+.-]*:", name):
+        raise OutsideError("it has a backslash, a drive or a scheme")
+    relative = PurePosixPath(name)
+    if relative.is_absolute():
+        raise OutsideError("it is an absolute path")
+    if ".." in relative.parts:
+        raise OutsideError("it has `..`")
+    if _bytes(name) > _PATH or max(map(_bytes, relative.parts), default=0) > _NAME:
+        raise OutsideError("it is longer than a file system allows")
+    return relative
+
+
 def _bytes(part: str) -> int:
     return len(part.encode(errors="replace"))
+
+
+def what_is(path: Path) -> Literal["file", "folder", "nothing"]:
+    """Return what lies at a path; nothing does at one that no file system can have, or show."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # Too long a name, a zero byte, a circle of links.
+        return "nothing"
+    return "file" if stat.S_ISREG(mode) else "folder" if stat.S_ISDIR(mode) else "nothing"

@@ -26,6 +26,7 @@ Place = tuple[int, int]
 
 _SIZE_LIMIT = 1_000_000  # Bytes; a suite or a card is a few thousand.
 _VALUE_LIMIT = 50_000  # Values after aliases are expanded: a few nested aliases can mean billions.
+_KEY_LIMIT = 200  # Characters.
 _DEPTH_LIMIT = 40  # Levels; a list that holds itself has no end.
 _PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq")
@@ -183,6 +184,10 @@ class _Reader:
                 self._fault(key_node, "a key must be a plain word", "use a name")
                 continue
             key = str(key_node.value)
+            if not key.isprintable() or len(key) > _KEY_LIMIT:
+                # Keys name observations and inputs, and go where names go.
+                self._fault(key_node, f"{key[:40]!r}... is no key", "use a short printable name")
+                continue
             if key in result:
                 message = f"duplicate key {key!r}, first on line {lines[key]}"
                 self._fault(key_node, message, "keep one of them")

@@ -91,7 +91,18 @@ def test_a_link_out_of_the_folder_is_refused(folder, tmp_path_factory):
     outside.write_bytes(b"weights")
     (folder / "link.onnx").symlink_to(outside)
     write_card(folder, file="link.onnx")
-    with pytest.raises(PolicyError, match="lies outside the card's folder"):
+    with pytest.raises(
+        PolicyError, match=r"lies outside the card's folder: a link on its way leads to .*outside"
+    ):
+        load_bundle(folder)
+
+
+def test_a_policy_or_a_checkpoint_that_no_file_can_be_called_is_refused(folder):
+    for name in ("x" * 300, "a\0b"):
+        with pytest.raises(PolicyError, match="unknown policy"):
+            load_bundle(name)
+    write_card(folder, file="x" * 300)
+    with pytest.raises(PolicyError, match="longer than a file system allows"):
         load_bundle(folder)
 
 

@@ -302,3 +302,39 @@ def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(
     far = PolicyInfo(name="far", checkpoint_digest="dd" * 32, origin="served dddddddddddddddd")
     served = dict(section(render(rows, {"a": 1}, policy=far), "Provenance")[1:])
     assert served["policy"] == "far, served dddddddddddddddd"
+
+
+EVIL = (
+    "\x1b[2Ja\u202eb ::error::c ##[d] @maintainer see #12, GH-3, org/repo#4, www.evil.example, "
+    "https://evil.example/x, a@b.example, &#64;maintainer <!-- hidden --> <b> `` | $x$ "
+    + "y"
+    * 5000
+)
+
+
+def test_strangers_words_notify_nobody_and_link_nowhere(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [
+        make_row("a", 0, None, error_text=EVIL),
+        make_row(f"s {EVIL[:300]}", 1, 2, end_reason=EVIL[:300]),
+    ]
+    text = render(rows, {"a": 1, rows[1].scene: 2}, policy=PolicyInfo(
+        name=EVIL[:300], checkpoint_digest="cc" * 32
+    ))  # fmt: skip
+    assert not any(mark in text for mark in ("\x1b", "\u202e", "##[", "&#64;maintainer <"))
+    # GitHub looks for names and addresses everywhere but in code: nothing of them is left there.
+    plain = "\n".join(re.sub(r"`[^`]*`", "", line) for line in text.splitlines())
+    for mark in ("@m", "@b", "#1", "#4", "GH-3", "www.", "://", "<!--", "<b>"):
+        assert mark not in plain.replace("\\<", ""), mark
+    assert "`@maintainer`" in text
+    assert max(map(len, text.splitlines())) < 10_000
+
+
+def test_a_forged_row_advises_no_command_outside_the_run(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    text = render(
+        [make_row("a", k, 1, mcap_path=p) for k, p in enumerate(("/x", "../x"))], {"a": 2}
+    )
+    assert "nw-eval replay" not in text

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.api.message import Message
+from nw_eval.clean import clean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,9 +55,9 @@ def check_scenes(references: Sequence[str]) -> Message:
     for reference in references:
         findings = inspect_scene(reference)
         is_bad |= has_errors(findings)
-        lines += [f"{reference}: {finding}" for finding in findings]
+        lines += [f"{clean(reference)}: {finding}" for finding in findings]
         if not findings:
-            lines.append(f"{reference}: nothing wrong")
+            lines.append(f"{clean(reference)}: nothing wrong")
     return Message(text="\n".join(lines), exit_code=SceneError.exit_code if is_bad else 0)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from nw_eval.clean import clean
 from nw_eval.cli.outermost import tell, unforeseen
 
 if TYPE_CHECKING:
@@ -83,8 +84,8 @@ class RunProgress:
 
     @_harmless
     def message(self, text: str) -> None:
-        """Say one line above the bars."""
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+        """Say one line above the bars, whatever words of strangers are in it."""
+        self._console.print(clean(text), highlight=False, markup=False, soft_wrap=True)
 
     @_harmless
     def scene(self, name: str, fraction: float) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.policies.card import Card
 from nw_eval.policies.card_file import CARD_FILE, load_card
 from nw_eval.policies.code_digest import code_digest
@@ -130,7 +131,7 @@ def load_bundle(
             checkpoint_sha256=known,
             code_sha256=code,
         )
-    path = checkpoint if checkpoint is not None else _inside(card_path, card.checkpoint.file)
+    path = checkpoint if checkpoint is not None else _beside(card_path, card.checkpoint.file)
     actual = hashlib.sha256(_read(path, card_path, card.checkpoint.source)).hexdigest()
     wanted = card.checkpoint.sha256
     if checkpoint is None and actual != wanted:
@@ -166,15 +167,17 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
     if str(name_or_path) in known:
         return known[str(name_or_path)] / CARD_FILE
     path = Path(name_or_path)
-    if not path.exists() and (packed := shipped("policies") / path / CARD_FILE).is_file():
+    kind = what_is(path)
+    packed = shipped("policies") / path / CARD_FILE
+    if kind == "nothing" and what_is(packed) == "file":
         return packed  # For example `examples/playground-go1`.
-    if path.is_dir():
-        if not (path / CARD_FILE).is_file():
+    if kind == "folder":
+        if what_is(path / CARD_FILE) != "file":
             raise PolicyError(
                 f"{path}: the folder has no {CARD_FILE}", fix="write a card, or name another folder"
             )
         return path / CARD_FILE
-    if path.is_file():
+    if kind == "file":
         if path.suffix not in {".yaml", ".yml"}:
             raise PolicyError(
                 f"{path}: a policy is named by its card, not by its weights",
@@ -195,16 +198,15 @@ def _imports_code(card: Card) -> bool:
     )
 
 
-def _inside(card_path: Path, file: str) -> Path:
+def _beside(card_path: Path, file: str) -> Path:
     """Return the path of a checkpoint, which may not leave the card's folder by a link either."""
-    folder = card_path.parent.resolve()
-    path = (folder / file).resolve()
-    if not path.is_relative_to(folder):
+    try:
+        return inside(card_path.parent, file)
+    except OutsideError as error:
         raise PolicyError(
-            f"{card_path}: checkpoint {file!r} lies outside the card's folder",
-            fix="put it inside, or use --checkpoint",
-        )
-    return path
+            f"{card_path}: checkpoint {file!r} lies outside the card's folder: {error}",
+            fix="put the file itself inside, or use --checkpoint",
+        ) from None
 
 
 def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
@@ -226,7 +228,9 @@ def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
             f"{path}: the checkpoint is missing",
             fix=f"put it{origin} at {card_path.parent}, or give --checkpoint FILE",
         ) from None
-    except OSError as error:
+    except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         raise PolicyError(
-            f"{path}: the checkpoint cannot be read: {error.strerror}", fix="check the path"
+            f"{path}: the checkpoint cannot be read: "
+            f"{(isinstance(error, OSError) and error.strerror) or error}",
+            fix="check the path",
         ) from None

@@ -7,14 +7,14 @@ holds its weights. It contains no code.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from nw_eval.errors import nearest
+from nw_eval.inside import OutsideError, checked
 from nw_eval.policies.joints import PerJoint
-from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits
+from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits, Line
 from nw_eval.policies.observations import Observation, ProprioObservation
 from nw_eval.policies.terms import Command as CommandTerm
 
@@ -52,10 +52,11 @@ def _plain_name(name: str) -> str:
 
 
 def _plain_file(name: str) -> str:
-    path = Path(name)
-    if path.is_absolute() or ".." in path.parts or "\\" in name or not name.strip():
-        message = f"{name!r} leaves the card's folder; give a name inside it, or use --checkpoint"
-        raise ValueError(message)
+    try:
+        checked(name)
+    except OutsideError as error:
+        message = f"{name!r} leaves the card's folder: {error}"
+        raise ValueError(f"{message}; give a name inside it, or use --checkpoint") from None
     return name
 
 
@@ -76,7 +77,7 @@ class Checkpoint(CardModel):
     """Path inside the card's folder."""
     sha256: Sha256 | None = None
     """Hex digest of the file; only a card that is always used with --checkpoint needs none."""
-    source: str | None = None
+    source: Line | None = None
     """Where people get the file if it does not lie beside the card."""
 
 
@@ -191,9 +192,9 @@ class Card(CardModel):
     """Version of this kind of file."""
     name: Annotated[str, AfterValidator(_plain_name)]
     """What reports call the policy: a-z, 0-9, '.', '_' and '-'."""
-    title: str = ""
+    title: Line = ""
     """One line for people; no part of the digest, nor is `licence`."""
-    licence: str = ""
+    licence: Line = ""
     """Terms under which others may use the checkpoint."""
     robot: str
     """The robot that the policy drives: go1 or go2."""

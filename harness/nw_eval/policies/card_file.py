@@ -35,12 +35,12 @@ def load_card(path: Path) -> Card:
     try:
         file = read_yaml(path)
     except YamlProblems as error:
-        raise PolicyError(str(error)) from None
+        raise PolicyError(error.problems) from None
     try:
         card = Card.model_validate(file.data)
     except ValidationError as error:
         problems = validation_problems(error, file, Card, also=_ALSO_CALLED)
-        raise PolicyError("\n".join(str(problem) for problem in problems)) from None
+        raise PolicyError(problems) from None
     if problems := joint_problems(card, file):
-        raise PolicyError("\n".join(str(problem) for problem in problems))
+        raise PolicyError(problems)
     return card

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.card_file import CARD_FILE, load_card
 from nw_eval.shipped import available, shipped
@@ -20,7 +21,7 @@ def policy_table(search: Path | None = None) -> str:
     cards = {name: folder / CARD_FILE for name, folder in available("policies", search).items()}
     examples = shipped("policies") / "examples"
     cards |= {f"examples/{path.parent.name}": path for path in examples.glob(f"*/{CARD_FILE}")}
-    rows = [(name, *_describe(path)) for name, path in sorted(cards.items())]
+    rows = [(clean(name), *_describe(path)) for name, path in sorted(cards.items())]
     if not rows:
         return "no policies: neither shipped, nor in ./policies"
     widths = [max(len(row[column]) for row in rows) for column in range(3)]

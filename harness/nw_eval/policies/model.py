@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
+from nw_eval.clean import clean
+
 CONTROL_RATE = 50
 """Control steps per second of every protocol, Hz."""
 
@@ -16,6 +18,14 @@ class CardModel(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True
     )
+
+
+def _line(text: str) -> str:
+    return clean(text, at_most=300)
+
+
+Line = Annotated[str, AfterValidator(_line)]
+"""Words for people, on one line; no part of any digest."""
 
 
 def _both_sides(value: Any) -> Any:

@@ -20,6 +20,8 @@ of all that can change an action; runs record it. A server may leave out `digest
 from __future__ import annotations
 
 import math
+import re
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -37,6 +39,11 @@ except ImportError:
 PROTOCOL = 2
 MESSAGE_LIMIT = 2**26
 """Bytes of one message: 64 MiB, some 16 full camera images."""
+WAITING = 1
+"""Messages that wait to be read: each is answered before the next is sent."""
+_ENTRIES = 4096  # of one map or list, and maps and lists of one message
+_TEXT = 2**16  # bytes
+_NUMBERS = re.compile(r"[<|](b1|[iuf][1248])")
 _MARK = "__ndarray__"
 
 
@@ -60,9 +67,25 @@ def decode(data: bytes | str) -> dict[str, Any]:
     """
     if isinstance(data, str):
         raise ValueError("it is text, not bytes")  # noqa: TRY004 - one error for all faults.
+    made = count(1)
+
+    def counted(value: Any) -> Any:
+        # A byte can be an empty list of 60 bytes: what a message may unpack to is limited, too.
+        if next(made) > _ENTRIES:
+            raise ValueError(f"it holds more than {_ENTRIES} maps and lists")
+        return _from_map(value) if isinstance(value, dict) else value
+
     try:
-        message = msgpack.unpackb(data, object_hook=_from_map, strict_map_key=True)
-    except (msgpack.exceptions.UnpackException, TypeError, KeyError) as error:
+        message = msgpack.unpackb(
+            data,
+            object_hook=counted,
+            list_hook=counted,
+            strict_map_key=True,
+            max_map_len=_ENTRIES,
+            max_array_len=_ENTRIES,
+            max_str_len=_TEXT,
+        )
+    except (msgpack.exceptions.UnpackException, TypeError, KeyError, OverflowError) as error:
         raise ValueError(f"it is no msgpack: {error or type(error).__name__}") from None
     if not isinstance(message, dict):
         raise ValueError(f"it is a {type(message).__name__}, not a map")  # noqa: TRY004 - as above.
@@ -86,11 +109,11 @@ def _as_map(value: Any) -> dict[str, Any]:
 def _from_map(value: dict[str, Any]) -> Any:
     if _MARK not in value:
         return value
-    dtype = np.dtype(str(value["dtype"]))
+    name, data = str(value["dtype"]), value["data"]
+    if not _NUMBERS.fullmatch(name) or not isinstance(data, bytes):
+        raise ValueError(f"it holds an array of {name[:40]!r}")
+    dtype = np.dtype(name)
     shape = tuple(int(size) for size in value["shape"])
-    data = value["data"]
-    if dtype.kind not in "biuf" or not isinstance(data, bytes):
-        raise ValueError(f"it holds an array of {dtype}")
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):
         raise ValueError(f"it holds an array of shape {shape} in {len(data)} bytes")
     return np.frombuffer(data, dtype=dtype).reshape(shape).copy()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.report.headline import blind_spot, headline
 from nw_eval.report.tables import (
@@ -64,7 +66,7 @@ def print_summary(
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
     console.print(blind_spot(verdict, run), markup=False, highlight=False)
     for reason in verdict.reasons:
-        console.print(f"* {reason}", markup=False, highlight=False)
+        console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
 
 
 def _draw(console: Console, table: Table) -> None:
@@ -83,7 +85,7 @@ def _draw(console: Console, table: Table) -> None:
         )
     for row in table.rows:
         cells = dict(zip(table.columns, row, strict=True))
-        drawn.add_row(*(Text(cells[name]) for name in shown))
+        drawn.add_row(*(Text(_foldable(cells[name])) for name in shown))
     console.print(drawn)
     # Something to type must stay on one line, uncut: beneath the table, not in a column.
     for name in table.columns:
@@ -92,3 +94,11 @@ def _draw(console: Console, table: Table) -> None:
                 if command := dict(zip(table.columns, row, strict=True))[name]:
                     console.print(command, markup=False, highlight=False, soft_wrap=True)
             console.print()
+
+
+def _foldable(text: str) -> str:
+    """Return a cleaned text that may be folded anywhere: no part of it is an order to a CI runner.
+
+    `::error::` is one at the start of a line, and a folded line starts in the middle of the text.
+    """
+    return re.sub(r"::(?=[A-Za-z-]+\b.*::)", r"\\x3a:", text)

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from nw_eval.cache import atomic_path
+from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.gate.verdict import Verdict
 from nw_eval.report.certainty import how_sure
@@ -16,6 +17,8 @@ from nw_eval.report.headline import blind_spot, headline
 from nw_eval.report.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
+
+_LONGEST = 4000  # characters of a line or a cell
 
 
 def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path) -> str:
@@ -86,14 +89,23 @@ def markdown_table(table: Table) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+_ACTS = re.compile(r"@\w|#\d|\bgh-\d|://|\bwww\.", re.IGNORECASE)
+"""What GitHub makes a mention, a reference or a link of, wherever it stands in a word."""
+
+
 def _text(words: str) -> str:
     """Return words from anywhere (an error's text, a name) as one line of harmless Markdown.
 
-    Underscores within words start no emphasis in GitHub's Markdown, and names are full of them.
+    A word that would notify somebody or become a link is set as code, where it does neither; no
+    backslash keeps GitHub from that. Underscores within words start no emphasis in GitHub's
+    Markdown, and names are full of them.
     """
-    return re.sub(r"([\\`*\[\]<>|])", r"\\\1", " ".join(words.split()))
+    return " ".join(
+        _code(word) if _ACTS.search(word) else re.sub(r"([\\`*\[\]<>|~$&])", r"\\\1", word)
+        for word in clean(words, at_most=_LONGEST).split()
+    )
 
 
 def _code(words: str) -> str:
-    line = " ".join(words.split()).replace("|", "\\|").replace("`", "'")
+    line = clean(words, at_most=_LONGEST).replace("|", "\\|").replace("`", "'")
     return f"`{line}`" if line else ""

@@ -10,7 +10,9 @@ from shlex import quote
 
 import numpy as np
 
+from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict
+from nw_eval.inside import OutsideError, checked
 from nw_eval.report.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -25,9 +27,15 @@ COVERED = 0.5
 """Mean alpha of a frame below which the camera looked mostly at what was never captured."""
 
 
+_SHOWN, _TYPED = 500, 4000  # characters of a cell, and of one to type
+
+
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A titled table. `code` names the columns that hold something to type."""
+    """A titled table. `code` names the columns that hold something to type.
+
+    Rows and run.json may be a stranger's: what they say is cleaned here, for every page.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -35,6 +43,14 @@ class Table:
     numbers: frozenset[str] = frozenset()  # Columns to align on the right.
     code: frozenset[str] = frozenset()
     note: str = ""
+
+    def __post_init__(self) -> None:
+        longest = [_TYPED if name in self.code else _SHOWN for name in self.columns]
+        rows = tuple(
+            tuple(clean(cell, at_most=most) for cell, most in zip(row, longest, strict=True))
+            for row in self.rows
+        )
+        object.__setattr__(self, "rows", rows)
 
 
 def scenes_table(verdict: Verdict) -> Table:
@@ -173,8 +189,12 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
 
 
 def replay_command(row: Row, folder: Path) -> str:
-    """Return the command that replays a trial; empty if it has no log."""
-    return f"nw-eval replay {quote(str(folder / row.mcap_path))}" if row.mcap_path else ""
+    """Return the command that replays a trial; empty if it has no log in the folder."""
+    try:
+        checked(row.mcap_path)
+    except OutsideError:
+        return ""
+    return f"nw-eval replay {quote(str(folder / row.mcap_path))}"
 
 
 def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.inside import OutsideError, inside, what_is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,18 @@ class RunFolder:
         return self.path / "mcap"
 
     def mcap(self, scene: str, trial_id: str) -> Path:
-        """Path of a trial's log; `relative` gives what its row says."""
+        """Path of a trial's log; `relative` gives what its row says.
+
+        Raises:
+            StoreError: the names lead out of the folder.
+        """
+        try:
+            inside(self.logs, f"{scene}/{trial_id}.mcap")
+        except OutsideError as error:
+            raise StoreError(
+                f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
+                fix="rename the scene",
+            ) from None
         return self.logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def relative(self, path: Path) -> str:
@@ -100,8 +112,8 @@ def open_run_folder(path: Path) -> RunFolder:
     Raises:
         UsageError: it is no run folder.
     """
-    folder = RunFolder(path=path.parent if path.is_file() else path)
-    if not folder.run_json.is_file() and not folder.journal.is_file():
+    folder = RunFolder(path=path.parent if what_is(path) == "file" else path)
+    if what_is(folder.run_json) != "file" and what_is(folder.journal) != "file":
         raise UsageError(
             f"{path} is not the folder of a run (no run.json in it)",
             fix="name one of the folders in reports/",

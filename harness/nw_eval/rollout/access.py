@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.cache import cache_dir
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
+from nw_eval.errors import StoreError
 from nw_eval.scenes.whereabouts import scene_paths
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def _files(bundle: Bundle) -> tuple[Path, ...]:
 def _cache() -> tuple[Path, ...]:
     try:
         return (cache_dir(),)
-    except OSError:  # It is no folder, or full; whoever needs it says so.
+    except StoreError:  # It is no folder, or full; whoever needs it says so.
         return ()
 
 

@@ -13,7 +13,6 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.clean import clean
 from nw_eval.confinement import Rules, child_environment, confine, interrupts_blocked, kill_group
 from nw_eval.errors import (
     IncomparableError,
@@ -94,9 +93,9 @@ def call_isolated(
             process.join()
     if "error" in answer:
         kind = _KINDS.get(str(answer.get("kind")))
-        words = "\n".join(clean(line) for line in str(answer["error"]).splitlines()[:_LINES])
+        lines = str(answer["error"]).splitlines()[:_LINES] or [""]
         # What was not raised on purpose does not say what it is about.
-        raise PolicyError(f"{subject}: {words}") if kind is None else kind(words)
+        raise PolicyError(f"{subject}: {lines[0]}") if kind is None else kind(lines)
     return answer["value"]
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval import __version__
-from nw_eval.clean import clean
+from nw_eval.clean import clean, without_credentials
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
 from nw_eval.suite.trials import MAX_TRIALS, Trial
@@ -125,7 +125,5 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
 
 def attachments(card: Path, suite_text: str) -> tuple[tuple[str, str], ...]:
     """Return what every log of a run carries along: the resolved suite and the policy's card."""
-    return (
-        ("suite.yaml", suite_text),
-        ("policy.yaml", card.read_text(encoding="utf-8", errors="replace")),
-    )
+    said = card.read_text(encoding="utf-8", errors="replace")
+    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(said))

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
+from nw_eval.inside import what_is
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import TrialJob
@@ -62,7 +64,11 @@ class Replayed:
 
     @property
     def text(self) -> str:
-        """What happened, in one line."""
+        """What happened, in one line; most words of it are the log's."""
+        return clean(self._text, at_most=2000)
+
+    @property
+    def _text(self) -> str:
         trial = self.recording.job.trial.id
         start = "" if self.start_step == 0 else f" from step {self.start_step}"
         if self.is_identical:
@@ -211,7 +217,8 @@ def _refuse_servers(recording: Recording, library: Library) -> None:
 
 def _found(job: TrialJob) -> str:
     """Return the recorded bundle's path, or its name where the path is of another machine."""
-    return job.policy if Path(job.policy).exists() or not job.policy_name else job.policy_name
+    known = what_is(Path(job.policy)) != "nothing" or not job.policy_name
+    return job.policy if known else job.policy_name
 
 
 def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
@@ -221,7 +228,7 @@ def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[s
 
 def _short(values: Mapping[str, str], name: str) -> str:
     text = values.get(name, "") or "none"
-    return text[:12] if name.endswith("_digest") else text
+    return text[:12] if name.endswith("_digest") else clean(text, at_most=100)
 
 
 def _version_differences(recorded: Mapping[str, str]) -> tuple[str, ...]:

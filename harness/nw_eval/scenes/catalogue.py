@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from nw_eval.errors import SceneError, nearest
+from nw_eval.inside import what_is
 from nw_eval.scenes.entries import ENTRIES
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, load_published, reference_path
@@ -46,7 +47,7 @@ def get_scene(name_or_path: str | Path) -> Scene:
     path = Path(reference)
     if path.name == SCENE_FILE:
         path = path.parent
-    if path.is_dir():
+    if what_is(path) == "folder":
         return load_folder(path, collision=collision)
     raise SceneError(
         f"no built-in scene and no folder is called {reference!r}",
@@ -105,7 +106,7 @@ def _match(pattern: str, base: Path) -> list[str]:
     if pattern.startswith(PREFIX):
         return [f"{PREFIX}{(base / reference_path(pattern)).resolve()}"]
     folder = base / pattern
-    if (folder / SCENE_FILE).is_file() or folder.is_dir():
+    if what_is(folder) == "folder":
         return [str(folder.resolve())]
     if any(mark in pattern for mark in "*?["):
         folders = _folders(folder)

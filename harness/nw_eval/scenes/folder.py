@@ -6,27 +6,61 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from nw_eval.clean import clean
 from nw_eval.errors import SceneError
+from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.scenes import limits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
+from nw_eval.scenes.name import checked_name
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn, Task
 from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.scenes.terrain.options import Collision, TerrainOptions
 from nw_eval.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 
 SCENE_FILE = "scene.yaml"
-_MESH_SUFFIXES = (".obj", ".stl", ".ply")
 _GROUND_REACH = 60.0
 
 _Read = TypeVar("_Read", bound=BaseModel)
 
-Triple = tuple[float, float, float]
-Quadruple = tuple[float, float, float, float]
+
+def _line(text: str) -> str:
+    return clean(text, at_most=200)
+
+
+def _turns(quat: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    if sum(part * part for part in quat) * limits.QUAT**2 < 1.0:
+        raise ValueError(f"quat {list(quat)} is zero; give w x y z")
+    return quat
+
+
+def _thick(half_size: tuple[float, float, float]) -> tuple[float, float, float]:
+    if min(half_size) < limits.LEAST_SIZE:
+        raise ValueError(
+            f"half_size must be positive, {limits.LEAST_SIZE:g} m at least; half of the length "
+            "along each own axis"
+        )
+    return half_size
+
+
+Length = Annotated[float, Field(ge=-limits.REACH, le=limits.REACH)]
+Point = tuple[Length, Length, Length]
+HalfEdge = Annotated[float, Field(le=limits.REACH)]
+HalfSize = Annotated[tuple[HalfEdge, HalfEdge, HalfEdge], AfterValidator(_thick)]
+Sliding = Annotated[float, Field(gt=0, le=limits.FRICTION)]
+Turning = Annotated[float, Field(ge=0, le=limits.FRICTION)]
+Noise = Annotated[float, Field(ge=0, le=limits.NOISE)]
+Angle = Annotated[float, Field(ge=-2 * np.pi, le=2 * np.pi)]
+Spread = Annotated[float, Field(ge=0, le=2 * np.pi)]
+Component = Annotated[float, Field(ge=-limits.QUAT, le=limits.QUAT)]
+Quat = Annotated[tuple[Component, Component, Component, Component], AfterValidator(_turns)]
+Far = Annotated[float, Field(ge=-limits.MESH_REACH, le=limits.MESH_REACH)]
+Line = Annotated[str, AfterValidator(_line)]
 
 
 class _Model(BaseModel):
@@ -38,42 +72,34 @@ class _Model(BaseModel):
 class _Box(_Model):
     """One solid box; see `nw_eval.scenes.Box`."""
 
-    center: Triple
-    half_size: Triple
-    quat: Quadruple = (1.0, 0.0, 0.0, 0.0)
-    friction: Triple = (1.25, 0.3, 0.3)
-    material: str = ""
+    center: Point
+    half_size: HalfSize
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    friction: tuple[Sliding, Turning, Turning] = (1.25, 0.3, 0.3)
+    material: Line = ""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
-
-    @model_validator(mode="after")
-    def _check(self) -> _Box:
-        if min(self.half_size) <= 0:
-            raise ValueError("half_size must be positive; half of the length along each own axis")
-        if sum(part * part for part in self.quat) < 1e-12:
-            raise ValueError("quat is zero; give w x y z")
-        return self
 
 
 class _Collision(_Model):
     """The collision file."""
 
-    boxes: tuple[_Box, ...]
+    boxes: tuple[_Box, ...] = Field(max_length=limits.SOLIDS)
 
 
 class _Spawn(_Model):
-    position: Triple = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    x_jitter: float = Field(default=0.1, ge=0)
-    y_jitter: float = Field(default=0.1, ge=0)
-    yaw_jitter: float = Field(default=0.1, ge=0)
+    position: Point = (0.0, 0.0, 0.0)
+    yaw: Angle = 0.0
+    x_jitter: Noise = 0.1
+    y_jitter: Noise = 0.1
+    yaw_jitter: Spread = 0.1
 
 
 class _Similarity(_Model):
     """What maps splat points to world metres: scale, then rotation, then translation."""
 
-    scale: float = Field(default=1.0, gt=0)
-    quat: Quadruple = (1.0, 0.0, 0.0, 0.0)
-    translation: Triple = (0.0, 0.0, 0.0)
+    scale: float = Field(default=1.0, ge=limits.SCALES[0], le=limits.SCALES[1])
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    translation: tuple[Far, Far, Far] = (0.0, 0.0, 0.0)
 
     def matrix(self) -> NDArray[np.float64]:
         transform = np.eye(4)
@@ -86,15 +112,15 @@ class _SceneFile(_Model):
     """The keys of `scene.yaml`."""
 
     version: Literal[1] = Field(alias="nw-scene")
-    name: str = Field(min_length=1)
+    name: Annotated[str, AfterValidator(checked_name)]
     task: Task
-    title: str = ""
-    licence: str
+    title: Line = ""
+    licence: Line
     units: Literal["m"] = "m"
-    trail: tuple[Triple, ...] = Field(min_length=1)
+    trail: tuple[Point, ...] = Field(min_length=1, max_length=limits.WAYPOINTS)
     spawn: _Spawn = _Spawn()
-    waypoint_noise: tuple[float, float] = (0.0, 0.1)
-    ground: float = 0.0
+    waypoint_noise: tuple[Noise, Noise] = (0.0, 0.1)
+    ground: Length = 0.0
     collision: str = "collision.yaml"
     splat: str | None = None
     T_world_splat: _Similarity = _Similarity()
@@ -146,9 +172,9 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: a file is missing or wrong; every problem found, with file and line.
     """
-    text = _read(folder / SCENE_FILE, _SceneFile)
+    file, text = _read(folder / SCENE_FILE, _SceneFile)
     trail = np.array(text.trail, dtype=np.float64)
-    path = folder / text.collision
+    path = _beside(folder, file, "collision", text.collision)
     solids: tuple[Solid, ...]
     if path.suffix.lower() in MESH_SUFFIXES:
         # Embree loads with it; listing scenes needs neither.
@@ -166,12 +192,14 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
         boxes = _boxes(path)
         static_mesh = solids_mesh(boxes, text.ground)
         solids, ground = boxes, Plane(z=text.ground)
-    splat = None if text.splat is None else FileSplat(path=folder / text.splat)
-    if splat is not None and not splat.path.is_file():
-        raise SceneError(
-            f"{folder / SCENE_FILE}: there is no splat {text.splat!r} beside it",
-            fix="check the key `splat`",
-        )
+    splat = None
+    if text.splat is not None:
+        splat = FileSplat(path=_beside(folder, file, "splat", text.splat))
+        if what_is(splat.path) != "file":
+            problem = file.problem(
+                ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
+            )
+            raise SceneError([problem])
     return Scene(
         name=text.name,
         task=text.task,
@@ -195,18 +223,26 @@ def solids_mesh(boxes: tuple[Box, ...], ground: float) -> TriangleMesh:
     return merge([quad, *(box_mesh(b.center, b.half_size, b.quat, b.kind) for b in boxes)])
 
 
+def _beside(folder: Path, file: YamlFile, key: str, name: str) -> Path:
+    """Return the path of a file that a key of scene.yaml names, in the folder."""
+    try:
+        return inside(folder, name)
+    except OutsideError as error:
+        message = f"{key}: {name!r} leaves the scene's folder: {error}"
+        raise SceneError([file.problem((key,), message, "put the file into the folder")]) from None
+
+
 def _boxes(path: Path) -> tuple[Box, ...]:
-    return tuple(Box(**box.model_dump()) for box in _read(path, _Collision).boxes)
+    _, read = _read(path, _Collision)
+    return tuple(Box(**box.model_dump()) for box in read.boxes)
 
 
-def _read(path: Path, model: type[_Read]) -> _Read:
+def _read(path: Path, model: type[_Read]) -> tuple[YamlFile, _Read]:
     try:
-        file: YamlFile = read_yaml(path)  # JSON is YAML too.
+        file = read_yaml(path)  # JSON is YAML too.
     except YamlProblems as error:
-        raise SceneError(str(error)) from None
-    data: dict[str, Any] = file.data
+        raise SceneError(error.problems) from None
     try:
-        return model.model_validate(data)
+        return file, model.model_validate(file.data)
     except ValidationError as error:
-        problems = validation_problems(error, file, model)
-        raise SceneError("\n".join(map(str, problems))) from None
+        raise SceneError(validation_problems(error, file, model)) from None

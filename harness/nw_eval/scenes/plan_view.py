@@ -15,6 +15,7 @@ from nw_eval.scenes.scene import Scene
 _MARGIN = 1.6  # m around trail and spawn
 _CELL = 0.02  # m
 _LONGEST = 1200  # cells along a side
+_TALLEST = 40.0  # inches
 
 
 def figures(scene: Scene) -> list[str]:
@@ -59,7 +60,8 @@ def draw_plan(scene: Scene, path: Path) -> None:
     grid = np.stack(np.meshgrid(xs, ys, indexing="xy"), axis=-1).reshape(-1, 2)
     heights = RayScene(scene.mesh()).height(grid).reshape(len(ys), len(xs))
     heights = np.where(np.isfinite(heights), heights, np.nan)
-    figure = Figure(figsize=(10, 10 * (y1 - y0) / (x1 - x0) + 1.2), layout="constrained")
+    tall = min(10 * (y1 - y0) / (x1 - x0), _TALLEST)
+    figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
     axes = figure.subplots()
     top = max(0.4, float(np.nanmax(scene.trail[:, 2])) + 0.1)
     low = min(-0.1, scene.ground.z)
@@ -81,7 +83,9 @@ def draw_plan(scene: Scene, path: Path) -> None:
     x, y, _ = scene.spawn.position
     ahead = np.array([np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)]) * 0.5
     axes.arrow(x, y, *ahead, width=0.04, color="red")
-    axes.set(title=f"{scene.name}: {scene.title}", xlabel="x, m", ylabel="y, m")
+    # A dollar sign in a title begins no formula.
+    axes.set_title(f"{scene.name}: {scene.title}", parse_math=False)
+    axes.set(xlabel="x, m", ylabel="y, m")
     figure.colorbar(image, label="height of the ground, m", shrink=0.8)
     try:
         with atomic_path(path) as temporary:

@@ -86,7 +86,7 @@ def check_card(
         else:
             specs.append(_observation_spec(name, observation, made))
     if problems:
-        raise PolicyError("\n".join(f"card {card.name!r}: {problem}" for problem in problems))
+        raise PolicyError([f"card {card.name!r}: {problem}" for problem in problems])
     return tuple(specs)
 
 
@@ -112,7 +112,7 @@ def check_bundle(
         if problems:
             sums = "; ".join(spec.reckoning for spec in specs)
             raise PolicyError(
-                "\n".join(f"{bundle.card_path}: {problem}" for problem in problems),
+                [f"{bundle.card_path}: {problem}" for problem in problems],
                 fix=f"the card makes {sums}",
             )
         policy.reset(0)

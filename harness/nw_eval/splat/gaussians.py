@@ -16,6 +16,9 @@ SH_COUNTS = (1, 4, 9, 16)
 SH0 = 0.28209479177387814
 """The constant harmonic, 1 / (2 sqrt(pi)): colour = 0.5 + SH0 * sh[:, 0] + ..."""
 
+MOST = 12_000_000
+"""Gaussians of one file: large scenes have 6 million, and each takes 500 bytes while it is read."""
+
 F32 = NDArray[np.float32]
 
 
@@ -81,6 +84,16 @@ class Gaussians:
 
     def _map(self, change: Callable[[F32], F32]) -> Gaussians:
         return Gaussians(**{f.name: change(getattr(self, f.name)) for f in fields(self)})
+
+
+def check_count(origin: object, count: int) -> None:
+    """Check how many Gaussians a file claims to hold, before room is made for them.
+
+    Raises:
+        SceneError: more than `MOST`.
+    """
+    if count > MOST:
+        raise SceneError(f"{origin}: {count} Gaussians", fix=f"{MOST} are read: prune it")
 
 
 def concatenate(*parts: Gaussians) -> Gaussians:

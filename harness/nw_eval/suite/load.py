@@ -10,6 +10,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from nw_eval.errors import Problem, SuiteError, UsageError, nearest
+from nw_eval.inside import what_is
 from nw_eval.shipped import available
 from nw_eval.suite.model import Source, Suite, new_suite
 from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
@@ -127,8 +128,9 @@ def find_suite(name_or_path: str | Path, search: Path | None = None) -> Path:
     path = Path(asked)
     if search is not None and not path.is_absolute():
         path = search / path
-    if path.is_file():
+    kind = what_is(path)
+    if kind == "file":
         return path
-    if path.is_dir():
+    if kind == "folder":
         raise UsageError(f"{asked!r} is a folder, not a suite file", fix=nearest(asked, known))
     raise UsageError(f"no suite {asked!r}", fix=nearest(path.stem, known))

@@ -101,3 +101,56 @@ def test_a_missing_file_and_a_strange_suffix_are_named(tmp_path):
         read_mesh(tmp_path / "none.obj")
     with pytest.raises(SceneError, match="no mesh format"):
         read_mesh(tmp_path / "a.gltf")
+
+
+PLY = """\
+ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+4 0 1 2 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("1 0 0\n", "1 0\n"), "no readable PLY mesh"),  # Ragged rows.
+        (("4 0 1 2 3", "4 0 1"), "readable|nothing there"),
+        (("element vertex 4", "element vertex 900000000"), "a.ply:3: 900000000 rows"),
+        (("element vertex 4", "element vertex -4"), "a.ply:3: -4 rows"),
+        (("element face 1", "element edge 1"), "a.ply:7: it has edges"),
+    ],
+)
+def test_a_ply_that_does_not_keep_its_promise_is_a_named_error(tmp_path, change, words):
+    assert change[0] in PLY
+    path = tmp_path / "a.ply"
+    path.write_text(PLY.replace(*change))
+    with pytest.raises(SceneError, match=words):
+        read_mesh(path)
+
+
+def test_the_parser_writes_nothing_of_its_own_to_the_screen(tmp_path, capfd):
+    path = tmp_path / "a.ply"
+    path.write_text(PLY.replace("element face", "comment TextureFile x.png\nelement face"))
+    assert area(read_mesh(path)) == pytest.approx(1.0)
+    (tmp_path / "a.stl").write_text(
+        "solid a\nfacet normal a b c\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n"
+        "endsolid\n"
+    )
+    assert area(read_mesh(tmp_path / "a.stl")) == pytest.approx(0.5)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_name_that_no_file_can_have_is_named(tmp_path):
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_mesh(tmp_path / f"{'x' * 300}.obj")

@@ -7,25 +7,34 @@ that the card gives them, and the action comes back bit for bit.
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from time import monotonic
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
 from nw_eval.policies.bundle import NOTHING, Bundle
 from nw_eval.policies.model import CardModel
 from nw_eval.policies.options import read_options
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
-from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, decode, encode
+from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 from nw_eval.robots import get_robot
 
 try:
-    from websockets.exceptions import InvalidHandshake, InvalidURI, WebSocketException
+    from websockets.exceptions import (
+        InvalidHandshake,
+        InvalidStatus,
+        InvalidURI,
+        WebSocketException,
+    )
     from websockets.sync.client import ClientConnection, connect
+    from websockets.uri import parse_uri
 except ImportError:
     raise PrerequisiteError(
         "remote policies need msgpack and websockets, which are not installed",
@@ -38,7 +47,7 @@ _START = "start it: nw-eval policies serve BUNDLE"
 class RemoteOptions(CardModel):
     """Where the policy runs."""
 
-    url: Annotated[str, Field(pattern=r"^wss?://[^\s/]+")]
+    url: Annotated[str, Field(pattern=r"^wss?://[^\s/]+(/\S*)?$", max_length=2000)]
     """ws://host:port"""
     timeout: float = Field(default=5.0, gt=0.0, le=600.0)
     """Longest wait for one answer, s."""
@@ -150,7 +159,7 @@ class RemotePolicy:
         if "error" in answer:
             raise TrialError(
                 f"policy {self._name!r} failed on the server at {self._options.url}: "
-                f"{str(answer['error'])[:300]}"
+                f"{clean(answer['error'], at_most=300)}"
             )
         return answer
 
@@ -185,16 +194,35 @@ class RemotePolicy:
 
 def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> ClientConnection:
     try:
+        address = parse_uri(options.url)
+        began = monotonic()
+        # With a connection made here, to where the card says, there is none to where an answer
+        # redirects; and what was waited for it is not waited for again.
+        opened = socket.create_connection(
+            (address.host, address.port), timeout=options.connect_timeout
+        )
+        opened.settimeout(None)  # From here on websockets watches the time.
+        cleanup.callback(opened.close)
         return cleanup.enter_context(
             connect(
                 options.url,
-                open_timeout=options.connect_timeout,
+                sock=opened,
+                open_timeout=max(options.connect_timeout - (monotonic() - began), 0.1),
                 compression=None,
                 max_size=MESSAGE_LIMIT,
+                max_queue=WAITING,
                 proxy=None,
             )
         )
-    except (InvalidURI, ValueError) as error:
+    except (InvalidURI, InvalidStatus, ValueError) as error:
+        refusal = error if isinstance(error, InvalidStatus) else error.__cause__
+        if isinstance(refusal, InvalidStatus):
+            status = refusal.response.status_code
+            moved = "redirects are not followed: name the server itself"
+            raise PolicyError(
+                f"{bundle.card_path}: what answers at {options.url} is no websocket: HTTP {status}",
+                fix=moved if 300 <= status < 400 else _START,
+            ) from None
         raise PolicyError(
             f"{bundle.card_path}: {options.url} is no address: {error}",
             fix="write `options: {url: ws://host:port}`",
@@ -221,7 +249,7 @@ def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joi
     """Compare what the server says of itself with the card, and return it."""
     where = f"{bundle.card_path}: the server at {options.url}"
     if "error" in hello:
-        raise PolicyError(f"{where} says: {str(hello['error'])[:300]}", fix=_START)
+        raise PolicyError(f"{where} says: {clean(hello['error'], at_most=300)}", fix=_START)
     if hello.get("protocol") != PROTOCOL:
         raise PolicyError(
             f"{where} speaks protocol {hello.get('protocol')!r}, not {PROTOCOL}",

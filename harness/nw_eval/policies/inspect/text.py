@@ -6,6 +6,8 @@ import json
 import re
 from collections.abc import Sequence
 
+from nw_eval.clean import clean
+
 CHECK = "# CHECK:"
 """Begins every comment that the author of a card must act upon."""
 
@@ -42,7 +44,7 @@ def key(name: str) -> str:
 
 def plain(text: str) -> str:
     """Return text of a file as a comment can hold it: on one line, and not too long."""
-    return "".join(c for c in " ".join(text.split()) if c.isprintable())[:400]
+    return clean(text, at_most=400)
 
 
 def quoted(name: str) -> str:

@@ -25,6 +25,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.job import Record
 from nw_eval.rollout.mcap.body import BodyMessages, BodyPoses
@@ -224,6 +225,7 @@ class TrialLog:
     ) -> None:
         """Write that something happened, for programs and for people."""
         when = nanoseconds(time)
+        text = clean(text)
         event = Event(
             timestamp=stamp(when), step=step, kind=kind, text=text, waypoint=waypoint, value=value
         )

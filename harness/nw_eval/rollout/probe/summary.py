@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Card, JointControl, actuator_values, load_bundle, load_card
 from nw_eval.policies.joints import short_name
@@ -44,16 +45,18 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
         elif len(spec.shape) > 1:
             size = " x ".join(str(side) for side in spec.shape)
         rows.append((part.observation, part.kind, size, part.form, f"{spec.rate} Hz"))
-    about = [f"  {spec.reckoning}{_settings(card.observations[spec.name])}" for spec in specs]
+    about = [
+        f"  {clean(f'{spec.reckoning}{_settings(card.observations[spec.name])}')}" for spec in specs
+    ]
     lines = [
         f"{card.name}: {card.title}" if card.title else card.name,
-        f"card        {path}",
+        f"card        {clean(path)}",
         f"licence     {card.licence or 'not said'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
-        f"checkpoint  {_checkpoint(card, path, checkpoint)}",
+        f"checkpoint  {clean(_checkpoint(card, path, checkpoint))}",
         f"command     {_command(card)}",
-        *(f"{key:10}  {flow(value)}" for key in _MORE if (value := getattr(card, key))),
+        *(f"{key:10}  {clean(flow(value))}" for key in _MORE if (value := getattr(card, key))),
         "",
         *aligned(rows, right=set()),
         *about,

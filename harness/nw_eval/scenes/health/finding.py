@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from nw_eval.clean import clean
+from nw_eval.errors import SceneError
+
 Code = Literal[
     "floor_offset",
     "hole",
@@ -54,10 +57,16 @@ class Finding:
     place: Vector | None = None
 
     def __str__(self) -> str:
-        text = f"{self.severity} {self.code}: {self.message}"
-        return text if self.fix is None else f"{text}; {self.fix}"
+        text = f"{self.severity} {self.code}: {clean(self.message, at_most=2000)}"
+        return text if self.fix is None else f"{text}; {clean(self.fix)}"
 
 
 def has_errors(findings: Iterable[Finding]) -> bool:
     """Return whether any finding is an error: then `nw-eval scenes check` exits with 2."""
     return any(finding.severity == "error" for finding in findings)
+
+
+def unreadable(error: SceneError) -> tuple[Finding, ...]:
+    """Return what kept a scene from being read, a finding for each line of the error."""
+    lines = str(error).splitlines()
+    return tuple(Finding(code="unreadable", severity="error", message=line) for line in lines)

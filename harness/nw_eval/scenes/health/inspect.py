@@ -7,7 +7,7 @@ from pathlib import Path
 from nw_eval.errors import SceneError
 from nw_eval.scenes.catalogue import get_scene
 from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import Finding, unreadable
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
 
 
@@ -23,6 +23,6 @@ def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> tuple[Fi
     try:
         found = check_scene(get_scene(reference), read_splat=read_splat)
     except SceneError as error:
-        return (Finding(code="unreadable", severity="error", message=str(error)),)
+        return unreadable(error)
     order = ("error", "warning", "note")
     return tuple(sorted(found, key=lambda finding: order.index(finding.severity)))

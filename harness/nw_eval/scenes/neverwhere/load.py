@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.inside import what_is
 from nw_eval.scenes.folder import FileSplat
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import Finding, unreadable
+from nw_eval.scenes.limits import REACH, SOLIDS, WAYPOINTS
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.name import name_of
 from nw_eval.scenes.neverwhere.places import ROBOTS, Places, RobotName, find_places
 from nw_eval.scenes.neverwhere.primitives import read_primitives
 from nw_eval.scenes.neverwhere.scan import Scan, is_scan, read_scan
@@ -79,10 +82,7 @@ def inspect_published(
             findings += consistency_findings(scan.visual, scan.collision, shift)
         findings += check_scene(scene)
     except SceneError as error:
-        return Inspection(
-            scene=None,
-            findings=(Finding(code="unreadable", severity="error", message=str(error)),),
-        )
+        return Inspection(scene=None, findings=unreadable(error))
     order = ("error", "warning", "note")
     findings.sort(key=lambda finding: order.index(finding.severity))
     return Inspection(scene=scene, findings=tuple(findings))
@@ -99,12 +99,21 @@ def trail_of(tree: Tree, places: Places) -> NDArray[np.float64]:
     So `waypoint-10` comes before `waypoint-2`, as it does in the published evaluation.
 
     Raises:
-        SceneError: there is none.
+        SceneError: there is none, there are too many, or one is too far away.
     """
     names = sorted(name for name in tree.bodies if name.startswith("waypoint"))
     if not names:
         raise SceneError(f"{places.xml}: no body is called waypoint*", fix="label the scene")
-    return np.array([tree.bodies[name][:3, 3] for name in names])
+    if len(names) > WAYPOINTS:
+        raise SceneError(f"{places.xml}: {len(names)} waypoints", fix=f"{WAYPOINTS} at most")
+    trail = np.array([tree.bodies[name][:3, 3] for name in names])
+    for name, point in zip(names, trail, strict=True):
+        if not np.abs(point).max() <= REACH:
+            raise SceneError(
+                f"{places.xml}: body {name!r} is at {point.tolist()}",
+                fix=f"a waypoint lies within {REACH:g} m of the origin: check the unit",
+            )
+    return trail
 
 
 def _load(places: Places, collision: Collision) -> tuple[Scene, list[Finding]]:
@@ -139,14 +148,14 @@ def _scan(
     z = 0.0 if np.isnan(floor) or abs(floor) <= _FLOOR_TOLERANCE else floor
     row, _ = row_of(places.name)
     scene = Scene(
-        name=f"neverwhere/{places.name}",
+        name=f"neverwhere/{name_of(places.name)}",
         task=row.task,
         title=f"published scan {places.name}",
         solids=terrain.solids,
         ground=Plane(z=terrain.floor, friction=scan.friction),
         trail=trail,
         static_mesh=_with_overhead(scan, trail, options),
-        splat=FileSplat(path=scan.splat) if scan.splat.is_file() else None,
+        splat=FileSplat(path=scan.splat) if what_is(scan.splat) == "file" else None,
         spawn=Spawn(position=(0.0, 0.0, z)),
         waypoint_noise=row.waypoint_noise,
         T_world_splat=scan.T_world_splat,
@@ -186,11 +195,13 @@ def _parametric(
     ]
     if not solid:
         raise SceneError(f"{places.xml}: nothing in it can be touched", fix="it needs geoms")
+    if len(solid) > SOLIDS:
+        raise SceneError(f"{places.xml}: {len(solid)} solids", fix=f"{SOLIDS} at most")
     parts = read_primitives(solid)
     row, _ = row_of(places.name)
     return (
         Scene(
-            name=f"neverwhere/{places.name}",
+            name=f"neverwhere/{name_of(places.name)}",
             task=row.task,
             title=f"parametric terrain {places.name}",
             solids=parts.solids,
@@ -210,7 +221,7 @@ def _between_robots(places: Places, tree: Tree) -> list[Finding]:
     findings: list[Finding] = []
     for robot in ROBOTS:
         xml = places.xml.with_name(f"nw-{robot}-{places.name}.xml")
-        if not xml.is_file() or xml == places.xml:
+        if what_is(xml) != "file" or xml == places.xml:
             continue
         other = read_tree(Places(xml=xml, folder=places.folder, name=places.name))
         differing = sorted(

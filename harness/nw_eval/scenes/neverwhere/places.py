@@ -8,11 +8,11 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from nw_eval.errors import SceneError
+from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.scenes.neverwhere.xml_file import Element
 
 RobotName = Literal["go1", "go2"]
 ROBOTS: tuple[RobotName, ...] = ("go1", "go2")
-_DRIVE = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,28 +42,30 @@ class Places:
             within: folder that the compiler section puts before it.
 
         Raises:
-            SceneError: the path is absolute or leads upwards, or there is no such file.
+            SceneError: the path leaves the folder that it starts from, also by a link, or there is
+                no such file.
         """
         text = element.get(attribute) or ""
-        parts = PurePosixPath(_checked(element, within), _checked(element, text)).parts
-        relative = Path(*parts)
-        candidates = [self.xml.parent / relative, element.file.parent / relative]
+        name = "/".join(part.replace("\\", "/") for part in (within, text) if part)
+        candidates = [(self.xml.parent, name), (element.file.parent, name)]
+        parts = PurePosixPath(name).parts
         if len(parts) > 2 and parts[0] == "real_scenes":
-            candidates.append(self.folder / Path(*parts[2:]))
-        roots = [self.xml.parent.resolve(), self.folder.resolve(), element.file.parent.resolve()]
-        for candidate in candidates:
-            if not candidate.is_file():
-                continue
-            real = candidate.resolve()
-            if any(real.is_relative_to(root) for root in roots):
-                return candidate
-            raise element.error(
-                f"{attribute}={text!r} is a link out of the scene", fix="copy the file into it"
-            )
-        raise element.error(
-            f"there is no file {text!r}",
-            fix="looked at " + ", ".join(str(path) for path in dict.fromkeys(candidates)),
-        )
+            candidates.append((self.folder, "/".join(parts[2:])))
+        looked = ", ".join(dict.fromkeys(str(folder / below) for folder, below in candidates))
+        missing = element.error(f"there is no file {text!r}", fix=f"looked at {looked}")
+        for folder, below in candidates:
+            try:
+                path = inside(folder, below)
+            except OutsideError as error:
+                missing = element.error(
+                    f"{attribute}={text!r}: {error}",
+                    fix="no absolute path, no '..' and no link out of the scene is followed: copy "
+                    "the file into it",
+                )
+            else:
+                if what_is(path) == "file":
+                    return path
+        raise missing
 
 
 def find_places(reference: Path, robot: RobotName = "go1") -> Places:
@@ -78,20 +80,20 @@ def find_places(reference: Path, robot: RobotName = "go1") -> Places:
         SceneError: no XML is found.
     """
     if reference.suffix == ".xml":
-        if not reference.is_file():
+        if what_is(reference) != "file":
             raise SceneError(f"{reference}: there is no such file")
         name = re.sub(r"^nw-go[12]-", "", reference.stem)
         beside = reference.parent / "real_scenes" / name
-        folder = beside if beside.is_dir() else reference.parent
+        folder = beside if what_is(beside) == "folder" else reference.parent
         return Places(xml=reference, folder=folder, name=name)
-    if not reference.is_dir():
+    if what_is(reference) != "folder":
         raise SceneError(f"{reference}: there is no such folder", fix="give a scene folder")
     name = reference.resolve().name
     order = (robot, *(other for other in ROBOTS if other != robot))
     for base in (reference, reference.parent.parent, reference.absolute().parent.parent):
         for each in order:
             xml = base / f"nw-{each}-{name}.xml"
-            if xml.is_file():
+            if what_is(xml) == "file":
                 return Places(xml=xml, folder=reference, name=name)
     found = sorted(reference.glob("*.xml"))
     for each in order:
@@ -105,14 +107,3 @@ def find_places(reference: Path, robot: RobotName = "go1") -> Places:
         f"{reference}: {len(found)} XML files and none is nw-{robot}-{name}.xml",
         fix="put the scene's XML there, or name the XML instead of the folder",
     )
-
-
-def _checked(element: Element, text: str) -> str:
-    unified = text.replace("\\", "/")
-    if unified.startswith("/") or _DRIVE.match(unified) or "\0" in unified:
-        raise element.error(f"the path {text!r} is absolute", fix="make it relative to the XML")
-    if ".." in unified.split("/"):
-        raise element.error(
-            f"the path {text!r} leads upwards with '..'", fix="keep it inside the scene"
-        )
-    return unified

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.scenes.limits import MESH_REACH, QUAT
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.neverwhere.xml_file import Element
 
@@ -33,7 +34,7 @@ def numbers(element: Element, name: str, counts: tuple[int, ...]) -> list[float]
     """Return the numbers of an attribute, None if it is absent.
 
     Raises:
-        SceneError: it holds something else, or not as many as `counts` allows.
+        SceneError: it holds something else, numbers of no place, or not as many as `counts` allows.
     """
     text = element.get(name)
     if text is None:
@@ -44,6 +45,8 @@ def numbers(element: Element, name: str, counts: tuple[int, ...]) -> list[float]
         raise element.error(f"{name}={text!r} is no list of numbers") from None
     if not all(math.isfinite(value) for value in values):
         raise element.error(f"{name}={text!r} is not finite")
+    if any(abs(value) > MESH_REACH for value in values):
+        raise element.error(f"{name}={text!r}", fix=f"nothing may be beyond {MESH_REACH:g}")
     if len(values) not in counts:
         raise element.error(
             f"{name}={text!r} has {len(values)} numbers",
@@ -95,7 +98,7 @@ def _rotation(element: Element, angles: Angles) -> Matrix:
         raise element.error(f"more than one orientation: {', '.join(given)}", fix="keep one")
     if given[0] == "quat":
         quat = numbers(element, "quat", (4,)) or []
-        if not any(quat):
+        if sum(part * part for part in quat) * QUAT**2 < 1.0:
             raise element.error("quat is zero")
         return rotation_matrix(quat)
     if given[0] == "euler":

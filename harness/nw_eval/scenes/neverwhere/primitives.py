@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.scenes.limits import FRICTION, LEAST_SIZE, REACH
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.neverwhere.pose import moved, numbers
 from nw_eval.scenes.neverwhere.tree import PlacedGeom
@@ -73,7 +74,10 @@ def _plane(geom: PlacedGeom) -> Plane:
     normal = geom.T_world_geom[:3, 2]
     if normal[2] < 1 - 1e-9:
         raise geom.element.error("the ground plane is tilted", fix="use a box for a slope")
-    return Plane(z=float(geom.T_world_geom[2, 3]), friction=_friction(geom))
+    z = float(geom.T_world_geom[2, 3])
+    if not abs(z) <= REACH:
+        raise geom.element.error(f"the ground lies at z = {z:g}", fix=f"within {REACH:g} m, please")
+    return Plane(z=z, friction=checked_friction(geom, _MUJOCO_FRICTION))
 
 
 def _solid(geom: PlacedGeom, kind: str) -> Box | Primitive:
@@ -93,13 +97,16 @@ def _solid(geom: PlacedGeom, kind: str) -> Box | Primitive:
         center = (start + end) / 2
         rotation = _frame(axis / length)
         size = [size[0], *([size[0]] if count == 3 else []), length / 2] if size else []
-    if len(size) < count or min(size[:count], default=0.0) <= 0:
+    if not (np.isfinite(center).all() and np.abs(center).max() <= REACH):
+        raise element.error(f"it lies at {center.tolist()}", fix=f"within {REACH:g} m, please")
+    if len(size) < count or not LEAST_SIZE <= min(size[:count]) <= max(size[:count]) <= REACH:
         raise element.error(
-            f"size={element.get('size')!r} makes no {kind}", fix=f"give {count} positive numbers"
+            f"size={element.get('size')!r} makes no {kind}",
+            fix=f"give {count} positive numbers, {LEAST_SIZE:g} to {REACH:g} m",
         )
     x, y, z = center.tolist()
     quat = quaternion(rotation)
-    friction = _friction(geom)
+    friction = checked_friction(geom, _MUJOCO_FRICTION)
     if kind == "box":
         half = (size[0], size[1], size[2])
         return Box(center=(x, y, z), half_size=half, quat=quat, friction=friction)
@@ -109,9 +116,18 @@ def _solid(geom: PlacedGeom, kind: str) -> Box | Primitive:
     )
 
 
-def _friction(geom: PlacedGeom) -> Friction:
+def checked_friction(geom: PlacedGeom, default: Friction) -> Friction:
+    """Return a geom's friction, what it does not say by default.
+
+    Raises:
+        SceneError: a coefficient is negative or too large, or the sliding one is 0.
+    """
     given = numbers(geom.element, "friction", (1, 2, 3)) or []
-    sliding, torsional, rolling = [*given, *_MUJOCO_FRICTION[len(given) :]]
+    sliding, torsional, rolling = [*given, *default[len(given) :]]
+    if sliding <= 0 or min(torsional, rolling) < 0 or max(sliding, torsional, rolling) > FRICTION:
+        raise geom.element.error(
+            f"friction={geom.element.get('friction')!r}", fix=f"give numbers up to {FRICTION:g}"
+        )
     return sliding, torsional, rolling
 
 

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
+from nw_eval.inside import OutsideError, inside
+from nw_eval.scenes.limits import MESH_REACH, SCALES
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.neverwhere.places import Places
 from nw_eval.scenes.neverwhere.pose import Matrix, inverse, moved, numbers, product
+from nw_eval.scenes.neverwhere.primitives import checked_friction
 from nw_eval.scenes.neverwhere.similarity import read_normalisation
 from nw_eval.scenes.neverwhere.tree import PlacedGeom, Tree
 from nw_eval.scenes.terrain.mesh_file import read_mesh
@@ -61,18 +64,16 @@ def read_scan(tree: Tree, places: Places) -> Scan:
     # The splat hangs on the body, not on the geom, which MuJoCo moves to the mesh's centre.
     T_world_colmap = T_mesh.copy()
     T_world_colmap[:3, :3] *= scale
-    normalisation = read_normalisation(places.folder / "3dgs" / "data_transforms.json")
-    friction = numbers(collision_geom.element, "friction", (1, 2, 3)) or []
-    sliding, torsional, rolling = [*friction, *DEFAULT_FRICTION[len(friction) :]]
+    normalisation = read_normalisation(_beside(places, "3dgs/data_transforms.json"))
     return Scan(
         visual=_world(tree, places, VISUAL, visual_geom.T_world_geom, scale),
         collision=_world(
             tree, places, COLLISION, collision_geom.T_world_geom, _scale(tree, COLLISION)
         ),
-        friction=(sliding, torsional, rolling),
+        friction=checked_friction(collision_geom, DEFAULT_FRICTION),
         scale=scale,
         T_world_splat=product(T_world_colmap, inverse(normalisation)),
-        splat=places.folder / "3dgs" / "model.pt",
+        splat=_beside(places, "3dgs/model.pt"),
     )
 
 
@@ -98,6 +99,8 @@ def _scale(tree: Tree, asset: str) -> float:
         )
     if min(scale) == 0:
         raise element.error(f"scale={text!r} flattens the mesh", fix="give positive numbers")
+    if not SCALES[0] <= min(scale) <= max(scale) <= SCALES[1]:
+        raise element.error(f"scale={text!r}", fix=f"from {SCALES[0]:g} to {SCALES[1]:g}, please")
     if max(scale) - min(scale) > _UNEVEN * max(scale):
         raise element.error(
             f"scale={text!r} is not uniform", fix="the splat follows one scale only: give s s s"
@@ -111,4 +114,18 @@ def _world(
     path = places.resolve(tree.meshes[asset], "file", within=tree.mesh_folder)
     local = read_mesh(path)
     vertices = moved(local.vertices * scale, T_world_geom)
+    if not np.abs(vertices).max() <= MESH_REACH:
+        raise tree.meshes[asset].error(
+            f"placed, it reaches {np.abs(vertices).max():g} m", fix="check its pose and its scale"
+        )
     return TriangleMesh(vertices=vertices, faces=local.faces, kinds=local.kinds)
+
+
+def _beside(places: Places, name: str) -> Path:
+    """Return the path of a file that every scene folder may have; it need not exist."""
+    try:
+        return inside(places.folder, name)
+    except OutsideError as error:
+        raise SceneError(
+            f"{places.folder / name}: {error}", fix="copy the file into the scene's folder"
+        ) from None

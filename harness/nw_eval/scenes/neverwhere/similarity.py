@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.inside import what_is
+from nw_eval.scenes.limits import MESH_REACH, SCALES
 
 Matrix = NDArray[np.float64]
 
@@ -27,20 +29,23 @@ def read_normalisation(path: Path) -> Matrix:
     Raises:
         SceneError: the file holds something else, or no similarity.
     """
-    if not path.exists():
+    if what_is(path) == "nothing":
         return np.eye(4)
     try:
         if path.stat().st_size > _BYTES:
             raise SceneError(f"{path}: too large", fix="it holds one 3 x 4 matrix")
         content: Any = json.loads(path.read_bytes())
         rows = np.array(content["transform"], dtype=np.float64)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (OSError, ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise SceneError(
             f"{path}: no key `transform` with a 3 x 4 matrix ({type(error).__name__})",
             fix="write the file again, or remove it if the splat is in the COLMAP frame",
         ) from None
-    if rows.shape not in {(3, 4), (4, 4)} or not np.isfinite(rows).all():
-        raise SceneError(f"{path}: `transform` has shape {rows.shape}", fix="give 3 x 4 numbers")
+    if rows.shape not in {(3, 4), (4, 4)} or not (np.abs(rows) <= MESH_REACH).all():
+        raise SceneError(
+            f"{path}: `transform` has shape {rows.shape}, or numbers of no place",
+            fix=f"give 3 x 4 numbers, up to {MESH_REACH:g}",
+        )
     transform = np.eye(4)
     transform[:3] = rows[:3]
     check_similarity(transform, str(path))
@@ -62,6 +67,8 @@ def check_similarity(transform: Matrix, origin: str) -> float:
             fix="give a rotation times a positive scale",
         )
     scale = determinant ** (1 / 3)
+    if not SCALES[0] <= scale <= SCALES[1]:
+        raise SceneError(f"{origin}: its scale is {scale:g}", fix="check the unit")
     off = float(np.abs(linear.T @ linear / scale**2 - np.eye(3)).max())
     if off > _TOLERANCE:
         raise SceneError(

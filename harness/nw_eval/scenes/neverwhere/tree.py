@@ -19,7 +19,9 @@ from nw_eval.scenes.neverwhere.places import Places
 from nw_eval.scenes.neverwhere.pose import Angles, Matrix, pose, product
 from nw_eval.scenes.neverwhere.xml_file import Element, read_xml
 
-_INCLUDES = 12
+_DEPTH = 12
+_INCLUDES = 200  # in all: files that include each other twice would be read without end
+_CLASSES = 1000
 _ROBOT_FILE = re.compile(r"(^|[/_-])go[12]([/_.-]|$)")
 # What the robots' own files set for every geom and angle of the model that includes them.
 _ROBOT_FRICTION = "1.0 0.3 0.3"
@@ -103,6 +105,7 @@ class _Sections:
 
     def __init__(self, places: Places) -> None:
         self._places = places
+        self._included = 0
         self.compilers: list[Element] = []
         self.defaults: list[Element] = []
         self.assets: list[Element] = []
@@ -133,8 +136,11 @@ class _Sections:
                 self.has_robot = self.robot_is_assumed = True
                 return
             raise
-        if path.resolve() in chain or len(chain) > _INCLUDES:
+        if path.resolve() in chain or len(chain) > _DEPTH:
             raise element.error(f"{path} includes itself", fix="remove the circle")
+        self._included += 1
+        if self._included > _INCLUDES:
+            raise element.error(f"more than {_INCLUDES} files are included", fix="merge them")
         root = read_xml(path)
         if _is_robot(root):
             self.has_robot = True
@@ -192,6 +198,8 @@ class _Defaults:
             inner = child.get("class")
             if inner is None:
                 raise child.error("a nested default has no class", fix="name it")
+            if len(self._classes) > _CLASSES:
+                raise child.error(f"more than {_CLASSES} default classes", fix="merge them")
             self._classes[inner] = {tag: dict(values) for tag, values in mine.items()}
             self._read(child, inner)
 

@@ -15,6 +15,7 @@ from nw_eval.errors import SceneError
 _BYTES = 10_000_000
 _DEPTH = 60
 _ELEMENTS = 100_000
+_ATTRIBUTES = 64  # of one element; MJCF's geom has 30
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,6 +94,10 @@ class _Reader:
             raise SceneError(
                 f"{self._path}:{line}: {self._count} elements, {len(self._open)} deep",
                 fix=f"at most {_ELEMENTS} elements, {_DEPTH} deep",
+            )
+        if len(attributes) > _ATTRIBUTES:
+            raise SceneError(
+                f"{self._path}:{line}: {len(attributes)} attributes", fix=f"at most {_ATTRIBUTES}"
             )
         element = Element(tag=tag, attributes=attributes, file=self._path, line=line)
         if self._open:

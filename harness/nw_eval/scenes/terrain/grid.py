@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
+Leg = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 # Points of one grid; a longer trail gets coarser samples.
 _MOST_POINTS = 3_000_000
+# Beyond so many waypoints, points are compared with the legs near their tile only.
+_FEW_LEGS = 32
+_TILES = 32  # along a side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,19 +79,51 @@ class Grid:
 
 def trail_heights(trail: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the trail's height at its point nearest to each of `xy`: (K, 3), (N, 2) -> (N,)."""
+    if len(trail) <= _FEW_LEGS:
+        return _nearest_heights(list(pairwise(trail if len(trail) > 1 else trail.repeat(2, 0))), xy)
+    legs, tiles = list(pairwise(trail)), _tiles(xy)
+    centers = np.array([(xy[tile].min(axis=0) + xy[tile].max(axis=0)) / 2 for tile in tiles])
+    far = np.sqrt([_distances(leg, centers)[0] for leg in legs]) if tiles else np.zeros((0, 0))
+    heights = np.empty(len(xy))
+    for tile, center, away in zip(tiles, centers, far.T, strict=True):
+        radius = np.sqrt(((xy[tile] - center) ** 2).sum(axis=1).max())
+        # The leg nearest to a point of the tile is hardly farther from its centre than the leg
+        # nearest to that.
+        near = np.flatnonzero(away <= (away.min() + 2 * radius) * (1 + 1e-9) + 1e-9)
+        heights[tile] = _nearest_heights([legs[index] for index in near], xy[tile])
+    return heights
+
+
+def _tiles(xy: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Return the indices of points by the squares that they lie in."""
+    low = xy.min(axis=0, initial=np.inf)
+    side = float((xy - low).max(initial=0.0)) / _TILES + 1e-9
+    column, row = ((xy - low) / side).astype(np.int64).T
+    tile = row * (_TILES + 1) + column
+    order = np.argsort(tile, kind="stable")
+    starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
+    return np.split(order, starts[1:]) if len(order) else []
+
+
+def _nearest_heights(legs: list[Leg], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     best = np.full(len(xy), np.inf)
     height = np.zeros(len(xy))
-    ends = trail if len(trail) > 1 else np.repeat(trail, 2, axis=0)
-    for start, end in pairwise(ends):
-        along = end[:2] - start[:2]
-        length = float(along @ along)
-        offset = xy - start[:2]
-        share = np.zeros(len(xy)) if length == 0 else np.clip((offset @ along) / length, 0, 1)
-        distance = ((offset - share[:, None] * along) ** 2).sum(axis=1)
+    for start, end in legs:
+        distance, share = _distances((start, end), xy)
         closer = distance < best
         best[closer] = distance[closer]
         height[closer] = (start[2] + share * (end[2] - start[2]))[closer]
     return height
+
+
+def _distances(leg: Leg, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return (N,) squared distances to a leg, and (N,) how far along it the nearest point is."""
+    start, end = leg
+    along = end[:2] - start[:2]
+    length = float(along @ along)
+    offset = xy - start[:2]
+    share = np.zeros(len(xy)) if length == 0 else np.clip((offset @ along) / length, 0, 1)
+    return ((offset - share[:, None] * along) ** 2).sum(axis=1), share
 
 
 def shifted(values: NDArray[np.float64], fill: float) -> NDArray[np.float64]:

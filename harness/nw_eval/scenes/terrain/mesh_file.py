@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import re
+import warnings
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
-_BYTES = 1_000_000_000
-_VERTICES = 20_000_000
-_FACES = 20_000_000
-# Metres or COLMAP units: a coordinate beyond this is no place that a robot walks.
-_REACH = 1e6
+_PLY_HEADER = 1 << 16  # Bytes.
+
+# The parser logs tracebacks of what it forgives; what it does not is an error of ours.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 
 def read_mesh(
@@ -44,11 +46,14 @@ def read_mesh(
         )
     try:
         size = path.stat().st_size
-        if size > _BYTES:
-            raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {_BYTES} bytes")
+        if size > MESH_BYTES:
+            raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes")
+        if suffix == ".ply":
+            _check_ply(path, size)
         vertices, faces = _load(path, suffix)
-    except OSError as error:
-        raise SceneError(f"{path}: the mesh cannot be read: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise SceneError(f"{path}: the mesh cannot be read: {reason}") from None
     return checked_mesh(vertices * np.asarray(scale, dtype=np.float64), faces, kind, str(path))
 
 
@@ -64,10 +69,10 @@ def checked_mesh(
     """
     if len(vertices) == 0 or len(faces) == 0:
         raise SceneError(f"{origin}: {len(vertices)} vertices, {len(faces)} faces: nothing there")
-    if len(vertices) > _VERTICES or len(faces) > _FACES:
+    if max(len(vertices), len(faces)) > MESH_FACES:
         raise SceneError(
             f"{origin}: {len(vertices)} vertices, {len(faces)} faces",
-            fix=f"decimate it below {_FACES}",
+            fix=f"decimate it below {MESH_FACES}",
         )
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
@@ -78,7 +83,7 @@ def checked_mesh(
             fix="export the mesh again",
         )
     far = float(np.abs(vertices).max())
-    if far > _REACH:
+    if far > MESH_REACH:
         raise SceneError(f"{origin}: a coordinate is {far:g}", fix="check the unit: metres")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise SceneError(
@@ -98,29 +103,58 @@ def checked_mesh(
     )
 
 
+def _check_ply(path: Path, size: int) -> None:
+    """Compare what a header claims with the file: the parser allocates, and loops, by the claim.
+
+    Raises:
+        SceneError: more rows than bytes, or edges, which the parser would make paths of.
+    """
+    with path.open("rb") as file:
+        head = file.read(_PLY_HEADER)
+    text = head[: max(head.find(b"end_header"), 0)].decode("latin-1")
+    for number, line in enumerate(text.splitlines(), 1):
+        match line.split():
+            case ["element", "edge", *_]:
+                raise SceneError(f"{path}:{number}: it has edges", fix="export the triangles only")
+            case ["element", name, count] if not count.isdecimal() or int(count[:18]) > size:
+                raise SceneError(
+                    f"{path}:{number}: {count[:20]} rows of {name[:40]!r} in {size} bytes",
+                    fix="the file is cut short; export it again",
+                )
+            case _:
+                pass
+
+
 def _load(path: Path, suffix: str) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    try:
+        with path.open("rb") as file, warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")  # Of numpy, on numbers that are checked later.
+            return _joined(_parse(file, suffix))
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - a parser meets a stranger's file; any fault is one.
+        raise SceneError(
+            f"{path}: no readable {suffix[1:].upper()} mesh: {type(error).__name__}: "
+            f"{str(error)[:200]}",
+            fix="open it in a mesh viewer and export it again",
+        ) from None
+
+
+def _parse(file: IO[bytes], suffix: str) -> dict[str, Any]:
     # trimesh's loaders take open files; without a resolver they cannot follow `mtllib` or images.
     from trimesh.exchange.obj import load_obj
     from trimesh.exchange.ply import load_ply
     from trimesh.exchange.stl import load_stl
 
-    try:
-        with path.open("rb") as file:
-            if suffix == ".obj":
-                parsed: Any = load_obj(
-                    _without_materials(file.read()), resolver=None, split_objects=False
-                )
-            elif suffix == ".ply":
-                parsed = load_ply(file, resolver=None, fix_texture=False)
-            else:
-                parsed = load_stl(file)
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001 - a parser meets a stranger's file; any fault is one.
-        raise SceneError(
-            f"{path}: no readable {suffix[1:].upper()} mesh: {type(error).__name__}: {error}",
-            fix="open it in a mesh viewer and export it again",
-        ) from None
+    if suffix == ".obj":
+        return load_obj(_without_materials(file.read()), resolver=None, split_objects=False)
+    if suffix == ".ply":
+        return load_ply(file, resolver=None, fix_texture=False, skip_materials=True)
+    return load_stl(file)
+
+
+def _joined(parsed: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Return vertices (V, 3) and triangles (F, 3) of all parts of a file."""
     parts = list(parsed["geometry"].values()) if "geometry" in parsed else [parsed]
     vertices: list[NDArray[np.float64]] = []
     faces: list[NDArray[np.integer]] = []
@@ -144,7 +178,10 @@ def _triangles(faces: Any) -> NDArray[np.integer]:
     array = np.asarray(faces)
     if array.ndim == 2 and array.shape[1] == 3:
         return array.astype(np.int64)
-    return np.asarray(triangulate_quads(faces), dtype=np.int64)
+    cut = np.asarray(triangulate_quads(faces), dtype=np.int64)
+    if cut.ndim != 2 or cut.shape[1] != 3:
+        raise ValueError("its faces are no polygons")
+    return cut
 
 
 def _without_materials(text: bytes) -> StringIO:

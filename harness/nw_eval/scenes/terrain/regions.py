@@ -17,17 +17,21 @@ def label_regions(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
     for row in range(mask.shape[0]):
         edges = np.flatnonzero(np.diff(mask[row].astype(np.int8), prepend=0, append=0))
         runs: list[tuple[int, int, int]] = []
+        first = 0
         for start, stop in edges.reshape(-1, 2).tolist():
             name = 0
-            for other_start, other_stop, other in previous:
-                if other_start <= stop and start <= other_stop:
-                    root = _root(parents, other)
-                    if name == 0:
-                        name = root
-                    elif root != name:
-                        low, high = min(root, name), max(root, name)
-                        parents[high] = low
-                        name = low
+            while first < len(previous) and previous[first][1] < start:
+                first += 1  # It ends before this run and all that follow.
+            touching = first
+            while touching < len(previous) and previous[touching][0] <= stop:
+                root = _root(parents, previous[touching][2])
+                touching += 1
+                if name == 0:
+                    name = root
+                elif root != name:
+                    low, high = min(root, name), max(root, name)
+                    parents[high] = low
+                    name = low
             if name == 0:
                 name = len(parents)
                 parents.append(name)

@@ -7,7 +7,8 @@
     folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
 
 Formats are told by content; only .splat, which has no mark, is told by its name. Everything comes
-back in the axes of the 3DGS PLY file.
+back in the axes of the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with
+a zero quaternion, are left out when the splat is compiled.
 """
 
 from __future__ import annotations

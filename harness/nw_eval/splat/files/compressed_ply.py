@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.files.ply import Ply
-from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians
+from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count
 from nw_eval.splat.quantise import logit
 
 _CHUNK = 256
@@ -32,6 +32,7 @@ def read_compressed_ply(ply: Ply) -> Gaussians:
         if element not in ply.elements:
             raise SceneError(f"{ply.path}: has no element {element}", fix="export the file again")
     n, chunks = len(ply.elements["vertex"]), len(ply.elements["chunk"])
+    check_count(ply.path, n)
     if chunks * _CHUNK < n:
         raise SceneError(
             f"{ply.path}: {chunks} chunks for {n} Gaussians, {-(-n // _CHUNK)} are needed",

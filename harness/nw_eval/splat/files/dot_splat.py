@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.gaussians import SH0, Gaussians
+from nw_eval.splat.gaussians import SH0, Gaussians, check_count
 from nw_eval.splat.quantise import logit, sigmoid, to_byte, unit_quats
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -31,6 +31,7 @@ def read_dot_splat(path: Path) -> Gaussians:
             f"{path}: {size} bytes are no whole number of 32-byte rows",
             fix="the file is cut short or no .splat file",
         )
+    check_count(path, size // _ROW.itemsize)
     rows = np.fromfile(path, _ROW)
     rgba = rows["rgba"].astype(np.float32) / np.float32(255)
     with np.errstate(invalid="ignore"):

@@ -19,6 +19,8 @@ from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.transform import transformed
 
+_BYTES = 1_000_000
+_REACH = 1e6  # of every number, either way
 _TRANSFORMS = "dataparser_transforms.json"
 _FIX = "give the folder that `ns-export gaussian-splat` wrote, with that file beside splat.ply"
 
@@ -43,17 +45,21 @@ def read_nerfstudio(folder: Path, *, rest_order: RestOrder = "detect") -> Gaussi
 def _read_transform(path: Path) -> NDArray[np.float64]:
     """(4, 4) of a similarity from capture to trainer."""
     try:
+        if path.stat().st_size > _BYTES:
+            raise SceneError(f"{path}: too large", fix="it holds one 3 x 4 matrix and a scale")
         content = json.loads(path.read_text(encoding="utf-8"))
         matrix = np.array(content["transform"], dtype=np.float64)
         scale = float(content["scale"])
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix=_FIX) from error
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise SceneError(f"{path}: no transform and scale in it ({error!r})", fix=_FIX) from error
-    if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+    if matrix.shape not in ((3, 4), (4, 4)) or not (np.abs(matrix) <= _REACH).all():
         raise SceneError(f"{path}: transform has shape {matrix.shape}", fix="it must be 3x4")
-    if not (np.isfinite(scale) and scale > 0):
+    if not 1 / _REACH <= scale <= _REACH:
         raise SceneError(f"{path}: scale is {scale}", fix="it must be positive")
     T = np.eye(4)
     T[:3] = scale * matrix[:3]
+    if abs(np.linalg.det(T)) < _REACH**-3:
+        raise SceneError(f"{path}: transform flattens", fix="it must be a rotation and a shift")
     return T

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
 from nw_eval.splat.quantise import logit, sigmoid, to_byte, unit_quats
 
 Bytes = NDArray[np.uint8]
@@ -30,7 +30,7 @@ SpzVersion = Literal[2, 3, 4]
 _MAGIC = 0x5053474E  # "NGSP"
 _COUNTS = (1, 4, 9, 16, 25)
 _COLOUR = 0.15  # Wide range: harmonics may bring colours back into 0..1.
-_RATIO = 2000  # No honest file expands further; more is a decompression bomb.
+_RATIO = 100  # No honest large file expands further; more is a decompression bomb.
 _SMALL = 1 << 26
 _FRACTION_BITS = 12
 _SQRT_HALF = 0.7071067811865476
@@ -141,11 +141,12 @@ def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
     return _Header(version=version, count=count, sh_count=_COUNTS[degree], fraction_bits=bits)
 
 
-def _check_proportion(path: Path, needed: int, size: int) -> None:
+def _check_proportion(path: Path, header: _Header, needed: int, size: int) -> None:
     if needed > max(_SMALL, _RATIO * size):
         raise SceneError(
             f"{path}: {size} bytes claim to expand to {needed}", fix="no honest file does"
         )
+    check_count(path, header.count)
 
 
 def _split(path: Path, body: bytes, header: _Header) -> list[Bytes]:
@@ -165,7 +166,7 @@ def _unpack_gzip(path: Path, raw: bytes) -> tuple[_Header, list[Bytes]]:
         head = zlib.decompressobj(31).decompress(raw, 16)
         header = _check_header(path, head, versions=range(1, 4))
         needed = sum(header.sizes()) + 16
-        _check_proportion(path, needed, len(raw))
+        _check_proportion(path, header, needed, len(raw))
         # One byte more than needed tells a longer stream apart without holding it.
         body = zlib.decompressobj(31).decompress(raw, needed + 1)
     except zlib.error as error:
@@ -183,7 +184,7 @@ def _unpack_v4(path: Path, raw: bytes) -> tuple[_Header, list[Bytes]]:
         raise SceneError(
             f"{path}: {streams} streams listed at {table}, {len(expected)} are needed", fix=_BROKEN
         )
-    _check_proportion(path, sum(expected), len(raw))
+    _check_proportion(path, header, sum(expected), len(raw))
     zstandard = _zstandard(path)
     offset = table + 16 * streams
     body: list[bytes] = []

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.files.ply import Ply
-from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
 
 RestOrder = Literal["detect", "channel", "coefficient"]
 """How f_rest is arranged: channel-major, coefficient-major, or to be found out."""
@@ -44,6 +44,7 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
             f"{ply.path}: {rest} f_rest properties", fix="0, 9, 24 or 45 make degree 0, 1, 2 or 3"
         )
     n = len(ply.elements["vertex"])
+    check_count(ply.path, n)
     sh = np.empty((n, 1 + rest // 3, 3), dtype=np.float32)
     sh[:, 0] = ply.columns("vertex", ["f_dc_0", "f_dc_1", "f_dc_2"])
     if rest:

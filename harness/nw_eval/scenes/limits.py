@@ -1,0 +1,41 @@
+"""How large the numbers of a stranger's scene may be, checked before anything is allocated.
+
+Each bound leaves out what no place that a robot walks in has, and what would take the machine
+instead of an error. Lengths in metres.
+"""
+
+from __future__ import annotations
+
+REACH = 1000.0
+"""Of trail, spawn, ground and solids from the origin: the longest trial (600 s) ends before, and
+rays in single precision are exact to 0.1 mm there."""
+
+MESH_REACH = 1e6
+"""Of a mesh's and a splat's coordinates, which may be in COLMAP's unit: scans have stray points far
+behind the place."""
+
+WAYPOINTS = 200
+"""Of one trail. Published ones have up to a dozen; every sample of a terrain is compared with all
+legs."""
+
+SOLIDS = 2000
+"""Boxes and round primitives. A flight of stairs has a dozen; MuJoCo and Embree hold each twice."""
+
+LEAST_SIZE = 1e-5
+"""Of half an edge, or of a radius: MuJoCo and rays take thinner solids for none."""
+
+FRICTION = 5.0
+"""Largest coefficient, as of a suite's axis: rubber on dry concrete has 1."""
+
+NOISE = 10.0
+"""Half width by which a start or a waypoint may be moved."""
+
+SCALES = (1e-6, 1e6)
+"""Metres in one unit of a mesh or a splat."""
+
+QUAT = 1e3
+"""Largest component of a quaternion; its length need not be 1, but must be more than 1 / this."""
+
+MESH_BYTES = 400_000_000
+MESH_FACES = 4_000_000
+"""Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
