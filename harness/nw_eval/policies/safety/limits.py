@@ -22,9 +22,11 @@ class Limits:
     """Largest ratio of unpacked to packed size of a member; a bomb has 1000."""
     index_bytes: int = 2**24
     """The pickled index of a torch file, or the JSON of a graph."""
+    code_bytes: int = 2**20
+    """A file of a script's code; those of large networks have a tenth of it."""
     tensors: int = 20_000
     """Number of tensors."""
     tensor_bytes: int = 2**30
     """Sum of the sizes of all tensors, counted one by one: views of one storage count each."""
     depth: int = 64
-    """Nesting of dicts and lists."""
+    """Nesting of dicts and lists, and of brackets in code."""
