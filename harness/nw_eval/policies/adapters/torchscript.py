@@ -60,7 +60,7 @@ class TorchScriptPolicy:
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)
-        except RuntimeError as error:
+        except (RuntimeError, torch.jit.Error) as error:
             reason = clean(str(error).strip().splitlines()[-1])
             fix = "export it in float32: module.float()" if "dtype" in reason else None
             raise TrialError(f"policy {self._name!r} failed: {reason}", fix=fix) from error

@@ -92,20 +92,105 @@ def gru(
     )
 
 
-def attention_fits(query: Tensor, key: Tensor, value: Tensor, shared_heads: bool) -> None:
+def never(name: str) -> Tensor:
+    """Stand for an operator that a script may name where it does not get to, and never runs."""
+    raise ValueError(f"the script calls `{name}`, which is not among the operators that may run")
+
+
+def never_bool(name: str) -> bool:
+    """The same for one that returns a bool."""
+    raise ValueError(f"the script calls `{name}`, which is not among the operators that may run")
+
+
+def never_two(name: str) -> tuple[Tensor, Tensor]:
+    """The same for one that returns two tensors."""
+    raise ValueError(f"the script calls `{name}`, which is not among the operators that may run")
+
+
+def never_three(name: str) -> tuple[Tensor, Tensor, Tensor]:
+    """The same for one that returns three."""
+    raise ValueError(f"the script calls `{name}`, which is not among the operators that may run")
+
+
+def cell_fits(
+    input: Tensor,  # noqa: A002
+    hidden: list[Tensor],
+    weights: list[Tensor],
+    biases: list[Tensor | None],
+    gates: int,
+) -> None:
+    """Check the same of a single step of a recurrent layer."""
+    if input.dim() != 2 or len(hidden) < 1 or hidden[0].dim() != 2:
+        raise ValueError("a recurrent cell whose input or hidden state has no two axes")
+    size = hidden[0].size(1)
+    for state in hidden:
+        if list(state.size()) != [input.size(0), size]:
+            raise ValueError("a recurrent cell whose hidden state does not fit")
+    rows = gates * size
+    widths = [input.size(1), size]
+    for k in range(2):
+        if list(weights[k].size()) != [rows, widths[k]]:
+            raise ValueError("a recurrent cell whose weights do not fit its input")
+    for bias in biases:
+        if bias is not None and list(bias.size()) != [rows]:
+            raise ValueError("a recurrent cell whose biases do not fit its weights")
+
+
+def lstm_cell(
+    input: Tensor,  # noqa: A002
+    hx: list[Tensor],
+    w_ih: Tensor,
+    w_hh: Tensor,
+    b_ih: Tensor | None = None,
+    b_hh: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """`aten::lstm_cell`."""
+    if len(hx) != 2:
+        raise ValueError("an LSTM needs a hidden and a cell state")
+    cell_fits(input, hx, [w_ih, w_hh], [b_ih, b_hh], 4)
+    return torch.ops.aten.lstm_cell(input, hx, w_ih, w_hh, b_ih, b_hh)
+
+
+def gru_cell(
+    input: Tensor,  # noqa: A002
+    hx: Tensor,
+    w_ih: Tensor,
+    w_hh: Tensor,
+    b_ih: Tensor | None = None,
+    b_hh: Tensor | None = None,
+) -> Tensor:
+    """`aten::gru_cell`."""
+    cell_fits(input, [hx], [w_ih, w_hh], [b_ih, b_hh], 3)
+    return torch.ops.aten.gru_cell(input, hx, w_ih, w_hh, b_ih, b_hh)
+
+
+def attention_fits(
+    query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None, shared_heads: bool
+) -> None:
     """Check that queries, keys and values have one batch, as many keys as values, one width."""
     axes = query.dim()
     if axes < 2 or key.dim() != axes or value.dim() != axes:
         raise ValueError("attention whose query, key and value differ in their number of axes")
+    if query.numel() * key.numel() * value.numel() == 0:
+        raise ValueError("attention of nothing")
     for axis in range(axes - 2):
         many, few = query.size(axis), key.size(axis)
-        shared = shared_heads and axis == axes - 3 and few > 0 and many % few == 0
+        shared = shared_heads and axis == axes - 3 and many % few == 0
         if value.size(axis) != few or (many != few and not shared):
             raise ValueError("attention whose query, key and value differ in batch or heads")
     if key.size(-2) != value.size(-2) or query.size(-1) != key.size(-1):
         raise ValueError("attention whose query, key and value do not fit each other")
     if key.dtype != query.dtype or value.dtype != query.dtype:
         raise ValueError("attention whose query, key and value differ in dtype")
+    if mask is not None:
+        scores = list(query.size())
+        scores[-1] = key.size(-2)
+        if mask.dim() > axes:
+            raise ValueError("attention whose mask has too many axes")
+        for axis in range(mask.dim()):
+            count = mask.size(mask.dim() - 1 - axis)
+            if count not in (1, scores[axes - 1 - axis]):
+                raise ValueError("attention whose mask does not fit its scores")
 
 
 def scaled_dot_product_attention(
@@ -119,7 +204,7 @@ def scaled_dot_product_attention(
     enable_gqa: bool = False,
 ) -> Tensor:
     """`aten::scaled_dot_product_attention`; batches are not broadcast."""
-    attention_fits(query, key, value, enable_gqa)
+    attention_fits(query, key, value, attn_mask, enable_gqa)
     return torch.ops.aten.scaled_dot_product_attention(
         query, key, value, attn_mask, dropout_p, is_causal, scale=scale, enable_gqa=enable_gqa
     )
@@ -135,7 +220,7 @@ def _scaled_dot_product_flash_attention_for_cpu(
     scale: float | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The same as an exported graph calls it."""
-    attention_fits(query, key, value, True)
+    attention_fits(query, key, value, attn_mask, True)
     if query.dim() != 4 or value.size(3) != query.size(3):
         raise ValueError("attention whose query, key and value do not fit each other")
     return torch.ops.aten._scaled_dot_product_flash_attention_for_cpu(  # noqa: SLF001 - its name.
@@ -165,7 +250,9 @@ def _native_batch_norm_legit_no_training(
 
 GUARDED: dict[str, Callable[..., Any]] = {
     "gru.input": gru,
+    "gru_cell.default": gru_cell,
     "lstm.input": lstm,
+    "lstm_cell.default": lstm_cell,
     "scaled_dot_product_attention.default": scaled_dot_product_attention,
     "_native_batch_norm_legit_no_training.default": _native_batch_norm_legit_no_training,
     "_scaled_dot_product_flash_attention_for_cpu.default": (
@@ -181,6 +268,8 @@ def guards_code() -> str:
     with warnings.catch_warnings():
         # torch recommends torch.export for new files; the ones that people have are scripts.
         warnings.simplefilter("ignore", DeprecationWarning)
-        functions: tuple[Any, ...] = (rnn_fits, attention_fits, *GUARDED.values())
+        checks: tuple[Any, ...] = (rnn_fits, cell_fits, attention_fits)
+        refusals: tuple[Any, ...] = (never, never_bool, never_two, never_three)
+        functions = (*checks, *refusals, *GUARDED.values())
         scripted: list[Any] = [torch.jit.script(function) for function in functions]
     return "".join(function.code for function in scripted)

@@ -18,7 +18,7 @@ from nw_eval.policies.safety.archive import Archive
 
 _NAME = "[A-Za-z_][A-Za-z_0-9]*"
 _CODE = rf"code/__torch__(/{_NAME})*\.py"
-_STATE = r"data\.pkl|data/[0-9]+|version|byteorder"
+_STATE = r"data\.pkl|data/[0-9]+|version|\.data/version|byteorder"
 _MARKS = r"\.format_version|\.storage_alignment|\.data/serialization_id"
 """What torch notes about an archive, and nobody needs."""
 STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")

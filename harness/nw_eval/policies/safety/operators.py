@@ -19,20 +19,24 @@ _ARITHMETIC = """
     true_divide trunc
 """
 _ACTIVATIONS = """
-    celu elu gelu hardsigmoid hardswish hardtanh leaky_relu log_sigmoid mish prelu relu relu6 selu
-    silu softmax _softmax softplus softsign log_softmax _log_softmax threshold glu dropout
-    feature_dropout alpha_dropout
+    celu elu gelu hardshrink hardsigmoid hardswish hardtanh leaky_relu log_sigmoid mish prelu relu
+    relu6 selu
+    silu softmax _softmax softplus softshrink softsign log_softmax _log_softmax threshold glu dropout
+    feature_dropout alpha_dropout feature_alpha_dropout
 """
 _LAYERS = """
-    adaptive_avg_pool1d adaptive_avg_pool2d _adaptive_avg_pool2d adaptive_max_pool2d avg_pool1d
-    avg_pool2d batch_norm _native_batch_norm_legit_no_training convolution _convolution conv1d
-    conv2d conv3d conv_transpose1d conv_transpose2d
+    adaptive_avg_pool1d adaptive_avg_pool2d adaptive_avg_pool3d _adaptive_avg_pool2d
+    adaptive_max_pool1d adaptive_max_pool2d avg_pool1d avg_pool2d avg_pool3d batch_norm bilinear
+    channel_shuffle _native_batch_norm_legit_no_training convolution _convolution conv1d
+    conv2d conv3d conv_transpose1d conv_transpose2d conv_transpose3d
     embedding group_norm native_group_norm gru instance_norm layer_norm native_layer_norm lstm
-    rms_norm max_pool1d max_pool2d max_pool2d_with_indices rnn_relu rnn_tanh gru_cell
-    lstm_cell rnn_tanh_cell rnn_relu_cell
+    rms_norm max_pool1d max_pool2d max_pool2d_with_indices max_pool3d rnn_relu rnn_tanh gru_cell
+    lstm_cell rnn_tanh_cell rnn_relu_cell im2col pairwise_distance
     scaled_dot_product_attention _scaled_dot_product_flash_attention_for_cpu
     _native_multi_head_attention _transformer_encoder_layer_fwd
-    upsample_bilinear2d upsample_nearest2d pixel_shuffle
+    upsample_bicubic2d upsample_bilinear2d upsample_linear1d upsample_nearest1d upsample_nearest2d
+    upsample_nearest3d upsample_trilinear3d _upsample_nearest_exact1d _upsample_nearest_exact2d
+    _upsample_nearest_exact3d pixel_shuffle
     pixel_unshuffle grid_sampler_2d linalg_vector_norm linalg_norm norm normalize cosine_similarity
 """
 _SHAPES = """
@@ -46,7 +50,7 @@ _SHAPES = """
     split split_with_sizes
     squeeze squeeze_copy stack swapaxes swapdims t take_along_dim tensor_split tile transpose triu
     tril unbind unflatten unfold
-    unsafe_split unsqueeze unsqueeze_copy view view_as view_copy _unsafe_view vstack where zero fill
+    unsafe_chunk unsafe_split unsqueeze unsqueeze_copy view view_as view_copy _unsafe_view vstack where zero fill
     slice_scatter select_scatter to _to_copy type_as
 """
 _REDUCTIONS = """
@@ -82,7 +86,12 @@ OPERATORS = FACTORIES.union(
 )
 """Operators on tensors, for graphs and for scripts."""
 
-REFUSED_OVERLOADS = frozenset({"repeat_interleave.Tensor", "repeat_interleave.self_Tensor"})
+REFUSED_OVERLOADS = frozenset(
+    """
+    gru.data lstm.data repeat_interleave.Tensor repeat_interleave.self_Tensor rnn_relu.data
+    rnn_tanh.data
+    """.split()
+)
 """Forms of an operator that may not run though others of its name may."""
 
 # What TorchScript writes for sizes, lists, dicts, strings, plain numbers and conditions.
@@ -94,6 +103,24 @@ _LANGUAGE = """
     items join keys len list lower numel percentFormat pop replace result_type reverse
     set_grad_enabled size sorted startswith str stride strip sym_size tensor update upper values
 """
+_RANDOM = """
+    bernoulli binomial exponential multinomial normal poisson rand rand_like
+    randint randint_like randn randn_like randperm rrelu uniform
+"""
+_CARELESS = """
+    _nested_tensor_from_mask _upsample_bicubic2d_aa _upsample_bilinear2d_aa _upsample_lanczos2d_aa
+    to_padded_tensor
+"""
+NEVER_RUN = {
+    **dict.fromkeys((_RANDOM + _CARELESS).split(), "never"),
+    "_nested_tensor_from_mask_left_aligned": "never_bool",
+    "fractional_max_pool2d": "never_two",
+}
+"""What torch's own layers name in branches that a policy does not get to, or got to in training.
+
+A script may have such a call, in whose place a function of `guards` is compiled that fails.
+"""
+
 SCRIPT_OPERATORS = OPERATORS.union(_LANGUAGE.split())
 """What a script may call as `torch.NAME`."""
 

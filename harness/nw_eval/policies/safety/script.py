@@ -20,16 +20,28 @@ from typing import Literal
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.limits import Limits
-from nw_eval.policies.safety.operators import PRIM_OPERATORS, SCRIPT_OPERATORS, may_run
+from nw_eval.policies.safety.operators import (
+    NEVER_RUN,
+    PRIM_OPERATORS,
+    SCRIPT_OPERATORS,
+    may_run,
+)
 
 GUARDS = "__torch__.nw_eval.policies.safety.guards"
 """Where the functions of `guards` lie in a script."""
-_RECURRENT = frozenset({"gru", "lstm"})
-_GUARDED = _RECURRENT | {
-    "scaled_dot_product_attention",
-    "_scaled_dot_product_flash_attention_for_cpu",
-    "_native_batch_norm_legit_no_training",
+_GUARDED = frozenset(
+    """
+    gru gru_cell lstm lstm_cell scaled_dot_product_attention _native_batch_norm_legit_no_training
+    _scaled_dot_product_flash_attention_for_cpu
+    """.split()
+)
+_PACKED = {
+    "lstm": "never_three",
+    "gru": "never_two",
+    "rnn_relu": "never_two",
+    "rnn_tanh": "never_two",
 }
+"""Recurrent layers to what stands for their second form, that for packed sequences."""
 
 _PLAIN = "export the plain network: layers and arithmetic, without custom classes or operators"
 _TYPES = frozenset(
@@ -37,9 +49,8 @@ _TYPES = frozenset(
     "str".split()
 )
 _RESERVED = frozenset(
-    "CONSTANTS __torch__ annotate awaitable bool complex device dict enumerate float fork getattr "
-    "hasattr inf infj int isinstance len list nan nanj ops print range rangelist rpc_async rpc_sync "
-    "sorted str super torch tuple unchecked_cast uninitialized zip".split()
+    "CONSTANTS __torch__ annotate fork getattr inf infj isinstance nan nanj ops print range torch "
+    "unchecked_cast uninitialized".split()
 )
 """Names that mean something of their own, and may stand where the writer puts them only."""
 _CASTS = frozenset({"bool", "float", "int", "sorted", "str"})
@@ -380,6 +391,10 @@ class _Body:
                 func=ast.Attribute(value=cls, attr="__new__"), args=[same], keywords=[]
             ) if self.known.kinds.get(_dotted(cls)) == "class" and _dotted(same) == _dotted(cls):
                 return f"{name}({_dotted(cls)})"
+            case ast.Call(func=ast.Attribute(attr=operator)) if name == f"torch.{operator}" and (
+                stands := _never(operator, node)
+            ):
+                return f'{GUARDS}.{stands}("torch.{operator}")'
             case ast.Call(func=ast.Attribute(value=value, attr=method)):
                 return self.callee(node, name, value, method) + self.arguments(node)
             case _:
@@ -389,12 +404,12 @@ class _Body:
         """Write what is called: an operator, a function or class of the file, or a method."""
         prefix, _, operator = name.rpartition(".")
         root = name.partition(".")[0]
-        if prefix in {"torch", "ops.aten"}:
+        if prefix == "torch":
             if not may_run(operator, SCRIPT_OPERATORS):
                 raise _not_allowed(node, name)
             if operator == "device":
                 _cpu_only(node)
-            return f"{GUARDS}.{operator}" if _guarded(operator, node) else f"torch.{operator}"
+            return f"{GUARDS}.{operator}" if operator in _GUARDED else f"torch.{operator}"
         if prefix == "ops.prim" and operator in PRIM_OPERATORS:
             return name
         if self.known.kinds.get(name) in {"function", "tuple"}:
@@ -412,14 +427,13 @@ class _Body:
         return f"({', '.join(parts)})"
 
 
-def _guarded(operator: str, node: ast.Call) -> bool:
-    """Whether a call goes through a guard.
-
-    Recurrent layers have a second form for packed sequences, whose fourth argument is the list of
-    weights; it does check its arguments itself.
-    """
-    packed = len(node.args) < 4 or not isinstance(node.args[3], ast.Constant)
-    return operator in _GUARDED and not (operator in _RECURRENT and packed)
+def _never(name: str, node: ast.Call) -> str | None:
+    """Return the function that stands for a call which is never run; None if it may be."""
+    if name in _PACKED:
+        # The fourth argument of a layer is a bool; of its form for packed sequences, its weights.
+        packed = len(node.args) < 4 or not isinstance(node.args[3], ast.Constant)
+        return _PACKED[name] if packed else None
+    return NEVER_RUN.get(name.removesuffix("_"))
 
 
 def _cpu_only(node: ast.Call) -> None:

@@ -38,11 +38,13 @@ def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> 
     archive, index = checked_tree(data, where, limits, SCRIPT_MEMBERS)
     for _ in leaves(index.tree, where, limits):
         pass  # Walking them checks their number and their total size.
+    check_references(index, archive, "data", limits)
     raw = archive.read("constants.pkl", at_most=limits.index_bytes)
     constants = read_index(raw, where, limits)
     check_references(constants, archive, "constants", limits)
-    if not re.fullmatch(rb"[0-9]{1,4}\s*", archive.read("version", at_most=64)):
-        raise PolicyError(f"{where}: its `version` is no number", fix="export the policy again")
+    for name in sorted({"version", ".data/version"}.intersection(archive.names())):
+        if not re.fullmatch(rb"[0-9]{1,4}\s*", archive.read(name, at_most=64)):
+            raise PolicyError(f"{where}: its `{name}` is no number", fix="export the policy again")
     code = {
         name: archive.read(name, at_most=limits.code_bytes)
         for name in archive.names()

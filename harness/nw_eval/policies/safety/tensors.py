@@ -131,7 +131,6 @@ def checked_tree(
     index = read_index(archive.read("data.pkl", at_most=limits.index_bytes), where, limits)
     for name, ref in _references(index.tree, where, limits):
         _check_reference(name, ref, archive, "data")
-    check_references(index, archive, "data", limits)
     return archive, index
 
 
