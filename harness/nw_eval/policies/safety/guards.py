@@ -164,6 +164,17 @@ def gru_cell(
     return torch.ops.aten.gru_cell(input, hx, w_ih, w_hh, b_ih, b_hh)
 
 
+def mask_fits(mask: Tensor, query: Tensor, keys: int) -> None:
+    """Check that the mask of an attention may be spread over its scores."""
+    scores = list(query.size())
+    scores[-1] = keys
+    if mask.dim() > len(scores):
+        raise ValueError("attention whose mask has too many axes")
+    for axis in range(1, mask.dim() + 1):
+        if mask.size(-axis) not in (1, scores[-axis]):
+            raise ValueError("attention whose mask does not fit its scores")
+
+
 def attention_fits(
     query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None, shared_heads: bool
 ) -> None:
@@ -183,14 +194,7 @@ def attention_fits(
     if key.dtype != query.dtype or value.dtype != query.dtype:
         raise ValueError("attention whose query, key and value differ in dtype")
     if mask is not None:
-        scores = list(query.size())
-        scores[-1] = key.size(-2)
-        if mask.dim() > axes:
-            raise ValueError("attention whose mask has too many axes")
-        for axis in range(mask.dim()):
-            count = mask.size(mask.dim() - 1 - axis)
-            if count not in (1, scores[axes - 1 - axis]):
-                raise ValueError("attention whose mask does not fit its scores")
+        mask_fits(mask, query, key.size(-2))
 
 
 def scaled_dot_product_attention(
@@ -268,7 +272,7 @@ def guards_code() -> str:
     with warnings.catch_warnings():
         # torch recommends torch.export for new files; the ones that people have are scripts.
         warnings.simplefilter("ignore", DeprecationWarning)
-        checks: tuple[Any, ...] = (rnn_fits, cell_fits, attention_fits)
+        checks: tuple[Any, ...] = (rnn_fits, cell_fits, mask_fits, attention_fits)
         refusals: tuple[Any, ...] = (never, never_bool, never_two, never_three)
         functions = (*checks, *refusals, *GUARDED.values())
         scripted: list[Any] = [torch.jit.script(function) for function in functions]

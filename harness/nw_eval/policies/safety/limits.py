@@ -22,8 +22,8 @@ class Limits:
     """Largest ratio of unpacked to packed size of a member; a bomb has 1000."""
     index_bytes: int = 2**24
     """The pickled index of a torch file, or the JSON of a graph."""
-    code_bytes: int = 2**20
-    """A file of a script's code; those of large networks have a tenth of it."""
+    code_bytes: int = 2**21
+    """A script's code in all; that of large networks has a tenth of it."""
     tensors: int = 20_000
     """Number of tensors."""
     tensor_bytes: int = 2**30

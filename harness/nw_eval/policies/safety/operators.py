@@ -21,14 +21,16 @@ _ARITHMETIC = """
 _ACTIVATIONS = """
     celu elu gelu hardshrink hardsigmoid hardswish hardtanh leaky_relu log_sigmoid mish prelu relu
     relu6 selu
-    silu softmax _softmax softplus softshrink softsign log_softmax _log_softmax threshold glu dropout
+    silu softmax _softmax softplus softshrink softsign log_softmax _log_softmax threshold glu
+    dropout
     feature_dropout alpha_dropout feature_alpha_dropout
 """
 _LAYERS = """
     adaptive_avg_pool1d adaptive_avg_pool2d adaptive_avg_pool3d _adaptive_avg_pool2d
     adaptive_max_pool1d adaptive_max_pool2d avg_pool1d avg_pool2d avg_pool3d batch_norm bilinear
     channel_shuffle _native_batch_norm_legit_no_training convolution _convolution conv1d
-    conv2d conv3d conv_transpose1d conv_transpose2d conv_transpose3d
+    conv2d conv3d conv_transpose1d
+    conv_transpose2d conv_transpose3d
     embedding group_norm native_group_norm gru instance_norm layer_norm native_layer_norm lstm
     rms_norm max_pool1d max_pool2d max_pool2d_with_indices max_pool3d rnn_relu rnn_tanh gru_cell
     lstm_cell rnn_tanh_cell rnn_relu_cell im2col pairwise_distance
@@ -50,7 +52,8 @@ _SHAPES = """
     split split_with_sizes
     squeeze squeeze_copy stack swapaxes swapdims t take_along_dim tensor_split tile transpose triu
     tril unbind unflatten unfold
-    unsafe_chunk unsafe_split unsqueeze unsqueeze_copy view view_as view_copy _unsafe_view vstack where zero fill
+    unsafe_chunk unsafe_split unsqueeze unsqueeze_copy view view_as view_copy _unsafe_view
+    vstack where zero fill
     slice_scatter select_scatter to _to_copy type_as
 """
 _REDUCTIONS = """
@@ -86,12 +89,11 @@ OPERATORS = FACTORIES.union(
 )
 """Operators on tensors, for graphs and for scripts."""
 
-REFUSED_OVERLOADS = frozenset(
-    """
+_REFUSED = """
     gru.data lstm.data repeat_interleave.Tensor repeat_interleave.self_Tensor rnn_relu.data
     rnn_tanh.data
-    """.split()
-)
+"""
+REFUSED_OVERLOADS = frozenset(_REFUSED.split())
 """Forms of an operator that may not run though others of its name may."""
 
 # What TorchScript writes for sizes, lists, dicts, strings, plain numbers and conditions.
@@ -124,26 +126,23 @@ A script may have such a call, in whose place a function of `guards` is compiled
 SCRIPT_OPERATORS = OPERATORS.union(_LANGUAGE.split())
 """What a script may call as `torch.NAME`."""
 
-COMPILED_OPERATORS = SCRIPT_OPERATORS.union(
-    "Bool Float FloatImplicit Int IntImplicit ScalarImplicit add_ copy_".split()
-)
+_CASTS = "Bool Float FloatImplicit Int IntImplicit ScalarImplicit"
+COMPILED_OPERATORS = SCRIPT_OPERATORS.union(_CASTS.split())
 """What stands in compiled scripts: the above, and what torch makes of `int(x)` and its kind."""
 
-PRIM_OPERATORS = frozenset(
-    """
+_QUESTIONS = """
     NumToTensor RaiseException abs data device dtype is_cpu is_cuda is_nested is_quantized is_sparse
     itemsize layout max min ndim requires_grad shape type unchecked_unwrap_optional
-    """.split()
-)
+"""
+PRIM_OPERATORS = frozenset(_QUESTIONS.split())
 """What a script may call as `ops.prim.NAME`: questions to tensors, and how it fails."""
 
-STRUCTURE = frozenset(
-    """
+_STRUCTURE = """
     CallFunction CallMethod Constant CreateObject DictConstruct Enter Exit GetAttr If
     ListConstruct ListUnpack Loop SetAttr TupleConstruct TupleIndex TupleSlice TupleUnpack
     Uninitialized isinstance tolist unchecked_cast
-    """.split()
-)
+"""
+STRUCTURE = frozenset(_STRUCTURE.split())
 """What a compiled script is made of besides calls, in torch's namespace `prim`."""
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.kind import file_kind, kind_said
 from nw_eval.policies.safety.limits import Limits
-from nw_eval.policies.safety.members import SCRIPT_MEMBERS, canonical, check_members
+from nw_eval.policies.safety.members import SCRIPT_MEMBERS, canonical
 from nw_eval.policies.safety.objects import read_index
-from nw_eval.policies.safety.script import GUARDS, Definitions, check_type, rewrite
+from nw_eval.policies.safety.script import check_type, rewrite
+from nw_eval.policies.safety.script_body import GUARDS
+from nw_eval.policies.safety.script_words import Definitions
 from nw_eval.policies.safety.tensors import check_references, checked_tree, leaves
 
 _GUARDS_MEMBER = f"code/{GUARDS.replace('.', '/')}.py"
@@ -70,6 +73,7 @@ def _check_classes(names: frozenset[str], known: Definitions, where: str) -> Non
     for name in sorted(names):
         if known.kinds.get(name) != "class":
             raise PolicyError(
-                f"{where}: it has an object of `{name[:80]}`, a class that its code does not define",
+                f"{where}: it has an object of `{clean(name, at_most=80)}`, a class that "
+                "its code does not define",
                 fix="export the plain network, without custom classes",
             )
