@@ -182,6 +182,16 @@ class Collecting(torch.nn.Module):
         return x
 
 
+def test_an_object_without_an_attribute_of_its_class_is_refused(tmp_path):
+    source, damaged = zipfile.ZipFile(io.BytesIO(scripted(Doubling()))), io.BytesIO()
+    with zipfile.ZipFile(damaged, "w") as target:
+        for name in source.namelist():
+            # Torch meets this with an IndexError.
+            target.writestr(name, source.read(name).replace(b"\x08\0\0\0training", b"\x01\0\0\0t"))
+    with pytest.raises(PolicyError, match="not a usable TorchScript file"):
+        open_policy(bundle_of(tmp_path, damaged.getvalue()))
+
+
 def test_a_recurrent_script_is_reset_saved_and_restored(tmp_path):
     policy = open_policy(bundle_of(tmp_path, scripted(Counting())))
     observation = {"body": np.ones(12, np.float32)}

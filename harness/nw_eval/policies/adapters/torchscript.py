@@ -109,7 +109,7 @@ def _open(bundle: Bundle) -> Any:
         module = inner.import_ir_module_from_buffer(unit, data, torch.device("cpu"), {}, False)
         check_compiled(unit, where)
         module = recursive.wrap_cpp_module(module)
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise PolicyError(
             f"{where}: not a usable TorchScript file: {clean(error, at_most=300)}",
             fix="save it with torch.jit.save",

@@ -71,7 +71,7 @@ class Archive:
             return self.zip.read(self.root + name)
         except ZIP_FAULTS as error:
             raise PolicyError(
-                f"{self.where}: {name!r} is damaged: {error}",
+                f"{self.where}: {name!r} is damaged: {clean(error, at_most=200)}",
                 fix="copy or download the file again",
             ) from None
 
@@ -99,7 +99,7 @@ def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archi
         members = archive.infolist()
     except ZIP_FAULTS as error:
         raise PolicyError(
-            f"{where}: not an archive, or a truncated one: {error}",
+            f"{where}: not an archive, or a truncated one: {clean(error, at_most=200)}",
             fix="copy or download the file again",
         ) from None
     if len(members) > limits.members:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.limits import Limits
 
@@ -152,12 +153,13 @@ def read_index(index: bytes, where: str, limits: Limits | None = None) -> Index:
         tree = machine.result()
     except _RefusedError as error:
         raise PolicyError(
-            f"{where}: the file {error}; weights do not need that, so it is not opened",
+            f"{where}: the file {clean(error, at_most=200)}; weights do not need that, so it is not "
+            "opened",
             fix="do not use this file, or save the plain state dict where you trust it",
         ) from None
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         raise PolicyError(
-            f"{where}: the index of the file is damaged: {error}",
+            f"{where}: the index of the file is damaged: {clean(error, at_most=200)}",
             fix="copy or download the file again",
         ) from None
     return Index(
