@@ -1,18 +1,24 @@
 """A log may be a stranger's, and the card beside it too: a replay does what its caller allowed."""
 
+import hashlib
 import json
 import socket
+import sys
+from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
-from nw_eval import api
+from nw_eval import api, cli
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
 from nw_eval.policies.serve import serving
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
 from nw_eval.rollout.replay import replay
 from nw_eval.scenes import get_scene
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "hostile"))
+from torchscript import CRAFTED
 
 HEAD = """\
 nw-policy: 1
@@ -102,3 +108,33 @@ def test_a_device_in_place_of_weights_is_not_read(forge, tmp_path):
     (tmp_path / "policy.yaml").write_text(HEAD + BODY + "adapter: onnx\n" + weights)
     with pytest.raises(PolicyError, match="/dev/null: the checkpoint is no file"):
         replay(log)
+
+
+CRAFTED_CARD = (
+    HEAD
+    + """\
+adapter: torchscript
+checkpoint: {file: policy.pt, sha256: %s}
+observations: {body: {sensor: proprio, terms: [joint_pos]}}
+"""
+)
+
+
+@pytest.mark.parametrize("door", ["replay", "check", "run"])
+def test_no_door_opens_a_script_that_writes_while_it_is_opened(
+    door, forge, tmp_path, monkeypatch, capsys
+):
+    data = CRAFTED["saves a file while it is opened, hidden by case"]()
+    (tmp_path / "policy.pt").write_bytes(data)
+    log = forge(CRAFTED_CARD % hashlib.sha256(data).hexdigest())
+    monkeypatch.chdir(tmp_path)
+    arguments = {
+        "replay": ["replay", str(log)],
+        "check": ["policies", "check", str(tmp_path)],
+        "run": ["run", "smoke", "-p", str(tmp_path), "--out", str(tmp_path / "out")],
+    }
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments[door])
+    assert ended.value.code == 2
+    assert "has a member 'CODE/__torch__/" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("ran"))

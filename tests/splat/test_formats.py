@@ -219,6 +219,19 @@ def test_checkpoints_that_claim_more_than_they_hold_are_refused(tmp_path):
         read_splat(tmp_path / "packed.pt")
 
 
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [("a/DATA.PKL", "member 'DATA.PKL'"), ("b/data/0", "members of several"), ("a/x", "'x'")],
+)
+def test_a_checkpoint_that_two_readers_may_read_as_two_is_refused(tmp_path, odd, said):
+    torch.save(_checkpoint(cloud(4)), tmp_path / "a.pt")
+    read_splat(tmp_path / "a.pt")
+    with zipfile.ZipFile(tmp_path / "a.pt", "a") as archive:
+        archive.writestr(odd, b"")
+    with pytest.raises(SceneError, match=said):
+        read_splat(tmp_path / "a.pt")
+
+
 def test_a_nerfstudio_export_comes_back_in_the_frame_of_the_capture(tmp_path):
     gaussians = cloud(300)
     rotation = look_at((0, 0, 0), (1, 2, -0.5))[:3, :3]

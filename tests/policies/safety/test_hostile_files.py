@@ -131,6 +131,10 @@ HOSTILE = {
         lambda: torch_file(b"\x80\x02csubprocess\nPopen\n)\x81."),
         "makes an object of subprocess.Popen",
     ),
+    "class whose name repaints a terminal": (
+        lambda: torch_file(b"\x80\x02c\x1b[31m\n::error::x\n)\x81."),
+        r"makes an object of \\x1b\[31m\.::error::x",
+    ),
     "bare pickle": (lambda: call("posix", "system", "touch ran"), "bare pickle"),
     "storage of 100 GB": (
         lambda: torch_file(index(count=25_000_000_000, shape=(25_000_000_000,))),

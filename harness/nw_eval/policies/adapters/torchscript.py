@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import re
-import warnings
-import zipfile
-from pathlib import PurePosixPath
+from importlib import import_module
 from typing import Any
 
 import torch
 
 from nw_eval.arrays import pack
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.adapters.script_state import (
     read_state,
@@ -19,14 +16,12 @@ from nw_eval.policies.adapters.script_state import (
     state_slots,
     write_state,
 )
-from nw_eval.policies.bundle import SIZE_LIMIT, Bundle
+from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
 from nw_eval.policies.safety import check_torchscript
-
-# All operators of TorchScript that read or write files; a script may run while it is loaded.
-_FILE_OPERATORS = re.compile(rb"\b(save|from_file|load_tensor)\b")
+from nw_eval.policies.safety.compiled import check_compiled
 
 
 class TorchScriptPolicy:
@@ -35,9 +30,9 @@ class TorchScriptPolicy:
     Buffers, and whatever else its code writes to, are its recurrent state, as rsl_rl exports it:
     a trial begins with what the file holds of them.
 
-    `torch.jit.load` reads TorchScript only: no Python pickle of the file is executed, and files
-    whose script names one of the few operators that touch the disk are refused unread. Inputs are
-    passed in the order of the card's `inputs`.
+    Torch reads an archive that was written anew from what `safety` understood: no pickle of the
+    file is executed, its script calls operators of a list only, and nothing of it runs while it is
+    opened. Inputs are passed in the order of the card's `inputs`.
     """
 
     inputs: tuple[InputSpec, ...] = ()
@@ -66,8 +61,8 @@ class TorchScriptPolicy:
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)
-        except RuntimeError as error:
-            reason = str(error).strip().splitlines()[-1]
+        except (RuntimeError, torch.jit.Error) as error:
+            reason = clean(str(error).strip().splitlines()[-1])
             fix = "export it in float32: module.float()" if "dtype" in reason else None
             raise TrialError(f"policy {self._name!r} failed: {reason}", fix=fix) from error
         if isinstance(raw, tuple | list):
@@ -104,59 +99,20 @@ class TorchScriptPolicy:
 
 
 def _open(bundle: Bundle) -> Any:
-    data = bundle.read_checkpoint()
-    _check_archive(data, bundle)
-    check_torchscript(data, str(bundle.checkpoint))
+    where = str(bundle.checkpoint)
+    data = check_torchscript(bundle.read_checkpoint(), where)
+    # What torch.jit.load does, but for the look at the compiled code in between.
+    inner: Any = import_module("torch._C")
+    recursive: Any = import_module("torch.jit._recursive")
+    unit = inner.CompilationUnit()
     try:
-        with warnings.catch_warnings():
-            # torch recommends torch.export for new files; the ones that people have are these.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            module = torch.jit.load(io.BytesIO(data), map_location="cpu")
-    except (RuntimeError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0]
+        module = inner.import_ir_module_from_buffer(unit, data, torch.device("cpu"), {}, False)
+        check_compiled(unit, where)
+        module = recursive.wrap_cpp_module(module)
+    except (RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise PolicyError(
-            f"{bundle.checkpoint}: not a usable TorchScript file: {reason}",
+            f"{where}: not a usable TorchScript file: {clean(error, at_most=300)}",
             fix="save it with torch.jit.save",
         ) from None
     module.eval()
     return module
-
-
-def _check_archive(data: bytes, bundle: Bundle) -> None:
-    """Refuse archives that are no TorchScript, or unpack to too much, or reach for files."""
-
-    def refuse(what: str, fix: str) -> PolicyError:
-        return PolicyError(f"{bundle.checkpoint}: {what}", fix=fix)
-
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(data))
-        members = archive.infolist()
-    except zipfile.BadZipFile:
-        raise refuse("not a TorchScript file: it is no archive", "use torch.jit.save") from None
-    unpacked = sum(member.file_size for member in members)
-    if unpacked > SIZE_LIMIT:
-        raise refuse(
-            f"the archive unpacks to {unpacked / 2**20:.0f} MiB, over the limit of "
-            f"{SIZE_LIMIT // 2**20}",
-            "save the actor alone",
-        )
-    for member in members:
-        path = PurePosixPath(member.filename)
-        if path.is_absolute() or ".." in path.parts:
-            raise refuse(f"the archive has the member {member.filename!r}", "do not use this file")
-    names = [PurePosixPath(member.filename).name for member in members]
-    if "constants.pkl" not in names or "model.json" in names:
-        raise refuse(
-            "not a TorchScript file: it holds a state dict or other objects",
-            "save the module with torch.jit.save",
-        )
-    for member in members:
-        if "code" not in PurePosixPath(member.filename).parts:
-            continue
-        found = _FILE_OPERATORS.search(archive.read(member))
-        if found is not None:
-            operator = found.group().decode()
-            raise refuse(
-                f"its script names the operator `{operator}`, which reads or writes files",
-                "do not use this file, or rename what is called so and save it again",
-            )

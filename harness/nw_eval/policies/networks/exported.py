@@ -18,8 +18,14 @@ import torch
 from torch import Tensor
 
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies.networks.operators import FACTORIES, OPERATORS
 from nw_eval.policies.safety import Archive, Limits, file_kind, open_archive, read_tensors
+from nw_eval.policies.safety.guards import GUARDED
+from nw_eval.policies.safety.operators import (
+    FACTORIES,
+    OPERATORS,
+    REFUSED_OVERLOADS,
+    may_run,
+)
 
 _STATIC = "export with fixed shapes and batch 1, without `dynamic_shapes`"
 _DTYPES = {
@@ -304,7 +310,9 @@ def _step(node: dict[str, Any], where: str) -> _Step:
     target = str(node["target"])
     prefix, _, rest = target.partition("torch.ops.aten.")
     name, _, overload = rest.partition(".")
-    if prefix or name.removesuffix("_") not in OPERATORS or not overload.isidentifier():
+    form = f"{name}.{overload}"
+    allowed = may_run(name, OPERATORS) and form not in REFUSED_OVERLOADS
+    if prefix or not allowed or not overload.isidentifier():
         raise PolicyError(
             f"{where}: the graph calls {target[:80]!r}, which is not among the operators that may "
             "run",
@@ -314,7 +322,7 @@ def _step(node: dict[str, Any], where: str) -> _Step:
     if name in FACTORIES:
         arguments["device"] = _device
     return _Step(
-        operator=getattr(getattr(torch.ops.aten, name), overload),
+        operator=GUARDED.get(form) or getattr(getattr(torch.ops.aten, name), overload),
         name=name,
         arguments=arguments,
         outputs=tuple(_output(output, where) for output in node["outputs"]),

@@ -6,8 +6,15 @@ fails is a `PolicyError` that says what the file is and how to export it.
 
     kind        what a file is, by its first bytes and its members
     archive     members of a zip file: names, numbers, sizes, compression
+    members     which of them a torch archive may have, and the archive written anew
     objects     the index of a torch file, read without pickle
     tensors     the tensors of a torch or safetensors file
+    operators   what graphs and scripts may call
+    guards      checks in front of operators that do not check their arguments
+    script      the code of a TorchScript file, checked and written anew; its functions in
+                script_body, names and types in script_words
+    script_file a whole TorchScript file, checked and written anew
+    compiled    what torch made of it, looked at again
     onnx_file   the tensors of an ONNX file
 """
 
@@ -15,9 +22,9 @@ from nw_eval.policies.safety.archive import Archive, open_archive
 from nw_eval.policies.safety.kind import FileKind, file_kind
 from nw_eval.policies.safety.limits import Limits
 from nw_eval.policies.safety.onnx_file import check_onnx
+from nw_eval.policies.safety.script_file import check_torchscript
 from nw_eval.policies.safety.tensors import (
     TensorFacts,
-    check_torchscript,
     read_tensors,
     tensor_facts,
     tensors_below,

@@ -10,6 +10,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.limits import Limits
 
@@ -70,7 +71,7 @@ class Archive:
             return self.zip.read(self.root + name)
         except ZIP_FAULTS as error:
             raise PolicyError(
-                f"{self.where}: {name!r} is damaged: {error}",
+                f"{self.where}: {name!r} is damaged: {clean(error, at_most=200)}",
                 fix="copy or download the file again",
             ) from None
 
@@ -98,7 +99,7 @@ def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archi
         members = archive.infolist()
     except ZIP_FAULTS as error:
         raise PolicyError(
-            f"{where}: not an archive, or a truncated one: {error}",
+            f"{where}: not an archive, or a truncated one: {clean(error, at_most=200)}",
             fix="copy or download the file again",
         ) from None
     if len(members) > limits.members:
@@ -107,16 +108,21 @@ def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archi
             fix="export the actor alone",
         )
     seen: set[str] = set()
+    folded: set[str] = set()
     for member in members:
         fault = _fault(member, limits)
         if member.filename in seen:
             fault = "comes twice, so that readers may differ about it"
+        elif member.filename.casefold() in folded:
+            # Torch's reader ignores case, Python's does not.
+            fault = "comes twice but for its case, so that readers may differ about it"
         if fault is not None:
             raise PolicyError(
-                f"{where}: the archive's member {member.filename!r} {fault}",
+                f"{where}: the archive's member {clean(member.filename, at_most=200)!r} {fault}",
                 fix="do not use this file; export the policy again",
             )
         seen.add(member.filename)
+        folded.add(member.filename.casefold())
     unpacked = sum(member.file_size for member in members)
     if unpacked > limits.unpacked_bytes:
         raise PolicyError(

@@ -6,6 +6,7 @@ import io
 import zipfile
 from typing import Literal
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.archive import ZIP_FAULTS
 
@@ -77,7 +78,7 @@ def _archive_kind(data: bytes, where: str) -> FileKind:
         names = zipfile.ZipFile(io.BytesIO(data)).namelist()
     except ZIP_FAULTS as error:
         raise PolicyError(
-            f"{where}: the archive is truncated or damaged: {error}",
+            f"{where}: the archive is truncated or damaged: {clean(error, at_most=200)}",
             fix="copy or download the file again",
         ) from None
     leaves = {name.split("/", 1)[-1] for name in names}

@@ -9,10 +9,12 @@ tensors needs, and calls nothing: a tensor becomes a `TensorRef`, an object of a
 from __future__ import annotations
 
 import pickletools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.limits import Limits
 
@@ -77,6 +79,23 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Index:
+    """All that an index describes, whether or not its result still holds it.
+
+    Torch makes a tensor of every description, also of one that is then thrown away.
+    """
+
+    tree: Any
+    """Dicts, lists, tuples, strings, numbers, None, `TensorRef`, `Record`, `Opaque`."""
+    storages: tuple[StorageRef, ...]
+    tensors: tuple[TensorRef, ...]
+    classes: frozenset[str]
+    """Of all `Record`s."""
+    types: frozenset[str]
+    """Types that lists and dicts of a script are marked with."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Opaque:
     """A harmless value that is of no use here, such as a NumPy scalar."""
 
@@ -88,8 +107,9 @@ _OPAQUE = {
     "numpy.core.multiarray.scalar",
     "numpy._core.multiarray.scalar",
     "numpy.dtype",
-    "torch.device",
 }
+# `meta` has no numbers: an operator on such a tensor reads memory of somebody else's.
+_DEVICE = re.compile(r"(?!meta)[a-z]+(:[0-9]+)?")
 # How TorchScript writes lists with the type of their elements: the list is the first argument.
 _SCRIPT_LISTS = {
     "torch.jit._pickle.restore_type_tag",
@@ -111,27 +131,44 @@ def read_objects(index: bytes, where: str, limits: Limits | None = None) -> Any:
         limits: bounds; the index is at most `index_bytes` long.
 
     Returns:
-        dicts, lists, tuples, strings, numbers, None, `TensorRef`, `Record`, `Opaque`.
+        Index.tree
 
     Raises:
         PolicyError: the index is damaged, or asks to call a function.
+    """
+    return read_index(index, where, limits).tree
+
+
+def read_index(index: bytes, where: str, limits: Limits | None = None) -> Index:
+    """Return what `read_objects` does, and all that was described on the way.
+
+    Raises:
+        PolicyError: as `read_objects`.
     """
     limits = limits or Limits()
     machine = _Machine()
     try:
         for opcode, argument, _ in pickletools.genops(index):
             _instruction(opcode.name)(machine, argument)
-        return machine.result()
+        tree = machine.result()
     except _RefusedError as error:
         raise PolicyError(
-            f"{where}: the file {error}; weights do not need that, so it is not opened",
+            f"{where}: the file {clean(error, at_most=200)}; weights do not need that, so it is not "
+            "opened",
             fix="do not use this file, or save the plain state dict where you trust it",
         ) from None
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         raise PolicyError(
-            f"{where}: the index of the file is damaged: {error}",
+            f"{where}: the index of the file is damaged: {clean(error, at_most=200)}",
             fix="copy or download the file again",
         ) from None
+    return Index(
+        tree=tree,
+        storages=tuple(machine.storages),
+        tensors=tuple(machine.tensors),
+        classes=frozenset(machine.classes),
+        types=frozenset(machine.types),
+    )
 
 
 class _Machine:
@@ -141,6 +178,10 @@ class _Machine:
         self.stack: list[Any] = []
         self.memo: dict[int, Any] = {}
         self.done = False
+        self.storages: list[StorageRef] = []
+        self.tensors: list[TensorRef] = []
+        self.classes: set[str] = set()
+        self.types: set[str] = set()
 
     def push(self, value: Any) -> None:
         self.stack.append(value)
@@ -195,13 +236,19 @@ class _Machine:
         arguments, function = self.pop(), self.pop()
         if not isinstance(function, Global) or not isinstance(arguments, tuple):
             raise _RefusedError("calls a computed value")
-        self.push(_call(function.name, arguments))
+        result = _call(function.name, arguments)
+        if isinstance(result, TensorRef):
+            self.tensors.append(result)
+        if function.name in _SCRIPT_LISTS:
+            self.types |= {str(kind) for kind in arguments[1:]}
+        self.push(result)
 
     def new_object(self) -> None:
         self.pop()
         cls = self.pop()
         if not isinstance(cls, Global) or not cls.name.startswith("__torch__."):
             raise _RefusedError(f"makes an object of {getattr(cls, 'name', 'a computed class')}")
+        self.classes.add(cls.name)
         self.push(Record(name=cls.name))
 
     def build(self) -> None:
@@ -216,11 +263,14 @@ class _Machine:
 
     def storage(self) -> None:
         match self.pop():
-            case ("storage", Global(name=name), key, _, int() as count) if count >= 0:
+            case ("storage", Global(name=name), key, str() as device, int() as count) if (
+                count >= 0 and _DEVICE.fullmatch(device)
+            ):
                 dtype = STORAGES.get(name.removeprefix("torch."))
                 if dtype is None:
                     raise _RefusedError(f"has numbers of the type {name}")
-                self.push(StorageRef(key=str(key), dtype=dtype, count=count))
+                self.storages.append(StorageRef(key=str(key), dtype=dtype, count=count))
+                self.push(self.storages[-1])
             case other:
                 raise _RefusedError(f"refers to {str(other)[:80]} outside itself")
 
@@ -242,6 +292,8 @@ def _call(name: str, arguments: tuple[Any, ...]) -> Any:
             return tuple(size)
         case _ if name in _SCRIPT_LISTS and arguments:
             return arguments[0]
+        case "torch.device", (str() as device, *_) if _DEVICE.fullmatch(device):
+            return Opaque(name=name)
         case _ if name in _OPAQUE:
             return Opaque(name=name)
         case _:
@@ -255,6 +307,8 @@ def _integers(values: Any) -> tuple[int, ...]:
 
 
 def _put(machine: _Machine, argument: Any) -> None:
+    if int(argument) > len(machine.memo):  # Torch would make room for all places before it.
+        raise ValueError("a place in its memory that is out of order")
     machine.memo[int(argument)] = machine.stack[-1]
 
 

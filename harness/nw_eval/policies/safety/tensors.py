@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,15 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.archive import Archive, open_archive
 from nw_eval.policies.safety.kind import file_kind, kind_said
 from nw_eval.policies.safety.limits import Limits
-from nw_eval.policies.safety.objects import ITEM_BYTES, Record, TensorRef, read_objects
+from nw_eval.policies.safety.members import SCRIPT_MEMBERS, STATE_MEMBERS, check_members
+from nw_eval.policies.safety.objects import (
+    ITEM_BYTES,
+    Index,
+    Record,
+    StorageRef,
+    TensorRef,
+    read_index,
+)
 from nw_eval.policies.safety.safetensors import read_header
 
 if TYPE_CHECKING:
@@ -40,10 +49,11 @@ def tensor_facts(data: bytes, where: str, limits: Limits | None = None) -> tuple
     if file_kind(data, where) == "safetensors":
         entries = read_header(data, where, limits)
         return tuple(TensorFacts(name=e.name, shape=e.shape, dtype=e.dtype) for e in entries)
-    _, tree = _checked_tree(data, where, limits)
+    scripted = file_kind(data, where) == "torchscript"
+    _, index = checked_tree(data, where, limits, SCRIPT_MEMBERS if scripted else STATE_MEMBERS)
     return tuple(
         TensorFacts(name=name, shape=ref.shape, dtype=ref.storage.dtype)
-        for name, ref in _leaves(tree, where, limits)
+        for name, ref in leaves(index.tree, where, limits)
     )
 
 
@@ -77,10 +87,10 @@ def read_tensors(data: bytes, where: str, limits: Limits | None = None) -> dict[
             f"{where}: not a state dict: {kind_said(kind)}",
             fix="save one with torch.save(module.state_dict(), file), or change `adapter`",
         )
-    archive, tree = _checked_tree(data, where, limits)
+    archive, index = checked_tree(data, where, limits, STATE_MEMBERS)
     storages: dict[str, torch.Tensor] = {}
     result: dict[str, torch.Tensor] = {}
-    for name, ref in _leaves(tree, where, limits):
+    for name, ref in leaves(index.tree, where, limits):
         storage = ref.storage
         if storage.key not in storages:
             storages[storage.key] = _tensor(archive.read(f"data/{storage.key}"), storage.dtype)
@@ -98,46 +108,64 @@ def tensors_below(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str,
     }
 
 
-def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> None:
-    """Check a TorchScript file as far as it can be without running it.
+def checked_tree(
+    data: bytes, where: str, limits: Limits, members: re.Pattern[str]
+) -> tuple[Archive, Index]:
+    """Open a torch archive and read its index; all its tensors lie in the file.
 
-    Its members, their sizes, and that every tensor lies inside the numbers that the file holds:
-    `torch.jit.load` itself would allocate whatever a tensor's header asks for.
+    Args:
+        data: the whole file.
+        where: its path, for errors.
+        limits: bounds on sizes.
+        members: names that its members may have.
 
     Raises:
-        PolicyError: it is no TorchScript file, or fails a check.
+        PolicyError: a check fails.
     """
-    limits = limits or Limits()
-    kind = file_kind(data, where)
-    if kind != "torchscript":
-        raise PolicyError(
-            f"{where}: not a TorchScript file: {kind_said(kind)}",
-            fix="save the module with torch.jit.save, or change `adapter`",
-        )
-    archive, tree = _checked_tree(data, where, limits)
-    for _ in _leaves(tree, where, limits):
-        pass  # Walking them checks their number and their total size.
-    constants = read_objects(
-        archive.read("constants.pkl", at_most=limits.index_bytes), where, limits
-    )
-    for ref in _references(constants, where, limits):
-        _check_reference(ref[0], ref[1], archive, "constants")
-
-
-def _checked_tree(data: bytes, where: str, limits: Limits) -> tuple[Archive, Any]:
     archive = open_archive(data, where, limits)
+    check_members(archive, members)
     if archive.size("byteorder") is not None and archive.read("byteorder", at_most=64) != b"little":
         raise PolicyError(
             f"{where}: the numbers are big-endian", fix="save it on a little-endian machine"
         )
-    tree = read_objects(archive.read("data.pkl", at_most=limits.index_bytes), where, limits)
-    for name, ref in _references(tree, where, limits):
+    index = read_index(archive.read("data.pkl", at_most=limits.index_bytes), where, limits)
+    for name, ref in _references(index.tree, where, limits):
         _check_reference(name, ref, archive, "data")
-    return archive, tree
+    return archive, index
 
 
-def _leaves(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
-    """Give every tensor with its name, and stop where they are too many or too large."""
+def check_references(index: Index, archive: Archive, folder: str, limits: Limits) -> None:
+    """Check all tensors of an index, also those that its result no longer holds.
+
+    Args:
+        index: read from the archive.
+        archive: that holds their numbers.
+        folder: in which of its folders, `data` or `constants`.
+        limits: bounds on their sizes.
+
+    Raises:
+        PolicyError: the numbers of one are not in the file, or of all are too many.
+    """
+    taken = 0
+    for storage in index.storages:
+        _check_storage("a tensor", storage, archive, folder)
+        taken += storage.count * ITEM_BYTES[storage.dtype]
+    if taken > limits.tensor_bytes or len(index.tensors) > limits.tensors:
+        raise PolicyError(
+            f"{archive.where}: the file has {len(index.tensors)} tensors of {_size(taken)}, over "
+            "the limit",
+            fix="save the actor alone, without optimiser state",
+        )
+    for ref in index.tensors:
+        _check_reference("a tensor", ref, archive, folder)
+
+
+def leaves(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
+    """Give every tensor with its name, and stop where they are too many or too large.
+
+    Raises:
+        PolicyError: they are.
+    """
     total = 0
     for name, ref in _references(tree, where, limits):
         total += _bytes(ref)
@@ -182,6 +210,18 @@ def _items(value: Any) -> Iterator[tuple[Any, Any]]:
 def _check_reference(name: str, ref: TensorRef, archive: Archive, folder: str) -> None:
     """Check that a tensor lies inside its storage and the storage inside the file."""
     where, storage = archive.where, ref.storage
+    _check_storage(f"tensor {name!r}", storage, archive, folder)
+    negative = min((*ref.shape, *ref.strides, ref.offset), default=0) < 0
+    last = ref.offset + sum((n - 1) * s for n, s in zip(ref.shape, ref.strides, strict=True))
+    if negative or (0 not in ref.shape and last >= storage.count):
+        raise PolicyError(
+            f"{where}: tensor {name!r} of shape {ref.shape} reaches outside the "
+            f"{storage.count} numbers that the file holds for it",
+            fix="the file is damaged or forged: export the policy again",
+        )
+
+
+def _check_storage(what: str, storage: StorageRef, archive: Archive, folder: str) -> None:
     stored = archive.size(f"{folder}/{storage.key}")
     if folder == "data" and stored is None:  # TorchScript keeps shared constants elsewhere.
         stored = archive.size(f"constants/{storage.key}")
@@ -189,15 +229,7 @@ def _check_reference(name: str, ref: TensorRef, archive: Archive, folder: str) -
     if stored is None or stored != claimed:
         have = "nothing" if stored is None else f"{stored} bytes"
         raise PolicyError(
-            f"{where}: tensor {name!r} claims {_size(claimed)}, the file holds {have} for it",
-            fix="the file is damaged or forged: export the policy again",
-        )
-    negative = min((*ref.shape, *ref.strides, ref.offset), default=0) < 0
-    last = ref.offset + sum((n - 1) * s for n, s in zip(ref.shape, ref.strides, strict=True))
-    if negative or (0 not in ref.shape and last >= storage.count):
-        raise PolicyError(
-            f"{where}: tensor {name!r} of shape {ref.shape} reaches outside the "
-            f"{storage.count} numbers that the file holds for it",
+            f"{archive.where}: {what} claims {_size(claimed)}, the file holds {have} for it",
             fix="the file is damaged or forged: export the policy again",
         )
 

@@ -6,6 +6,7 @@ Keys means (N, 3), scales (N, 3) logarithms, quats (N, 4) w x y z, opacities (N,
 
 from __future__ import annotations
 
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.clean import clean
 from nw_eval.errors import PrerequisiteError, SceneError
 from nw_eval.splat.gaussians import Gaussians
 
 _KEYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 _FIX = "give a checkpoint of gsplat's simple_trainer"
+_MEMBERS = re.compile(
+    r"data\.pkl|data/[0-9]+|version|byteorder|\.format_version|\.storage_alignment"
+    r"|\.data/serialization_id"
+)
+"""What torch.save writes, below one folder. Torch's reader ignores case: another one would not."""
 
 
 def read_gsplat_pt(path: Path) -> Gaussians:
@@ -56,7 +63,7 @@ def read_gsplat_pt(path: Path) -> Gaussians:
 
 
 def _check_archive(path: Path) -> None:
-    """Refuse archives that expand: torch stores its tensors uncompressed."""
+    """Refuse archives that expand, or that two readers may read as two: torch writes neither."""
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
@@ -65,6 +72,12 @@ def _check_archive(path: Path) -> None:
     stored = all(entry.compress_type == zipfile.ZIP_STORED for entry in entries)
     if not stored or sum(entry.file_size for entry in entries) > path.stat().st_size:
         raise SceneError(f"{path}: archive with compressed or overlapping entries", fix=_FIX)
+    roots = {entry.filename.partition("/")[0] for entry in entries}
+    names = [entry.filename.partition("/")[2] for entry in entries]
+    odd = [name for name in names if not _MEMBERS.fullmatch(name)]
+    if len(roots) != 1 or odd or len(set(names)) != len(names):
+        what = f"member {clean(odd[0], at_most=100)!r}" if odd else "members of several files"
+        raise SceneError(f"{path}: archive with {what}, as torch.save never writes it", fix=_FIX)
 
 
 def _array(path: Path, content: Any, key: str, tensor_type: type, size: int) -> NDArray[np.float32]:
