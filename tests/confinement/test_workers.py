@@ -46,6 +46,8 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
             "record": record,
         }
     )
+    if scene.splat is not None:
+        scene.splat_store()  # As a run does first: the cache is out of a worker's reach.
     plan = Plan(
         suite=suite,
         bundle=bundle,

@@ -153,8 +153,8 @@ def read_index(index: bytes, where: str, limits: Limits | None = None) -> Index:
         tree = machine.result()
     except _RefusedError as error:
         raise PolicyError(
-            f"{where}: the file {clean(error, at_most=200)}; weights do not need that, so it is not "
-            "opened",
+            f"{where}: the file {clean(error, at_most=200)}; weights do not need that, so it is "
+            "not opened",
             fix="do not use this file, or save the plain state dict where you trust it",
         ) from None
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
