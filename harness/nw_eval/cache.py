@@ -90,6 +90,16 @@ def check_private(folder: Path) -> None:
         )
 
 
+def sync_folder(folder: Path) -> None:
+    """Wait until a folder's list of names is on disk; systems that cannot do so are left alone."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
 @contextmanager
 def atomic_path(path: Path) -> Generator[Path]:
     """Give a temporary path beside `path`; rename it into place on success, remove it on failure.
@@ -112,6 +122,7 @@ def atomic_path(path: Path) -> Generator[Path]:
         with temporary.open("rb") as written:
             os.fsync(written.fileno())
         temporary.replace(path)
+        sync_folder(path.parent)
     except BaseException as error:
         if temporary is not None:
             temporary.unlink(missing_ok=True)

@@ -149,16 +149,6 @@ def test_a_start_that_was_cut_off_is_no_journal_and_can_be_started_again(
     assert read_journal(path).rows == (make_row(),)
 
 
-def test_a_journal_that_is_removed_while_it_is_written_is_told(
-    path: Path, make_row: Callable[..., Row]
-) -> None:
-    with Journal.create(path, HEADER) as journal:
-        journal.append(make_row(trial_id="t0"))
-        path.unlink()
-        with pytest.raises(StoreError, match="it was removed while the run went on"):
-            journal.append(make_row(trial_id="t1"))
-
-
 def test_an_empty_or_missing_journal_says_so(path: Path) -> None:
     with pytest.raises(StoreError, match="no journal at"):
         read_journal(path)

@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
-from nw_eval.errors import StoreError
 from nw_eval.gate.verdict import Verdict
 from nw_eval.report.certainty import how_sure
 from nw_eval.report.headline import blind_spot, headline
@@ -55,14 +54,8 @@ def write_report(path: Path, text: str) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    try:
-        with atomic_path(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}",
-            fix="free disk space or choose another folder with --out",
-        ) from error
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def markdown_table(table: Table) -> str:

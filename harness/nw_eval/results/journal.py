@@ -16,13 +16,12 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from errno import ENOENT
 from pathlib import Path
 from typing import IO, Any, Self
 
+from nw_eval.cache import sync_folder
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.results.durable import sync_folder
 from nw_eval.results.row import Row, from_dict, to_dict
 from nw_eval.results.seal import seal, unseal
 
@@ -166,8 +165,6 @@ class Journal:
         line = sealed.encode()
         before = self._handle.tell()
         try:
-            if os.fstat(self._handle.fileno()).st_nlink == 0:
-                raise FileNotFoundError(ENOENT, "it was removed while the run went on")
             written = 0
             while written < len(line):
                 written += self._handle.write(line[written:])

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.results.durable import bounded_bytes, sync_folder
+from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.row import Row, from_dict, rows_digest, to_dict
 
 SCHEMA_VERSION = "1"
@@ -101,18 +101,11 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
     named = {f"nw.{key}": value for key, value in sorted(told.items())}
     schema = SCHEMA.with_metadata({**named, _SUM: _UNKNOWN})
     table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=schema)
-    try:
-        with atomic_path(path) as temporary:
-            # Fixed options, so that equal rows give equal bytes with one library version.
-            stream = pa.BufferOutputStream()
-            pq.write_table(table, stream, compression="zstd", version="2.6")
-            temporary.write_bytes(sealed(stream.getvalue().to_pybytes()))
-        sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}",
-            fix="free disk space or choose another folder with --out; the journal has every row",
-        ) from error
+    with atomic_path(path) as temporary:
+        # Fixed options, so that equal rows give equal bytes with one library version.
+        stream = pa.BufferOutputStream()
+        pq.write_table(table, stream, compression="zstd", version="2.6")
+        temporary.write_bytes(sealed(stream.getvalue().to_pybytes()))
 
 
 def sealed(data: bytes) -> bytes:

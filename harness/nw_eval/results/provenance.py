@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.results.durable import bounded_bytes, sync_folder
+from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal
 
 _MOST = 16 * 2**20
@@ -98,15 +98,8 @@ def write_run_info(path: Path, info: RunInfo) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    try:
-        with atomic_path(path) as temporary:
-            temporary.write_text(seal(info.model_dump_json(indent=2))[0], encoding="utf-8")
-        sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}",
-            fix="free disk space or choose another folder with --out",
-        ) from error
+    with atomic_path(path) as temporary:
+        temporary.write_text(seal(info.model_dump_json(indent=2))[0], encoding="utf-8")
 
 
 def read_run_info(path: Path) -> RunInfo:

@@ -96,13 +96,8 @@ def write_picture(picture: bytes, path: Path) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    try:
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(picture)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}", fix="choose another --out"
-        ) from error
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(picture)
 
 
 def _drawn(cells: list[tuple[str, list[Bytes]]], *, rows: int, across: int) -> bytes:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.cache import atomic_path
-from nw_eval.errors import StoreError
 from nw_eval.scenes.mesh import FACE_KINDS
 from nw_eval.scenes.scene import Scene
 
@@ -87,10 +86,5 @@ def draw_plan(scene: Scene, path: Path) -> None:
     axes.set_title(f"{scene.name}: {scene.title}", parse_math=False)
     axes.set(xlabel="x, m", ylabel="y, m")
     figure.colorbar(image, label="height of the ground, m", shrink=0.8)
-    try:
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error.strerror or error}", fix="choose another --out"
-        ) from error
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})

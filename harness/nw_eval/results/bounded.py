@@ -1,21 +1,9 @@
-"""What it takes for a file to survive a power cut."""
+"""Reads a file that may be anything: no device, no pipe, nothing larger than it may be."""
 
 from __future__ import annotations
 
-import os
 import stat
-from contextlib import suppress
 from pathlib import Path
-
-
-def sync_folder(folder: Path) -> None:
-    """Wait until a folder's list of names is on disk; systems that cannot do so are left alone."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def bounded_bytes(path: Path, most: int) -> bytes:
