@@ -103,8 +103,7 @@ def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
     assert [row.state_digest for row in forking.rows] == [row.state_digest for row in still.rows]
 
 
-def test_what_a_worker_started_ends_with_it(tiny_run, monkeypatch):
-    monkeypatch.setattr("nw_eval.engine.local.worker.start", os.setsid)
+def test_what_a_worker_started_ends_with_it(tiny_run):
     deed = "(self.folder / 'pid').write_text(str(subprocess.Popen(['sleep', '600']).pid))"
     run = tiny_run("parent", deed=deed, trials=1)
     outcome = run.go(workers=1)

@@ -60,7 +60,7 @@ def attempt(target, folder, allowed):
     """Read the input of a folder; return ("accepted" | "refused" | "finding", text)."""
     from nw_eval.errors import NwEvalError
 
-    acts = watch(str(folder), (folder, *allowed))
+    seen = watch(str(folder), (folder, *allowed))
     try:
         said = target.read(folder)
         found = ("accepted", "" if said is None else str(said))
@@ -79,6 +79,7 @@ def attempt(target, folder, allowed):
         frames = traceback.extract_tb(error.__traceback__)
         where = " < ".join(f"{Path(f.filename).name}:{f.lineno}" for f in frames[-1:-4:-1])
         found = ("finding", f"{type(error).__name__}: {str(error)[:200]} at {where}")
+    acts = [act for act in seen if not act.startswith(target.may)]
     return ("finding", "; ".join(acts)) if acts else found
 
 

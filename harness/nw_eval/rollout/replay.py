@@ -129,8 +129,7 @@ def replay(
             number.
         TrialError: the recorded state does not fit.
     """
-    if not 0.0 <= start < math.inf:
-        raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
+    check_start(start)
     library = library or Library()
     recording = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
@@ -148,6 +147,16 @@ def replay(
         differences=_differences(recording.verdict, as_metadata(result)),
         version_differences=_version_differences(recording.versions),
     )
+
+
+def check_start(start: float) -> None:
+    """Refuse what is no time in a trial.
+
+    Raises:
+        UsageError: it is negative or no number.
+    """
+    if not 0.0 <= start < math.inf:
+        raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
 
 
 def agreed(

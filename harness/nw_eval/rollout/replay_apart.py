@@ -11,7 +11,7 @@ from nw_eval.errors import PolicyError, UsageError
 from nw_eval.rollout.access import running_rules
 from nw_eval.rollout.isolated import call_isolated
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.replay import agreed, replay
+from nw_eval.rollout.replay import agreed, check_start, replay
 
 _TIME_LIMIT = 3600.0
 """Seconds; a trial of 12 s takes 5 to 30."""
@@ -44,6 +44,7 @@ def replay_apart(
         NwEvalError: as `replay`; the policy took more time or memory than it may.
         UsageError: CUDA must draw what it sees, and the caller does not allow code.
     """
+    check_start(start)
     library = Library()
     recording = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
