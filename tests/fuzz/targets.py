@@ -329,8 +329,9 @@ def _card(folder):
     from nw_eval.robots import get_robot
     from nw_eval.sensors import check_card
 
-    card = load_card(folder / "policy.yaml")
-    check_card(card, get_robot(card.robot))
+    path = folder / "policy.yaml"
+    card = load_card(path)
+    check_card(card, get_robot(card.robot), where=path)
 
 
 def _suite(folder):

@@ -133,7 +133,8 @@ def serve_policy(
         from nw_eval.sensors import check_card
 
         bundle = load_bundle(policy, checkpoint=checkpoint)
-        specs = check_card(bundle.card, code_from=bundle.folder if allow_code else None)
+        code_from = bundle.folder if allow_code else None
+        specs = check_card(bundle.card, where=bundle.card_path, code_from=code_from)
         shapes = {spec.name: spec.shape for spec in specs}
         if confined and not allow_code:
             fence_in_server(bundle)

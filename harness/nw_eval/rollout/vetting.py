@@ -51,7 +51,8 @@ def _asked(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
     from nw_eval.policies.adapters.remote import ask_server  # Not everybody has websockets.
 
     code_from = bundle.folder if allow_code else None
-    specs = check_card(bundle.card, get_robot(robot), code_from=code_from)
+    card = bundle.card_path
+    specs = check_card(bundle.card, get_robot(robot), where=card, code_from=code_from)
     served = ask_server(bundle)
     for spec in specs:
         wanted = served.shapes.get(spec.name, spec.shape)

@@ -38,7 +38,11 @@ class ObservationSpec:
 
 
 def check_card(
-    card: Card, robot: RobotSpec | None = None, *, code_from: Path | None = None
+    card: Card,
+    robot: RobotSpec | None = None,
+    *,
+    where: Path | None = None,
+    code_from: Path | None = None,
 ) -> tuple[ObservationSpec, ...]:
     """Check everything that a card says about a robot, without its checkpoint.
 
@@ -47,6 +51,7 @@ def check_card(
     Args:
         card: valid in itself.
         robot: the robot that the suite runs; None = the card's own.
+        where: the card's file, for errors; None = they say the policy's name.
         code_from: as for `build_sensors`.
 
     Returns:
@@ -56,10 +61,11 @@ def check_card(
         PolicyError: all problems, one line each: another robot, unknown joints or cameras, lists
             of wrong lengths, wrappers that do not fit, plug-ins that cannot be used.
     """
+    place = f"card {card.name!r}" if where is None else str(where)
     try:
         own = get_robot(card.robot)
     except UsageError as error:
-        raise PolicyError(f"card {card.name!r}: {error}") from None
+        raise PolicyError(f"{place}: {error}") from None
     if robot is not None and robot.name != card.robot:
         raise PolicyError(
             f"policy {card.name!r} drives the robot {card.robot!r}, the suite runs {robot.name!r}",
@@ -86,7 +92,7 @@ def check_card(
         else:
             specs.append(_observation_spec(name, observation, made))
     if problems:
-        raise PolicyError([f"card {card.name!r}: {problem}" for problem in problems])
+        raise PolicyError([f"{place}: {problem}" for problem in problems])
     return tuple(specs)
 
 
@@ -104,7 +110,8 @@ def check_bundle(
         PolicyError: as `check_card`; the checkpoint cannot be loaded; an input wants another
             number of values than the card makes; the checkpoint fails on an observation of zeros.
     """
-    specs = check_card(bundle.card, robot, code_from=bundle.folder if allow_code else None)
+    code_from = bundle.folder if allow_code else None
+    specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)
     shapes = {spec.name: spec.shape for spec in specs}
     policy = open_policy(bundle, allow_code=allow_code)
     try:

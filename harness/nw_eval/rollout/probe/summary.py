@@ -35,7 +35,7 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
     """
     card = load_card(path)
     robot = get_robot(card.robot)
-    specs = check_card(card, robot, code_from=path.parent if allow_code else None)
+    specs = check_card(card, robot, where=path, code_from=path.parent if allow_code else None)
     rows = [("observation", "term", "numbers", "as", "sampled")]
     for part in parts_of(card, robot, specs):
         spec = next(spec for spec in specs if spec.name == part.observation)
