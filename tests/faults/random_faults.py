@@ -105,6 +105,10 @@ class Case:
             return None, out, err
         return self.process.returncode, out, err
 
+    def parent(self):
+        """Return the process that was started, or none once its number may be another's."""
+        return [self.process.pid] if self.process.poll() is None else []
+
     def rows(self):
         try:
             return {row.trial_id: row for row in read_journal(self.journal).rows}
@@ -148,6 +152,7 @@ class Case:
 
 
 def send(pids, number, *, to_group=False):
+    """Send a signal to processes, or to the groups that they lead, if they are still there."""
     for pid in pids:
         try:
             (os.killpg if to_group else os.kill)(pid, number)
@@ -161,7 +166,7 @@ def hit_parent(number, *, to_group, longest=4.0):
     def hit(case):
         case.wait_until(case.listens)
         case.sleep(longest)
-        send([case.process.pid], number, to_group=to_group)
+        send(case.parent(), number, to_group=to_group)
 
     return hit
 
@@ -182,10 +187,10 @@ def stop_for_a_while(whom):
     def hit(case):
         case.wait_until(case.journal.exists if whom == "workers" else case.listens)
         case.sleep(3.0)
-        pids = case.workers() if whom == "workers" else [case.process.pid]
+        pids = case.workers() if whom == "workers" else case.parent()
         send(pids, signal.SIGSTOP, to_group=whom == "group")
         case.sleep(1.5)
-        send(pids, signal.SIGCONT, to_group=whom == "group")
+        send(pids, signal.SIGCONT, to_group=whom == "group")  # None has ended: they were stopped.
 
     return hit
 
@@ -194,7 +199,7 @@ def tear_the_journal(case):
     """Kill everything, and cut off a part of the last line, as a lost power supply may."""
     case.wait_until(lambda: case.journal.exists() and case.journal.read_bytes().count(b"\n") > 1)
     case.sleep(1.0)
-    send([case.process.pid], signal.SIGKILL, to_group=True)
+    send(case.parent(), signal.SIGKILL, to_group=True)
     case.process.wait()
     if case.journal.exists():
         data = case.journal.read_bytes()
