@@ -270,7 +270,7 @@ def undisturbed(work, policy, record):
     (work / "suite.yaml").write_text(SUITE.format(policy=policy, record=record))
     case = Case(work=work, draw=random.Random(0))
     # Compiling takes longer than all else; where kernels are compiled already, they are taken.
-    shutil.copytree(cache_dir("numba"), case.cache / "numba")
+    shutil.copytree(cache_dir("kernels"), case.cache / "kernels")
     case.start(str(work / "suite.yaml"), "--out", str(case.folder))
     code, out, err = case.end()
     assert code == VERDICT, (code, out, err)
