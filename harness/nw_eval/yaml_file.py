@@ -6,10 +6,12 @@ numbers, booleans, null, lists and mappings, and every duplicate key is found, n
 
 from __future__ import annotations
 
+import re
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,6 +30,10 @@ _SIZE_LIMIT = 1_000_000  # Bytes; a suite or a card is a few thousand.
 _VALUE_LIMIT = 50_000  # Values after aliases are expanded: a few nested aliases can mean billions.
 _KEY_LIMIT = 200  # Characters.
 _DEPTH_LIMIT = 40  # Levels; a list that holds itself has no end.
+_OPEN_LIMIT = 200
+"""Brackets open at once; the time that the YAML library takes grows with their square."""
+_UNREAD = re.compile(r"""(?:^|(?<=\s))#.*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'""", re.MULTILINE)
+"""Comments and quoted texts, whose brackets open nothing."""
 _PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq")
 }
@@ -101,21 +107,10 @@ def read_yaml(path: Path) -> YamlFile:
         YamlProblems: the file is missing, unreadable, no YAML, no mapping, or has duplicate keys.
     """
     file = str(path)
-
-    def fail(message: str, fix: str, line: int = 1, column: int = 1) -> YamlProblems:
-        return YamlProblems(
-            [Problem(file=file, line=line, column=column, message=message, fix=fix)]
-        )
-
-    try:
-        if path.stat().st_size > _SIZE_LIMIT:
-            raise fail("the file is over 1 MB", "is this the file you meant?")
-        text = path.read_bytes().decode("utf-8")
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise fail(f"cannot be read: {reason}", "check the path") from None
-    except UnicodeDecodeError as error:
-        raise fail(f"is not UTF-8 text (byte {error.start})", "save it as UTF-8") from None
+    fail = partial(_fault, file)
+    text = _text(path, fail)
+    if (place := _too_deep(text)) is not None:
+        raise fail(f"over {_OPEN_LIMIT} brackets are open here", "nest less", *place)
     try:
         root = cast("Node | None", YAML(typ="safe", pure=True).compose(text))
     except MarkedYAMLError as error:
@@ -135,6 +130,33 @@ def read_yaml(path: Path) -> YamlFile:
     if reader.problems:
         raise YamlProblems(sorted(reader.problems, key=lambda p: (p.line, p.column)), read)
     return read
+
+
+def _fault(file: str, message: str, fix: str, line: int = 1, column: int = 1) -> YamlProblems:
+    return YamlProblems([Problem(file=file, line=line, column=column, message=message, fix=fix)])
+
+
+def _text(path: Path, fail: Callable[[str, str], YamlProblems]) -> str:
+    try:
+        if path.stat().st_size > _SIZE_LIMIT:
+            raise fail("the file is over 1 MB", "is this the file you meant?")
+        return path.read_bytes().decode("utf-8")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise fail(f"cannot be read: {reason}", "check the path") from None
+    except UnicodeDecodeError as error:
+        raise fail(f"is not UTF-8 text (byte {error.start})", "save it as UTF-8") from None
+
+
+def _too_deep(text: str) -> Place | None:
+    """Return where too many brackets are open at once, or None."""
+    depth = 0
+    for number, line in enumerate(_UNREAD.sub("", text).splitlines(), start=1):
+        for column, character in enumerate(line, start=1):
+            depth += (character in "[{") - (character in "]}" and depth > 0)
+            if depth > _OPEN_LIMIT:
+                return number, column
+    return None
 
 
 class _Reader:

@@ -188,7 +188,8 @@ def run(target, *, inputs=0, seed=1, keep=None, first=0, cases=None):
                 (folder / name).write_bytes(content)
             (word, text), seconds, memory = forked(target, folder, (world / "cache",))
             tally["inputs"] += 1
-            tally["seconds"] = max(tally["seconds"], round(seconds, 2))
+            if seconds > tally["seconds"]:
+                tally["seconds"], tally["slowest"] = round(seconds, 2), number
             tally["gigabytes"] = max(tally["gigabytes"], round(memory / 1e9, 2))
             if word == "finding":
                 tally["findings"].append({"number": number, "what": text[:600]})

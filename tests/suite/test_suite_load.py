@@ -242,3 +242,17 @@ def test_a_projects_own_suite_hides_the_shipped_one(tmp_path: Path) -> None:
     assert find_suite("hurdles", tmp_path) == own
     assert find_suite("smoke", tmp_path).name == "smoke.yaml"  # Shipped, no own one.
     assert find_suite("suites/hurdles.yaml", tmp_path) == own
+
+
+def test_too_many_open_brackets_are_told_with_their_place_and_quoted_ones_are_none(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_text("name: x\nscenes: " + "[" * 201 + "\n", encoding="utf-8")
+    with pytest.raises(SuiteError, match=r"suite\.yaml:2:209: over 200 brackets are open here"):
+        load_suite(path)
+    many = "[{" * 300
+    path.write_text(f"# {many}\nname: '{many}'\nrobot: \"{many}\"\n", encoding="utf-8")
+    with pytest.raises(SuiteError) as caught:
+        load_suite(path)
+    assert "brackets" not in str(caught.value)
