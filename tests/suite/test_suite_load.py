@@ -255,4 +255,4 @@ def test_too_many_open_brackets_are_told_with_their_place_and_quoted_ones_are_no
     path.write_text(f"# {many}\nname: '{many}'\nrobot: \"{many}\"\n", encoding="utf-8")
     with pytest.raises(SuiteError) as caught:
         load_suite(path)
-    assert "brackets" not in str(caught.value)
+    assert "are open here" not in str(caught.value)
