@@ -5,17 +5,19 @@ mutated, and how to read them. `read` raises an error of ours or returns; where 
 checksum, it raises `AcceptedError` if something was read that no seed holds.
 """
 
+import contextlib
 import io
 import itertools
 import json
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
 
 import numpy as np
 
-from nw_eval.errors import PolicyError
+from nw_eval.errors import PolicyError, PrerequisiteError
 
 CARD = """\
 nw-policy: 1
@@ -184,6 +186,8 @@ def _splat_files(folder):
     write_splat(folder / "a.splat", _cloud(degree=0))
     write_spz(folder / "two.spz", _cloud(), version=2)
     write_spz(folder / "three.spz", _cloud(), version=3)
+    with contextlib.suppress(PrerequisiteError):
+        write_spz(folder / "four.spz", _cloud(), version=4)
     cloud = _cloud()
     splats = {
         "means": cloud.means, "scales": cloud.log_scales, "quats": cloud.quats,
@@ -409,10 +413,15 @@ def _read_mesh(folder):
 
 
 def _read_splat(folder):
-    from nw_eval.splat import memory_store, read_splat
+    """Read a file as a renderer would, down to the arrays of the kernels, without a warning."""
+    from nw_eval.splat import describe, memory_store, read_splat
 
     (path,) = folder.iterdir()
-    memory_store(read_splat(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gaussians = read_splat(path)
+        assert describe(gaussians).count == len(gaussians)
+        memory_store(gaussians)
 
 
 def _store_seeds(folder):
