@@ -53,7 +53,7 @@ class Run:
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.interruption import INTERRUPTED
-        from nw_eval.cli.outermost import tell
+        from nw_eval.cli.last_words import tell
         from nw_eval.cli.progress import RunProgress
 
         with RunProgress() as progress:
