@@ -53,8 +53,8 @@ class ButterworthFilter(CardModel):
         # the bilinear transform puts the cutoff where it is wanted.
         turns = np.arange(1 - self.order, self.order, 2) / (2 * self.order)
         poles = -math.tan(math.pi * self.cutoff / rate) * np.exp(1j * math.pi * turns)
-        a = np.poly((1.0 + poles) / (1.0 - poles)).real
-        b = np.poly(-np.ones(self.order))
+        a: Array = np.asarray(np.poly((1.0 + poles) / (1.0 - poles)).real, dtype=np.float64)
+        b: Array = np.asarray(np.poly(-np.ones(self.order)), dtype=np.float64)
         return b * (a.sum() / b.sum()), a
 
 
