@@ -100,6 +100,14 @@ def test_actions_are_limited_before_they_are_filtered():
     assert smoother.push(np.full(12, 100.0)).tolist() == [1.0] * 12
 
 
+def test_where_a_filter_overshoots_the_limits_hold_behind_it_too():
+    smoother, control = made(butterworth(10.0), clip=2.0)
+    made_of_it = [smoother.push(np.full(12, 2.0)) for _ in range(20)]
+    assert np.max(made_of_it) > 2.02
+    targets = np.array([control.targets(action) for action in made_of_it])
+    assert (targets - GO1.default_pose).max() == pytest.approx(0.5)
+
+
 def test_a_filter_goes_back_to_its_state():
     smoother, _ = made(butterworth(5.0, order=2))
     actions = np.random.default_rng(2).normal(size=(9, 12))

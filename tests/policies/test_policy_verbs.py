@@ -35,6 +35,7 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
         "examples/parkour-expert-go1",
         "examples/parkour-student-go1",
         "examples/playground-go1",
+        "examples/walk-these-ways-go1",
         "go1-parkour",
         "mine",
         "stand",

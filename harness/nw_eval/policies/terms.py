@@ -142,7 +142,7 @@ class FootContacts(_Term):
     feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
     """The order of the feet."""
     filter: Literal["two_steps", "none"] = "two_steps"
-    """`two_steps`: on the ground now or one observation ago."""
+    """`two_steps`: on the ground now or one control step ago. `none`: now."""
 
 
 class Standing(CardModel):
