@@ -123,7 +123,7 @@ def _yaw(term: terms.Yaw) -> Reader:
     return read
 
 
-def _last_output(term: terms.LastOutput) -> Reader:
+def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
     def read(moment: Moment) -> Array:
         outputs = (moment.last_output, *moment.earlier_outputs)
         return outputs[term.ago] if term.ago < len(outputs) else np.zeros_like(outputs[0])
