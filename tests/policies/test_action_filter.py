@@ -48,7 +48,7 @@ def test_butterworth_has_the_published_coefficients(step, b, a):
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
-@pytest.mark.parametrize("cutoff", [0.5, 4.0, 20.0])
+@pytest.mark.parametrize("cutoff", [0.1, 4.0, 20.0])
 def test_butterworth_is_flat_as_its_name_promises(order, cutoff):
     b, a = ButterworthFilter(kind="butterworth", cutoff=cutoff, order=order).coefficients(50)
     frequencies = np.linspace(0.0, 24.9, 50)
@@ -56,7 +56,7 @@ def test_butterworth_is_flat_as_its_name_promises(order, cutoff):
     power = np.abs(z @ b / (z @ a)) ** 2
     # The analog filter's 1 / (1 + (w / w_c)^2N), at the frequencies that the transform warps.
     ratio = np.tan(np.pi * frequencies / 50) / np.tan(np.pi * cutoff / 50)
-    np.testing.assert_allclose(power, 1.0 / (1.0 + ratio ** (2 * order)), atol=1e-9)
+    np.testing.assert_allclose(power, 1.0 / (1.0 + ratio ** (2 * order)), atol=1e-5)
     assert np.abs(np.roots(a)).max() < 1.0
 
 

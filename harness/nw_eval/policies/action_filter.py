@@ -42,7 +42,7 @@ class ButterworthFilter(CardModel):
     """Butterworth low-pass, discretised by the bilinear transform as `scipy.signal.butter` is."""
 
     kind: Literal["butterworth"]
-    cutoff: float = Field(gt=0.0)
+    cutoff: float = Field(ge=0.1)
     """Frequency of half power, Hz: below half of `control.rate`."""
     order: int = Field(default=2, ge=1, le=4)
     """Number of earlier actions that count."""
