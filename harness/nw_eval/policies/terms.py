@@ -118,10 +118,7 @@ class JointVelocity(_Term):
 
 
 class AppliedAction(_Term):
-    """The raw action that the last control step applied (12).
-
-    It is read after the delay, and before limits, `control.filter` and scaling.
-    """
+    """The raw action that the last control step applied: after the delay, before scaling (12)."""
 
     term: Literal["applied_action"]
 
