@@ -179,6 +179,18 @@ def test_check_takes_the_letters_that_run_takes(capsys):
         for word in ("-p STR", "-n INT", "-j INT", "--seed INT"):
             assert word in shown, (verb, word)
         assert "{None}" not in shown
+    with pytest.raises(SystemExit):
+        cli.main(["replay", "--help"])
+    assert "-p STR" in capsys.readouterr().out
+
+
+def test_what_is_no_log_and_no_run_is_a_usage_error(tmp_path, capsys):
+    folder = str(tmp_path)
+    for words in (["replay", folder], ["run", "--resume", folder], ["report", folder]):
+        with pytest.raises(SystemExit) as left:
+            cli.main(words)
+        assert left.value.code == 2
+        assert capsys.readouterr().err.startswith(f"error: {folder} is ")
 
 
 def test_suites_are_listed_with_what_they_run(capsys):
