@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
@@ -57,9 +59,9 @@ class Render:
     """Pixels down."""
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "-y"
     """Upward axis of a file; built-in scenes have +z."""
-    eye: tuple[float, float, float] | None = None
+    eye: Point = None
     """Where the camera stands, and a turn looks round from; chosen when absent."""
-    target: tuple[float, float, float] | None = None
+    target: Point = None
     """What a PNG's camera looks at; needs --eye."""
     frames: int = 48
     """Frames of a turn."""
