@@ -140,3 +140,11 @@ def test_the_digest_changes_with_the_card_but_not_with_its_title(folder):
     assert load_bundle(folder).digest == before
     card.write_text(card.read_text().replace("scale: 0.25", "scale: 0.5"))
     assert load_bundle(folder).digest != before
+
+
+def test_a_path_that_leads_nowhere_is_told_from_a_misspelt_name():
+    for path in ("./mine", "robots/mine", "mine.yaml"):
+        with pytest.raises(PolicyError, match=f"'{path}': there is no such folder or card; known:"):
+            load_bundle(path)
+    with pytest.raises(PolicyError, match="no policy, folder or card is called that; did you mean"):
+        load_bundle("go1-parkor")

@@ -184,8 +184,12 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
                 fix="give a policy.yaml, and these weights with --checkpoint",
             )
         return path
+    is_path = "/" in str(name_or_path) or path.suffix in {".yaml", ".yml"}
+    missing = (
+        "there is no such folder or card" if is_path else "no policy, folder or card is called that"
+    )
     raise PolicyError(
-        f"unknown policy {str(name_or_path)!r}: no policy, folder or card is called that",
+        f"unknown policy {str(name_or_path)!r}: {missing}",
         fix=nearest(str(path), known),
     )
 
