@@ -69,9 +69,7 @@ def test_the_first_command_writes_a_card_with_the_digest_and_with_what_to_check(
     assert load_bundle(checkpoint.parent).checkpoint_sha256 in told.text
 
 
-def test_the_card_works_as_it_stands_with_a_checkpoint_that_fits_it(
-    tmp_path, monkeypatch, capsys
-):
+def test_the_card_works_as_it_stands_with_a_checkpoint_that_fits_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = Path("my-policy")
     folder.mkdir()

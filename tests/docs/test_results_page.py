@@ -70,7 +70,9 @@ def test_its_exit_codes_are_the_readmes_and_the_gates():
     said = {int(code): words for code, words, _ in rows("Exit codes")}
     assert list(said) == sorted({*EXIT_CODES.values(), UsageError.exit_code, INTERRUPTED})
     table = (ROOT / "README.md").read_text(encoding="utf-8").split("| code | verdict |")[1]
-    assert list(said) == sorted({int(code) for code in re.findall(r"^\| (\d+) \|", table, re.M)})
+    assert list(said) == sorted(
+        {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
+    )
     for word, code in EXIT_CODES.items():
         # INVALID is the word of comparisons, which there are none of yet.
         assert word in said[code] or word == "INVALID"
