@@ -33,18 +33,14 @@ REDUCED = MappingProxyType(
 )
 """Options that make a command cheap and leave it what it is."""
 
-ENDS = MappingProxyType(
-    {
-        "nw-eval policies check ./my-policy": 2,  # The checkpoint that is made here does nothing.
-        "nw-eval run my-suite.yaml --out mine": 3,  # Few trials decide nothing.
-    }
-)
+ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One trial decides nothing.
 """Exit codes of commands that do not end with 0."""
 
 NOT_RUN = MappingProxyType(
     {
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
+        "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
         "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
         "nw-eval run hurdles --policy ./my-policy --out reports/gate": "likewise, in a CI's YAML",
         """python -c 'import onnx; onnx.save(onnx.load("policy.onnx"), "one.onnx")'""": (
