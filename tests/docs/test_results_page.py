@@ -17,7 +17,6 @@ from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.episode import HUGE
-from nw_eval.splat.kernels import kept
 from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
 
 ROOT = Path(__file__).parents[2]
@@ -80,11 +79,12 @@ def test_its_exit_codes_are_the_readmes_and_the_gates():
 
 def test_every_file_of_a_run_has_its_line():
     run = RunFolder(path=Path("run"))
-    files = {run.run_json, run.journal, run.trials, run.report_md, run.workers_log}
+    parts = [
+        getattr(run, key) for key, part in vars(RunFolder).items() if isinstance(part, property)
+    ]
+    files = {run.relative(part) for part in parts if isinstance(part, Path)} - {"mcap"}
     told = {name.strip("`"): words for name, words in rows("Files of a run")}
-    assert set(told) == {path.name for path in files} | {
-        f"{run.relative(run.mcap('<scene>', '<trial>'))}"
-    }
+    assert set(told) == files | {run.relative(run.mcap("<scene>", "<trial>"))}
     keys = set(re.findall(r"`(\w+)`", told["run.json"]))
     assert len(keys) > 8
     assert keys <= set(RunInfo.model_fields)
@@ -94,7 +94,8 @@ def test_every_variable_that_the_code_looks_at_or_sets_is_told():
     sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "harness").rglob("*.py"))
     names = set(re.findall(r'environ(?:\.get\(|\[)"(\w+)"', sources))
     assert "NW_EVAL_CACHE" in names
-    names |= {*cpu._SETTINGS, kept._LENT, *environment._CHILDREN, *environment._FENCED}
+    names |= {*re.findall(r'"(NW_EVAL_\w+)"', sources), *cpu._SETTINGS}
+    names |= {*environment._CHILDREN, *environment._FENCED}
     # One word stands for the numbers of threads.
     wanted = {name for name in names if not name.endswith("_THREADS")} | {"OMP_NUM_THREADS"}
     assert wanted <= set(re.findall(r"[`$]([A-Z_]+)[`/]", section("Environment")))
