@@ -2,13 +2,13 @@
 
 import inspect
 import re
+import signal
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.interruption import INTERRUPTED
 from nw_eval.confinement import environment
 from nw_eval.engine import cpu
 from nw_eval.errors import UsageError
@@ -67,7 +67,8 @@ def rows(title):
 
 def test_its_exit_codes_are_the_readmes_and_the_gates():
     said = {int(code): words for code, words, _ in rows("Exit codes")}
-    assert list(said) == sorted({*EXIT_CODES.values(), UsageError.exit_code, INTERRUPTED})
+    interrupted = 128 + signal.SIGINT  # As shells have it.
+    assert list(said) == sorted({*EXIT_CODES.values(), UsageError.exit_code, interrupted})
     table = (ROOT / "README.md").read_text(encoding="utf-8").split("| code | verdict |")[1]
     assert list(said) == sorted(
         {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
