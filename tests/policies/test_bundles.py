@@ -120,12 +120,16 @@ def test_a_checkpoint_over_the_size_limit_is_not_read(folder, monkeypatch):
         load_bundle(folder)
 
 
-def test_a_card_without_digest_is_answered_with_the_line_to_add(folder):
+def test_a_card_without_digest_takes_the_file_that_lies_there_and_records_which(folder):
     text = (folder / "policy.yaml").read_text()
     (folder / "policy.yaml").write_text(text.replace(", sha256: ", "}  # "))
-    with pytest.raises(PolicyError, match="add `sha256: ") as caught:
-        load_bundle(folder)
-    assert hashlib.sha256(b"weights").hexdigest() in str(caught.value)
+    bundle = load_bundle(folder)
+    assert bundle.checkpoint_sha256 == hashlib.sha256(b"weights").hexdigest()
+    file = next(path for path in folder.iterdir() if path.read_bytes() == b"weights")
+    file.write_bytes(b"others")
+    with pytest.raises(PolicyError, match="changed while it was in use"):
+        bundle.read_checkpoint()
+    assert load_bundle(folder).digest != bundle.digest
 
 
 def test_a_policy_without_weights_takes_none(folder):

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """May this policy checkpoint ship?
 
-Rolls a legged robot's checkpoint out in digital twins of real places, scores the share of
-waypoints reached, and gives a verdict as an exit code: 0 PASS, or RAN where the suite has no bar,
-1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not
-comparable, 130 interrupted."""
+Rolls a legged robot's checkpoint out in simulated places, synthetic ones that are built in or scans
+that you bring, scores the share of waypoints reached, and gives a verdict as an exit code: 0 PASS,
+or RAN where the suite has no bar, 1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors
+left or trials missing, 5 not comparable, 130 interrupted."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:

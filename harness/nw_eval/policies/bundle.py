@@ -28,7 +28,7 @@ _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 
 @dataclass(frozen=True, kw_only=True)
 class Bundle:
-    """A valid card and a checkpoint whose digest has been verified."""
+    """A valid card and a checkpoint: the one whose digest the card says, if it says one."""
 
     card: Card
     card_path: Path
@@ -107,7 +107,8 @@ def load_bundle(
             with a `policy.yaml` (also relative to the shipped policies), or a card.
         search: the project folder, by default the working directory.
         checkpoint: weights to use in place of those that the card names. They are the caller's
-            choice: their digest is computed and recorded, not compared with the card's.
+            choice: their digest is computed and recorded, not compared with the card's. So are
+            those that a card without a digest names.
 
     Raises:
         PolicyError: there is no such bundle; the card has problems; the checkpoint is missing,
@@ -134,12 +135,7 @@ def load_bundle(
     path = checkpoint if checkpoint is not None else _beside(card_path, card.checkpoint.file)
     actual = hashlib.sha256(_read(path, card_path, card.checkpoint.source)).hexdigest()
     wanted = card.checkpoint.sha256
-    if checkpoint is None and actual != wanted:
-        if wanted is None:
-            raise PolicyError(
-                f"{card_path}: `checkpoint` has no sha256",
-                fix=f"if {path.name} is the file you mean, add `sha256: {actual}`",
-            )
+    if checkpoint is None and wanted is not None and actual != wanted:
         raise PolicyError(
             f"{path}: the checkpoint's SHA-256 is {actual}, the card says {wanted}",
             fix="get the right file, or correct `checkpoint.sha256` if this one is meant",
