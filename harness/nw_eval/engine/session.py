@@ -27,7 +27,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.rollout.access import why_off
-from nw_eval.scenes.catalogue import FLEX
+from nw_eval.scenes.catalogue import TRIANGLES
 from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
 
@@ -213,7 +213,11 @@ def _fence(plan: Plan, render: Backend) -> str:
 
 
 def _collision(references: Mapping[str, str]) -> Collision:
-    return "flex" if any(text.startswith(FLEX) for text in references.values()) else "terrain"
+    return (
+        "triangles"
+        if any(text.startswith(TRIANGLES) for text in references.values())
+        else "terrain"
+    )
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:

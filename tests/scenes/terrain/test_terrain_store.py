@@ -83,7 +83,7 @@ def test_what_changes_the_terrain_changes_the_key():
 
 
 def test_flex_comes_back_from_the_cache_as_flex():
-    flex = TerrainOptions(collision="flex")
+    flex = TerrainOptions(collision="triangles")
     first = store.compiled_terrain(MESH, options=flex, **WAY)
     second = store.compiled_terrain(MESH, options=flex, **WAY)
     assert digest(first.solids) == digest(second.solids)
