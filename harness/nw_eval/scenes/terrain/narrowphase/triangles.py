@@ -90,9 +90,17 @@ def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
     facing, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for index in range(len(triangles)):
         t = triangles[index]
+        # Most are told to be too far by their boxes.
+        beyond = best + _SAME
+        if min(t[0], t[3], t[6]) - px > beyond or px - max(t[0], t[3], t[6]) > beyond:
+            continue
+        if min(t[1], t[4], t[7]) - py > beyond or py - max(t[1], t[4], t[7]) > beyond:
+            continue
+        if min(t[2], t[5], t[8]) - pz > beyond or pz - max(t[2], t[5], t[8]) > beyond:
+            continue
         x, y, z = nearest_on_triangle(t, px, py, pz)
         away = math.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
-        if away > best + _SAME:
+        if away > beyond:
             continue
         ux, uy, uz = triangle_normal(t)
         turned = (px - x) * ux + (py - y) * uy + (pz - z) * uz
