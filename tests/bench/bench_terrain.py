@@ -19,10 +19,10 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.attach import add_flex, add_height_field
+from nw_eval.scenes.terrain.attach import add_height_field, add_triangles
 from nw_eval.scenes.terrain.compile import build_terrain
 from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 TRAIL = np.array([[2.2, 0.0, 0.15], [4.2, 0.0, 0.30], [6.0, 0.0, 0.30]])
 COLUMNS, ROWS = 250, 100  # of the scan's vertices: 49,302 triangles
@@ -57,8 +57,8 @@ def attach(spec, solids):
         name = f"solid_{index}"
         if isinstance(solid, HeightField):
             add_height_field(spec, name, solid, friction=solid.friction, priority=0)
-        elif isinstance(solid, FlexMesh):
-            add_flex(spec, name, solid, friction=solid.friction, priority=0)
+        elif isinstance(solid, Triangles):
+            add_triangles(spec, name, solid, friction=solid.friction, priority=0)
         else:
             assert isinstance(solid, Box)
             spec.worldbody.add_geom(
@@ -179,13 +179,13 @@ def main():
             f"  {np.median(error):.2f} {np.quantile(error, 0.9):.2f} {error.max():.2f}"
             f"   boxes {len(terrain.solids) - 2}, surface {terrain.accuracy}"
         )
-    flex = build_terrain(
-        mesh, trail=TRAIL, spawn=np.zeros(3), options=TerrainOptions(collision="flex")
+    exact = build_terrain(
+        mesh, trail=TRAIL, spawn=np.zeros(3), options=TerrainOptions(collision="triangles")
     )
-    error = 1000 * np.abs(rest_errors(flex.solids, mesh))
-    rate = steps_per_second(flex.solids, trot=True, steps=200, runs=2)
+    error = 1000 * np.abs(rest_errors(exact.solids, mesh))
+    rate = steps_per_second(exact.solids, trot=True, steps=200, runs=2)
     print(
-        f"   flex             trot {rate:.0f}   {np.median(error):.2f} "
+        f"   triangles        trot {rate:.0f}   {np.median(error):.2f} "
         f"{np.quantile(error, 0.9):.2f} {error.max():.2f}"
     )
 

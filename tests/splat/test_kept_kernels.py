@@ -16,7 +16,7 @@ import pytest
 PROGRAM = """\
 import os, resource
 from nw_eval.splat.kernels import kept
-from nw_eval.splat.kernels.jit import kernel
+from nw_eval.machine_code.jit import kernel
 
 if "LIMITED" in os.environ:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))

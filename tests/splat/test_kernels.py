@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
+from nw_eval.machine_code.jit import kernel
 from nw_eval.splat import Pixels, memory_store
 from nw_eval.splat.kernels import cull, math8, memory, project, sort
 from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS, blend, clear
-from nw_eval.splat.kernels.jit import kernel
 from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.view import view_vector
 from nw_eval.splat.layout import unpack

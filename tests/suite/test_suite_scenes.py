@@ -47,7 +47,7 @@ def test_every_tier_that_matches_nothing_is_told_with_its_place(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "failed", ["./mine", "/far/mine", "places/mine", "neverwhere:/data/mine", "flex:mine"]
+    "failed", ["./mine", "/far/mine", "places/mine", "neverwhere:/data/mine", "triangles:mine"]
 )
 def test_a_tier_of_a_scene_that_cannot_be_opened_echoes_no_fault(
     tmp_path: Path, failed: str

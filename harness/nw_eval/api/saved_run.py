@@ -56,7 +56,7 @@ def settings_of(run: Path) -> Settings:
         checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
         scenes=tuple(escape(name) for name in info.scenes),
         record=suite.record,
-        collision="flex" if info.collision == "flex" else "terrain",
+        collision="triangles" if info.collision == "triangles" else "terrain",
     )
 
 

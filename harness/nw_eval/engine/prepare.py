@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.worker import WorkerStart
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.access import running_rules
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -41,6 +43,23 @@ def open_backend(render: Backend, listener: Listener) -> None:
         listener.message(note)
     elif seconds > _WORTH_SAYING:
         listener.message(f"compiled the renderer in {seconds:.0f} s; next time it is in the cache")
+
+
+def ready_scans(scenes: Iterable[Scene], listener: Listener) -> None:
+    """Compile what collides with scans, once for all workers, if any scene is one.
+
+    Raises:
+        PrerequisiteError: this build of MuJoCo is not laid out as any that is known.
+    """
+    if not any(isinstance(s, HeightField | Triangles) for scene in scenes for s in scene.solids):
+        return
+    from nw_eval.scenes.terrain.narrowphase.install import use_own_collisions
+
+    began = perf_counter()
+    use_own_collisions()
+    seconds = perf_counter() - began
+    if seconds > _WORTH_SAYING:
+        listener.message(f"compiled contacts in {seconds:.0f} s; next time they are in the cache")
 
 
 def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:

@@ -11,7 +11,7 @@ from nw_eval.confinement import Fence, offered
 from nw_eval.engine.cpu import cpu_kind
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.prepare import build_splats, needs_splats, open_backend
+from nw_eval.engine.prepare import build_splats, needs_splats, open_backend, ready_scans
 from nw_eval.engine.run import RunOutcome, default_workers, run_trials
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
@@ -27,7 +27,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.rollout.access import why_off
-from nw_eval.scenes.catalogue import FLEX
+from nw_eval.scenes.catalogue import TRIANGLES
 from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
 
@@ -88,6 +88,7 @@ def run(
             earlier = read_run_info(folder.run_json)
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
             write_run_info(folder.run_json, info)
+        ready_scans(plan.scenes, told)
         if renders:
             build_splats(plan.scenes, told)
         text = suite_yaml(plan.suite)
@@ -213,7 +214,11 @@ def _fence(plan: Plan, render: Backend) -> str:
 
 
 def _collision(references: Mapping[str, str]) -> Collision:
-    return "flex" if any(text.startswith(FLEX) for text in references.values()) else "terrain"
+    return (
+        "triangles"
+        if any(text.startswith(TRIANGLES) for text in references.values())
+        else "terrain"
+    )
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:

@@ -16,7 +16,7 @@ from nw_eval.scenes.scene import Scene
 from nw_eval.scenes.splits import SPLITS, Split, split_of
 from nw_eval.scenes.terrain.options import Collision
 
-FLEX = "flex:"
+TRIANGLES = "triangles:"
 """Before a reference: collide by the mesh's own triangles."""
 
 _BY_NAME = {entry.name: entry for entry in ENTRIES}
@@ -31,15 +31,15 @@ def get_scene(name_or_path: str | Path) -> Scene:
     """Return a built-in scene by its name, or the scene of a folder by its path.
 
     Args:
-        name_or_path: a name, a folder, or `neverwhere:<folder>`; `flex:` before a folder makes its
-            mesh collide by its own triangles, slow and exact, to check the terrain with.
+        name_or_path: a name, a folder, or `neverwhere:<folder>`; `triangles:` before a folder makes
+            its mesh collide by its own triangles, slow and exact, to check the terrain with.
 
     Raises:
         SceneError: no such scene (with the nearest name), or the folder cannot be read.
     """
     reference = str(name_or_path)
-    collision: Collision = "flex" if reference.startswith(FLEX) else "terrain"
-    reference = reference.removeprefix(FLEX)
+    collision: Collision = "triangles" if reference.startswith(TRIANGLES) else "terrain"
+    reference = reference.removeprefix(TRIANGLES)
     if reference in _BY_NAME:
         return _built_in(reference)  # Boxes collide exactly as they are.
     if reference.startswith(PREFIX):
@@ -64,7 +64,7 @@ def match_scenes(
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
             of scene folders.
         base: folder that relative paths start from; the working folder by default.
-        collision: how scan meshes collide; `flex` is as `flex:` before each.
+        collision: how scan meshes collide; `triangles` is as `triangles:` before each.
 
     Raises:
         SceneError: a pattern matches nothing, with the nearest name.
@@ -92,8 +92,8 @@ def _keys(patterns: Sequence[str], base: Path | None, collision: Collision) -> l
     """Return what patterns match, each once."""
     keys: dict[str, None] = {}
     for pattern in patterns:
-        plain = pattern.removeprefix(FLEX)
-        exact = FLEX if collision == "flex" or plain != pattern else ""
+        plain = pattern.removeprefix(TRIANGLES)
+        exact = TRIANGLES if collision == "triangles" or plain != pattern else ""
         for key in _match(plain, Path() if base is None else base):
             keys[key if key in _BY_NAME else f"{exact}{key}"] = None
     return list(keys)

@@ -198,7 +198,7 @@ class FileSplat:
 def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     """Return the scene of a folder.
 
-    A collision mesh becomes terrain: height fields and boxes, or with `flex` its own triangles.
+    A collision mesh becomes terrain: height fields and boxes, or with `triangles` its own ones.
 
     Raises:
         SceneError: a file is missing or wrong; every problem found, with file and line.

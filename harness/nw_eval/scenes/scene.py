@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
+from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 
 Task = Literal["hurdles", "gaps", "ramps", "stairs"]
 TASKS: tuple[Task, ...] = get_args(Task)
@@ -43,7 +43,7 @@ class Box:
     kind: FaceKind = "obstacle"
 
 
-Solid = Box | HeightField | FlexMesh | Primitive
+Solid = Box | HeightField | Triangles | Primitive
 """What physics can touch, beside the ground plane."""
 
 

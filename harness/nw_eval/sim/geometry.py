@@ -1,15 +1,15 @@
 """Puts a scene's collision geometry into a MuJoCo specification.
 
-A scene offers `ground` (a plane) and `solids`: boxes here; height fields, flexes and round
-primitives by `nw_eval.scenes.terrain.attach`.
+A scene offers `ground` (a plane) and `solids`: boxes here; height fields, triangles and
+round primitives by `nw_eval.scenes.terrain.attach`.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nw_eval.scenes.terrain.attach import add_flex, add_height_field, add_primitive
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
+from nw_eval.scenes.terrain.attach import add_height_field, add_primitive, add_triangles
+from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 from nw_eval.sim.binding import MjBody, MjSpec, mujoco
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ def add_geometry(spec: MjSpec, scene: Scene, *, friction: float | None) -> None:
         match solid:
             case HeightField():
                 add_height_field(spec, name, solid, friction=rough, priority=priority)
-            case FlexMesh():
-                add_flex(spec, name, solid, friction=rough, priority=priority)
+            case Triangles():
+                add_triangles(spec, name, solid, friction=rough, priority=priority)
             case Primitive():
                 add_primitive(spec, name, solid, friction=rough, priority=priority)
             case _:

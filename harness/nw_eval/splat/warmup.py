@@ -40,6 +40,6 @@ def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
 
 def kernel_note() -> str | None:
     """Return why the user's cache cannot keep compiled kernels, in one line; None if it can."""
-    from nw_eval.splat.kernels.kept import folder_note
+    from nw_eval.machine_code.kept import folder_note
 
     return folder_note()

@@ -10,7 +10,7 @@ from nw_eval.errors import SceneError
 from nw_eval.scenes.neverwhere import inspect_published, load_published
 from nw_eval.scenes.neverwhere.table import PUBLISHED
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 from nw_eval.splat import open_store, read_splat, write_splat
 
 
@@ -120,9 +120,9 @@ def test_friction_of_the_collision_geom_is_kept(writer):
     assert scene.solids[0].friction == (0.7, 0.2, 0.1)
 
 
-def test_flex_takes_the_collision_mesh_itself(writer):
-    scene = load_published(writer.write(), collision="flex")
-    assert isinstance(scene.solids[0], FlexMesh)
+def test_triangles_are_those_of_the_collision_mesh_itself(writer):
+    scene = load_published(writer.write(), collision="triangles")
+    assert isinstance(scene.solids[0], Triangles)
 
 
 def test_the_catching_plane_is_below_the_scan(writer):

@@ -50,12 +50,12 @@ def test_a_robot_stands_on_a_scan_as_on_the_primitives_it_shows(writer, robot):
     assert scan[1] == pytest.approx(plain[1], abs=0.05)
 
 
-def test_flex_and_terrain_carry_the_robot_alike(writer):
+def test_triangles_and_terrain_carry_the_robot_alike(writer):
     folder = writer.write()
     terrain = standing("go1", load_published(folder), seconds=0.6)
-    flex = standing("go1", load_published(folder, collision="flex"), seconds=0.6)
-    assert terrain[2] == pytest.approx(flex[2], abs=3e-3)
-    assert terrain[0] == pytest.approx(flex[0], abs=0.02)
+    exact = standing("go1", load_published(folder, collision="triangles"), seconds=0.6)
+    assert terrain[2] == pytest.approx(exact[2], abs=3e-3)
+    assert terrain[0] == pytest.approx(exact[0], abs=0.02)
 
 
 def test_friction_of_a_trial_acts_on_terrain(writer):

@@ -7,7 +7,7 @@ import trimesh
 from nw_eval.errors import SceneError
 from nw_eval.scenes import get_scene, match_scenes, references
 from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 TEXT = """\
 nw-scene: 1
@@ -44,10 +44,10 @@ def test_a_mesh_becomes_terrain_that_one_can_walk_on(tmp_path, suffix):
     assert scene.ground.z < -0.4
 
 
-def test_flex_takes_the_triangles(tmp_path):
+def test_triangles_are_taken_from_the_mesh(tmp_path):
     folder = folder_with(tmp_path, "collision.obj")
-    (solid,) = load_folder(folder, collision="flex").solids
-    assert isinstance(solid, FlexMesh)
+    (solid,) = load_folder(folder, collision="triangles").solids
+    assert isinstance(solid, Triangles)
 
 
 def test_a_missing_mesh_is_named(tmp_path):
@@ -60,13 +60,15 @@ def test_a_missing_mesh_is_named(tmp_path):
 def test_a_reference_and_an_option_choose_the_triangles_and_the_digest_tells(tmp_path):
     folder = folder_with(tmp_path, "collision.obj")
     terrain = get_scene(folder)
-    assert isinstance(get_scene(f"flex:{folder}").solids[0], FlexMesh)
-    (exact,) = match_scenes([str(folder)], collision="flex")
-    assert isinstance(exact.solids[0], FlexMesh)
+    assert isinstance(get_scene(f"triangles:{folder}").solids[0], Triangles)
+    (exact,) = match_scenes([str(folder)], collision="triangles")
+    assert isinstance(exact.solids[0], Triangles)
     assert exact.digest != terrain.digest
-    assert references([str(folder)], collision="flex") == {"scanned": f"flex:{folder.resolve()}"}
+    assert references([str(folder)], collision="triangles") == {
+        "scanned": f"triangles:{folder.resolve()}"
+    }
 
 
 def test_boxes_of_built_in_scenes_are_exact_already():
-    (scene,) = match_scenes(["hurdles/three_low"], collision="flex")
+    (scene,) = match_scenes(["hurdles/three_low"], collision="triangles")
     assert scene.digest == get_scene("hurdles/three_low").digest

@@ -7,7 +7,7 @@ from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotati
 from nw_eval.scenes.scene import Box
 from nw_eval.scenes.terrain.compile import build_terrain
 from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 TRAIL = np.array([[2.0, 0.0, 0.2], [4.0, 0.0, 0.0]])
 SPAWN = np.zeros(3)
@@ -229,13 +229,13 @@ def test_a_noisy_scan_is_met_to_a_millimetre():
     assert terrain.accuracy.p99 < 2e-3
 
 
-def test_flex_keeps_the_triangles():
+def test_triangles_are_kept():
     mesh = merge([floor(), box_mesh((2, 0, 0.1), (0.2, 0.5, 0.1), UPRIGHT, "obstacle")])
     terrain = build_terrain(
-        mesh, trail=TRAIL, spawn=SPAWN, options=TerrainOptions(collision="flex")
+        mesh, trail=TRAIL, spawn=SPAWN, options=TerrainOptions(collision="triangles")
     )
     (solid,) = terrain.solids
-    assert isinstance(solid, FlexMesh)
+    assert isinstance(solid, Triangles)
     assert (solid.faces == mesh.faces).all()
 
 

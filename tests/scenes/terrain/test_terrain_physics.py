@@ -6,10 +6,10 @@ import pytest
 
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.attach import add_flex, add_height_field, add_primitive
+from nw_eval.scenes.terrain.attach import add_height_field, add_primitive, add_triangles
 from nw_eval.scenes.terrain.compile import build_terrain
 from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
+from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -19,8 +19,8 @@ def attach(spec, solids):
         arguments = {"friction": solid.friction, "priority": 0}
         if isinstance(solid, HeightField):
             add_height_field(spec, f"solid_{index}", solid, **arguments)
-        elif isinstance(solid, FlexMesh):
-            add_flex(spec, f"solid_{index}", solid, **arguments)
+        elif isinstance(solid, Triangles):
+            add_triangles(spec, f"solid_{index}", solid, **arguments)
         elif isinstance(solid, Primitive):
             add_primitive(spec, f"solid_{index}", solid, **arguments)
         else:
@@ -122,7 +122,7 @@ def step_scene(collision):
     ).solids
 
 
-@pytest.mark.parametrize("collision", ["terrain", "flex"])
+@pytest.mark.parametrize("collision", ["terrain", "triangles"])
 def test_spheres_rest_at_the_height_of_floor_and_tread_right_up_to_the_edge(collision):
     positions = [(1.0, 0.1, 0.03), (1.975, 0.0, 0.03), (2.015, -0.2, 0.23), (2.5, 0.3, 0.23)]
     rest = settled(step_scene(collision), positions)
@@ -131,7 +131,7 @@ def test_spheres_rest_at_the_height_of_floor_and_tread_right_up_to_the_edge(coll
     assert rest[:, 2] == pytest.approx([0.02, 0.02, 0.22, 0.22], abs=2.5e-3)
 
 
-def test_height_field_and_flex_agree_on_a_rough_slope():
+def test_height_field_and_triangles_agree_on_a_rough_slope():
     random = np.random.default_rng(2)
     X, Y = np.meshgrid(np.linspace(-1, 3, 60), np.linspace(-1, 1, 30))
     Z = 0.05 * X + random.normal(0, 0.01, X.shape)
@@ -155,6 +155,6 @@ def test_height_field_and_flex_agree_on_a_rough_slope():
             ).solids,
             positions,
         )
-        for collision in ("terrain", "flex")
+        for collision in ("terrain", "triangles")
     ]
     assert np.median(np.linalg.norm(rests[0] - rests[1], axis=1)) < 3e-3

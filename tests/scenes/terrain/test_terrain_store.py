@@ -82,8 +82,8 @@ def test_what_changes_the_terrain_changes_the_key():
     )
 
 
-def test_flex_comes_back_from_the_cache_as_flex():
-    flex = TerrainOptions(collision="flex")
-    first = store.compiled_terrain(MESH, options=flex, **WAY)
-    second = store.compiled_terrain(MESH, options=flex, **WAY)
+def test_triangles_come_back_from_the_cache_as_triangles():
+    exact = TerrainOptions(collision="triangles")
+    first = store.compiled_terrain(MESH, options=exact, **WAY)
+    second = store.compiled_terrain(MESH, options=exact, **WAY)
     assert digest(first.solids) == digest(second.solids)

@@ -47,7 +47,7 @@ class Run:
     """The splat renderer. There is no silent fallback."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
-    collision: Literal["terrain", "flex"] = "terrain"
+    collision: Literal["terrain", "triangles"] = "terrain"
     """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles."""
 
     def __call__(self) -> int:

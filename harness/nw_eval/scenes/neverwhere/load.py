@@ -56,7 +56,7 @@ def load_published(
     Args:
         reference: `neverwhere:<path>` or the path: the scene folder, or its XML.
         robot: whose XML is read if there is one for each; they differ in nothing else.
-        collision: `flex` takes the collision mesh's own triangles, to check the terrain with.
+        collision: `triangles` takes the collision mesh's own triangles, to check the terrain with.
 
     Raises:
         SceneError: a file is missing or wrong; the message names file, line and value.

@@ -11,13 +11,16 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField, Primitive
+from nw_eval.scenes.terrain.narrowphase.install import use_own_collisions
+from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 
 # Its classes live in compiled modules without type information.
 mujoco: Any = _mujoco
 
 # MuJoCo wants a positive elevation range, also of flat ground.
 _LEAST_RANGE = 1e-3
+# What has sunk this far below a mesh is no longer looked at, metres.
+_BELOW = 0.5
 
 
 def add_height_field(
@@ -32,6 +35,7 @@ def add_height_field(
         friction: three coefficients, in place of the field's own.
         priority: of the geom's contacts.
     """
+    use_own_collisions()
     rows, columns = field.heights.shape
     low = float(field.heights.min())
     span = max(float(field.heights.max()) - low, _LEAST_RANGE)
@@ -52,20 +56,43 @@ def add_height_field(
     )
 
 
-def add_flex(
-    spec: Any, name: str, mesh: FlexMesh, *, friction: Sequence[float], priority: int
+def add_triangles(
+    spec: Any, name: str, mesh: Triangles, *, friction: Sequence[float], priority: int
 ) -> None:
-    """Add a rigid flex of true triangles, fixed to the world. Arguments as `add_height_field`."""
-    spec.add_flex(
+    """Add true triangles, fixed to the world. Arguments as `add_height_field`.
+
+    A height field of two by two samples collides in their place, for the mesh that follows it.
+    """
+    use_own_collisions()
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    half = np.maximum((high - low) / 2, _LEAST_RANGE)
+    spec.add_hfield(
         name=name,
-        dim=2,
-        radius=mesh.radius,
-        vertbody=["world"],
-        vert=mesh.vertices.astype(np.float64).ravel().tolist(),
-        elem=mesh.faces.ravel().tolist(),
+        nrow=2,
+        ncol=2,
+        size=[half[0], half[1], 2 * half[2], _BELOW],
+        userdata=[1.0, 0.0, 0.0, 0.0],
+    )
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname=name,
+        pos=[*((low + high) / 2)[:2], low[2]],
         friction=list(friction),
         priority=priority,
-        selfcollide=int(mujoco.mjtFlexSelf.mjFLEXSELF_NONE),
+    )
+    spec.add_mesh(
+        name=name,
+        uservert=mesh.vertices.astype(np.float64).ravel().tolist(),
+        userface=mesh.faces.ravel().tolist(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        name=f"{name}_triangles",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        contype=0,
+        conaffinity=0,
     )
 
 

@@ -17,7 +17,7 @@ from nw_eval.scenes.terrain.holes import close_holes
 from nw_eval.scenes.terrain.options import TerrainOptions
 from nw_eval.scenes.terrain.overhangs import overhang_plates
 from nw_eval.scenes.terrain.plates import Plate
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 from nw_eval.scenes.terrain.surface import Surface
 from nw_eval.scenes.terrain.walls import raise_walls
 
@@ -57,7 +57,7 @@ class Terrain:
         findings: what the mesh lacks, and where it is more than a height field.
     """
 
-    solids: tuple[HeightField | Box | FlexMesh, ...]
+    solids: tuple[HeightField | Box | Triangles, ...]
     floor: float
     spawn_height: float
     accuracy: Accuracy
@@ -115,10 +115,10 @@ def build_terrain(
     spawn_height = float(surface.ground(spawn[None, :2])[0])
     findings = [*near.findings, *_sheet_findings(surface, near.grid), *_plate_findings(near)]
     accuracy = _accuracy(surface, path, fields[0], near)
-    solids: tuple[HeightField | Box | FlexMesh, ...] = (*fields, *boxes)
-    if chosen.collision == "flex":
-        flex = FlexMesh(vertices=mesh.vertices, faces=mesh.faces, friction=chosen.friction)
-        solids = (flex,)
+    solids: tuple[HeightField | Box | Triangles, ...] = (*fields, *boxes)
+    if chosen.collision == "triangles":
+        own = Triangles(vertices=mesh.vertices, faces=mesh.faces, friction=chosen.friction)
+        solids = (own,)
     return Terrain(
         solids=solids,
         floor=floor,

@@ -7,10 +7,10 @@ from typing import Literal
 
 from nw_eval.scenes.terrain.solids import DEFAULT_FRICTION, Friction
 
-Collision = Literal["terrain", "flex"]
+Collision = Literal["terrain", "triangles"]
 
 # Raise it with every change that changes a solid of any scene: it is part of the cache's key.
-COMPILER_VERSION = 1
+COMPILER_VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +18,7 @@ class TerrainOptions:
     """Lengths in metres.
 
     Attributes:
-        collision: `terrain` is height fields and boxes, fast; `flex` is the mesh's own triangles,
+        collision: `terrain` is height fields and boxes, fast; `triangles` is the mesh's own ones,
             slow and exact, to check the other with.
         spacing: of the samples near the trail. MuJoCo's cost grows with the samples under a foot:
             on a 50,000-triangle scan a trotting Go1 makes 7.3 thousand steps/s at 1 cm, 9.5 at

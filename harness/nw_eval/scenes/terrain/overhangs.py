@@ -21,8 +21,10 @@ _FULL = 0.85
 _FLAT = 0.006
 _ANGLES = np.radians(np.arange(0.0, 90.0, 0.5))
 _BISECTIONS = 7
-# Square metres below which a slab is noise.
+# Square metres below which a slab is noise, and metres: upright faces that are scanned with noise
+# overhang themselves by slivers.
 _LEAST_AREA = 5e-4
+_LEAST_SIDE = 0.004
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +74,8 @@ def overhang_plates(
         if len(slab.top) * grid.spacing**2 < _LEAST_AREA or len(plates) >= most:
             break
         whole = _whole(slab, grid.spacing)
-        plates += _pieces(slab, grid, most) if whole is None else [_trimmed(whole, grid, surface)]
+        found = _pieces(slab, grid, most) if whole is None else [_trimmed(whole, grid, surface)]
+        plates += [plate for plate in found if 2 * min(plate.half) >= _LEAST_SIDE]
     return tuple(plates[:most])
 
 

@@ -62,19 +62,17 @@ class HeightField:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FlexMesh:
-    """The triangles themselves, as MuJoCo's rigid flex: exact, and twenty times slower.
+class Triangles:
+    """The triangles themselves: exact where a height field is not, and slow.
 
     Attributes:
         vertices: (V, 3) float64, metres, world.
         faces: (F, 3) int32.
-        radius: metres that the surface is thick to either side.
         friction: MuJoCo's sliding, torsional and rolling coefficients.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
-    radius: float = 0.0002
     friction: Friction = DEFAULT_FRICTION
 
 

@@ -20,7 +20,7 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box
 from nw_eval.scenes.terrain.compile import Accuracy, Terrain, build_terrain
 from nw_eval.scenes.terrain.options import COMPILER_VERSION, TerrainOptions
-from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 _META = "meta"
 
@@ -100,13 +100,13 @@ def _read(path: Path, key: str, mesh: TriangleMesh, options: TerrainOptions) -> 
             ]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
-    solids: tuple[HeightField | Box | FlexMesh, ...] = (
+    solids: tuple[HeightField | Box | Triangles, ...] = (
         *fields,
         *(Box(**_tuples(box)) for box in meta["boxes"]),
     )
-    if options.collision == "flex":
-        flex = FlexMesh(vertices=mesh.vertices, faces=mesh.faces, friction=options.friction)
-        solids = (flex,)
+    if options.collision == "triangles":
+        own = Triangles(vertices=mesh.vertices, faces=mesh.faces, friction=options.friction)
+        solids = (own,)
     return Terrain(
         solids=solids,
         floor=meta["floor"],

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import bits_of, lowest_bit, pack_range
-from nw_eval.splat.kernels.jit import inlined, kernel
 from nw_eval.splat.kernels.math8 import exp2, taken_below
 from nw_eval.splat.kernels.memory import load, load_rows, peek, poke, prefetch, store, store_rows
 from nw_eval.splat.kernels.project import (

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.jit import inlined, kernel
 
 REACH = 3.33
 """Standard deviations beyond which even opacity 1 is below 1/255: sqrt(2 ln 255) = 3.329."""

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
-from nw_eval.splat.kernels.jit import inlined, kernel
 from nw_eval.splat.kernels.memory import load, peek, store
 from nw_eval.splat.kernels.project import project_chunk
 from nw_eval.splat.kernels.records import RECORD

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nw_eval.splat.kernels.jit import inlined
+from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels.memory import load_halves
 from nw_eval.splat.kernels.simd import fma
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels.bits import exponent_shift, split_exponent
-from nw_eval.splat.kernels.jit import inlined
 from nw_eval.splat.kernels.simd import Float8, call_llvm, constant8, floor, fma, intrinsic, minimum
 
 # Least maximum relative error (9.1e-8) for 2**f on [-1/2, 1/2] with 2**0 exact, by Lawson's

@@ -18,11 +18,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from nw_eval.machine_code.jit import kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
-from nw_eval.splat.kernels.jit import kernel
 from nw_eval.splat.kernels.math8 import log2, taken_below
 from nw_eval.splat.kernels.memory import load
 from nw_eval.splat.kernels.records import append_records

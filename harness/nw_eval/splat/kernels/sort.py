@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels.bits import bits_of
-from nw_eval.splat.kernels.jit import inlined, kernel
 from nw_eval.splat.kernels.memory import peek, poke
 from nw_eval.splat.kernels.project import DEPTH
 from nw_eval.splat.kernels.records import RECORD

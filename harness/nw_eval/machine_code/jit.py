@@ -2,7 +2,7 @@
 
 Numba's cache looks at the file of the function that it compiles and at no file that this one
 imports from: an edit in the vector layer would leave a stale blend in the cache. Therefore the
-cache folder carries a hash of the source of every kernel file.
+name of a file there carries a hash of every source in the kernel's folder.
 """
 
 from __future__ import annotations
@@ -10,28 +10,31 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import llvmlite
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
+from numba.core.ccallback import CFunc
 
-from nw_eval.splat.kernels.kept import kept_code
+from nw_eval.machine_code.kept import kept_code
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+_AS_WRITTEN: dict[str, Any] = {"boundscheck": False, "error_model": "numpy"}
 
-def _hash_sources(folder: Path) -> str:
+
+@cache
+def hash_sources(folder: Path) -> str:
+    """Return what changes whenever a source in a folder changes, or what compiles it."""
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
     digest = hashlib.sha256(" ".join(versions).encode())
     for path in sorted(folder.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
-
-
-KERNEL_VERSION = _hash_sources(Path(__file__).parent)
-"""Changes whenever any kernel file or what compiles it changes."""
 
 
 def kernel(function: Function) -> Function:
@@ -42,9 +45,26 @@ def kernel(function: Function) -> Function:
     that has a fused multiply-add (measured: AVX2 and AVX-512 agree).
     """
     compiled = _compile(function, inline="never")
-    cache = kept_code(function, KERNEL_VERSION)
-    if cache is not None:
-        compiled._cache = cache  # noqa: SLF001 - Numba has no public way to bring one's own cache.
+    kept = _kept(function)
+    if kept is not None:
+        compiled._cache = kept  # noqa: SLF001 - Numba has no public way to bring one's own cache.
+    return compiled
+
+
+def c_function(function: Callable[..., Any], arguments: tuple[Any, ...], returns: Any) -> Any:
+    """Compile as a C function and keep its machine code like a kernel's.
+
+    Args:
+        function: what it closes over is frozen into it, and tells its code from other code.
+        arguments: Numba's types.
+        returns: Numba's type.
+
+    Returns:
+        An object with the `address` of the function, which lives as long as the object.
+    """
+    compiled: Any = CFunc(function, (arguments, returns), locals={}, options=_AS_WRITTEN)
+    compiled._cache = _kept(function) or compiled._cache  # noqa: SLF001 - as in `kernel`.
+    compiled.compile()
     return compiled
 
 
@@ -53,6 +73,10 @@ def inlined(function: Function) -> Function:
     return _compile(function, inline="always")
 
 
+def _kept(function: Callable[..., Any]) -> FunctionCache | None:
+    return kept_code(function, hash_sources(Path(function.__code__.co_filename).parent))
+
+
 def _compile(function: Callable[..., Any], *, inline: Literal["always", "never"]) -> Any:
-    compiler: Any = numba.njit(nogil=True, boundscheck=False, error_model="numpy", inline=inline)
+    compiler: Any = numba.njit(nogil=True, inline=inline, **_AS_WRITTEN)
     return compiler(function)

@@ -1,0 +1,1 @@
+"""Functions compiled to machine code by Numba, and where the code is kept."""

@@ -1,0 +1,1 @@
+"""Contacts of a robot's shapes with scanned ground, in place of MuJoCo's own."""
