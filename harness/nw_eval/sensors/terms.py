@@ -39,7 +39,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
     Args:
         term: from the card.
         command: the card's, for commanded speeds.
-        control: joint order and default pose.
+        control: joint order, default pose and limits of actions.
     """
     pose, order = control.default_pose, _index(control.order)
     match term:
@@ -63,9 +63,9 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.JointVelocity():
             return lambda moment: moment.world.joint_velocities[order]
         case terms.AppliedAction():
-            return lambda moment: moment.applied_action
+            return _fed_back(lambda moment: moment.applied_action, term, control)
         case terms.LastOutput():
-            return lambda moment: moment.last_output
+            return _fed_back(lambda moment: moment.last_output, term, control)
         case terms.FootContacts():
             return _foot_contacts(term)
         case terms.Constant() | terms.Speed():
@@ -102,6 +102,16 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
         return np.array([c * x + s * y, c * y - s * x, z])
 
     return read
+
+
+def _fed_back(
+    read: Callable[[Moment], Array],
+    term: terms.AppliedAction | terms.LastOutput,
+    control: JointControl,
+) -> Reader:
+    if not term.clipped:
+        return read
+    return lambda moment: read(moment).clip(control.low, control.high)
 
 
 def _foot_contacts(term: terms.FootContacts) -> Reader:
