@@ -98,6 +98,31 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 
 
+def fold_policy(checkpoint: Path, *, out: Path) -> str:
+    """Write an ONNX graph and the weights in files beside it as one file, without running it.
+
+    Args:
+        checkpoint: the graph.
+        out: the file to write.
+
+    Raises:
+        PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
+        UsageError: `out` exists already, or cannot be written.
+    """
+    from nw_eval.policies.onnx_fold import fold
+    from nw_eval.rollout.access import folding_rules
+    from nw_eval.rollout.isolated import call_isolated
+
+    size = call_isolated(
+        fold,
+        subject=str(checkpoint),
+        rules=folding_rules(checkpoint, out),
+        checkpoint=str(checkpoint),
+        out=str(out),
+    )
+    return f"{out}: {int(size) / 1e6:.2f} MB, graph and weights"
+
+
 @contextmanager
 def serve_policy(
     policy: str,

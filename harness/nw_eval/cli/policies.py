@@ -91,6 +91,22 @@ class Init:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fold:
+    """Write an ONNX graph whose weights lie in a second file as one file, without running it."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """The ONNX file; what it names lies beside it."""
+    out: Path
+    """The file to write."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.fold_policy(self.checkpoint, out=self.out))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Serve:
     """Serve a policy over a websocket, for `adapter: remote`, until SIGINT or SIGTERM."""
 
@@ -127,13 +143,14 @@ class Serve:
 
 @dataclass(frozen=True, kw_only=True)
 class Policies:
-    """List policies, show their cards, check them in physics, draft a card, or serve a policy."""
+    """List policies, show and check their cards, draft one, fold a checkpoint, serve a policy."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Init, tyro.conf.subcommand("init")]
+        | Annotated[Fold, tyro.conf.subcommand("fold")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
     )
 
