@@ -236,6 +236,30 @@ def test_code_that_does_not_say_its_inputs_is_admitted(tmp_path):
     assert "CHECK: the file does not say how many inputs it takes" in write_card_draft(facts, GO1)
 
 
+class Convolution(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.actor = nn.Conv1d(1, 12, 48)
+
+    def forward(self, obs: torch.Tensor):
+        return self.actor(obs[:, None])[:, :, 0]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_network_without_linear_layers_is_said_to_tell_no_size(tmp_path):
+    torch.jit.save(torch.jit.script(Convolution()), tmp_path / "p.pt")
+    text = write_card_draft(inspect_checkpoint(tmp_path / "p.pt"), GO1)
+    assert "it has no linear layer that would tell, so 48 is assumed" in text
+    assert "[]" not in text
+
+
+@pytest.mark.parametrize("shape", [[1, 3, 45, 80], [1, 58, 87]])
+def test_how_often_a_camera_looks_is_for_the_author_to_check(shape, onnx_file, drafted):
+    text, card, _ = drafted(onnx_file({"obs": [1, 53], "camera": shape}))
+    assert card.observations["camera"].rate == 10
+    assert "    rate: 10  # CHECK: images a second of the training" in text
+
+
 def test_a_pickled_module_is_to_be_exported(tmp_path):
     torch.save(nn.Linear(45, 12), tmp_path / "module.pt")
     old = {"_use_new_zipfile_serialization": False}  # As torch saved before 1.6.

@@ -10,7 +10,7 @@ from nw_eval.policies.inspect.exporter import ExportedTerm
 from nw_eval.policies.inspect.facts import ArrayFacts, CheckpointFacts
 from nw_eval.policies.inspect.guesses import SCANS, frames_of, is_scan
 from nw_eval.policies.inspect.script import ScriptInput
-from nw_eval.policies.inspect.text import CHECK, key
+from nw_eval.policies.inspect.text import CHECK, RATE_LINE, key
 from nw_eval.policies.inspect.vectors import Part, guessed_parts, named_parts, zeros
 
 _IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
@@ -44,7 +44,11 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     first = re.compile(r"(^|\.)(0\.)?weight(_ih_l0)?$")
     sizes = [tensor.shape[1] for tensor in layers if first.search(tensor.name)]
     known = [size for size in sizes if frames_of(size)]
-    said = f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
+    said = (
+        f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
+        if layers
+        else "it has no linear layer that would tell, so 48 is assumed"
+    )
     if len(facts.script) > 1:
         return tuple(_argument(argument, min(known, default=48), said) for argument in facts.script)
     direct = facts.script[0].size if facts.script else None
@@ -155,6 +159,7 @@ def _image(array: ArrayFacts, shape: tuple[int | None, ...]) -> list[str]:
         f"camera: ego  {CHECK} a camera of the robot",
         f"width: {width or 80}",
         f"height: {height or 45}",
+        RATE_LINE,
         f"axes: {'chw' if chw else 'hwc'}",
     ]
     if stack:
@@ -170,4 +175,5 @@ def _depth(shape: tuple[int | None, ...]) -> list[str]:
         f"camera: ego  {CHECK} a camera of the robot, and its near and far",
         f"width: {shape[1] or 80}",
         f"height: {shape[0] or 45}",
+        RATE_LINE,
     ]
