@@ -64,16 +64,20 @@ def check_policy(
     return Message(text=told.text, exit_code=0 if told.passed else UsageError.exit_code)
 
 
-def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Message:
+def init_policy(
+    checkpoint: Path, *, robot: str, out: Path | None = None, layout: str | None = None
+) -> Message:
     """Inspect a checkpoint without running it, and write a first card beside it.
 
     Args:
         checkpoint: any format that an adapter reads.
         robot: which robot the policy drives.
         out: the card to write; `policy.yaml` beside the checkpoint if None.
+        layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
-        PolicyError: the file cannot be read, could run code, or holds an unknown network.
+        PolicyError: the file cannot be read, could run code, holds an unknown network, or does not
+            fit `layout`.
         UsageError: there is a card already.
     """
     from nw_eval.policies.card_file import CARD_FILE
@@ -92,6 +96,7 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
             checkpoint=str(checkpoint),
             robot=robot,
             folder=str(card.parent),
+            layout=layout,
         )
     )
     write_text(card, text)

@@ -81,11 +81,14 @@ class Init:
     """The robot that the policy drives: go1 or go2."""
     out: Path | None = None
     """The card to write; `policy.yaml` beside the checkpoint when absent."""
+    layout: str | None = None
+    """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
+    The card names those that fit."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out)
+        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
         print(told.text)
         return told.exit_code
 

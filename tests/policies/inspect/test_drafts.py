@@ -154,11 +154,11 @@ def test_a_policy_is_named_after_its_folder_where_its_file_has_no_name(
 
 def test_the_order_of_joints_of_those_who_may_have_trained_it_is_offered(onnx_file, drafted):
     text, card, _ = drafted(onnx_file({"obs": [1, 45]}))
-    assert card.control.joints[:3] == ["FR_hip", "FR_thigh", "FR_calf"]
     # Isaac Gym takes the legs by their names; Isaac Lab takes all first joints, then all second.
-    assert "# HIMLoco, rl_sar: [FL_hip, FL_thigh, FL_calf, FR_hip," in text
-    assert "# Isaac Lab without linear velocity: [FL_hip, FR_hip, RL_hip, RR_hip, FL_thigh," in text
-    text, _, _ = drafted(onnx_file({"obs": [1, 53]}))
+    assert card.control.joints[:4] == ["FL_hip", "FL_thigh", "FL_calf", "FR_hip"]
+    assert "#     joints: [FL_hip, FR_hip, RL_hip, RR_hip, FL_thigh," in text
+    text, card, _ = drafted(onnx_file({"obs": [1, 53]}))
+    assert card.control.joints[:3] == ["FR_hip", "FR_thigh", "FR_calf"]
     assert "[FL_hip" not in text
 
 
@@ -188,6 +188,10 @@ def test_a_scripted_module_gets_as_many_inputs_as_its_code_has(traced, tmp_path)
     card = load_card(tmp_path / "policy.yaml")
     assert card.inputs == {"obs": ["obs"], "hist": ["hist"]}
     assert card.observations["hist"].history.steps == 6
+    # Six frames are HIMLoco's, so the frame beside them is laid out as its are.
+    firsts = {seen.frame_terms[0].term for seen in card.observations.values()}
+    assert firsts == {"command"}
+    assert card.control.clip == (-100, 100)
     assert "CHECK: its size is not in the file" in write_card_draft(facts, GO1)
 
 

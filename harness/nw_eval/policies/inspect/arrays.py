@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 
 from nw_eval.policies.inspect.exporter import ExportedTerm
 from nw_eval.policies.inspect.facts import ArrayFacts, CheckpointFacts
-from nw_eval.policies.inspect.guesses import SCANS, frames_of, is_scan
+from nw_eval.policies.inspect.frames import frames_of
+from nw_eval.policies.inspect.guessed import Likely, guessed_parts
+from nw_eval.policies.inspect.guesses import SCANS, is_scan
 from nw_eval.policies.inspect.script import ScriptInput
 from nw_eval.policies.inspect.text import CHECK, RATE_LINE, key
-from nw_eval.policies.inspect.vectors import Part, guessed_parts, named_parts, zeros
+from nw_eval.policies.inspect.vectors import Part, named_parts, zeros
 
 _IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
 
@@ -63,12 +65,13 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     return (Wanted(array=array, said=said),)
 
 
-def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
+def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> tuple[Part, ...]:
     """Return the observations that make an input together, in their order.
 
     Args:
         wanted: the input.
         terms: what the exporter says that it is made of; empty where it does not.
+        likely: layouts that are taken before others.
     """
     array, name = wanted.array, key(wanted.array.name)
     batch, shape = _batch(array.shape), _without_batch(array.shape)
@@ -76,9 +79,9 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
         lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)
         return (Part(name=name, lines=tuple(lines)),)
     if len(shape) == 2:
-        return (_rows(wanted, shape, terms),)
+        return (_rows(wanted, shape, terms, likely),)
     size = shape[0] or 0 if shape else 0
-    parts = _row(name, size, wanted, terms)
+    parts = _row(name, size, wanted, terms, likely)
     if batch > 1:
         note = (
             f"{CHECK} the checkpoint wants a batch of {batch}: export it with batch 1 or a free "
@@ -88,19 +91,26 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
     return parts if wanted.known else (_noted(parts[0], f"{CHECK} its size is not in the file"),)
 
 
-def _row(name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
+def _row(
+    name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely
+) -> tuple[Part, ...]:
+    said = wanted.said
     if terms and not is_scan(wanted.array.name):
-        return named_parts(name, size, terms)
-    return guessed_parts(name, size, wanted.said)
+        if parts := named_parts(name, size, terms):
+            return parts
+        said = f"the file names no terms of its {size} numbers"
+    return guessed_parts(name, size, said, likely)
 
 
-def _rows(wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm]) -> Part:
+def _rows(
+    wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm], likely: Likely
+) -> Part:
     """Return an observation of frames that stand on an axis of their own."""
     name, (steps, size) = key(wanted.array.name), (n or 0 for n in shape)
     last = not terms and bool(frames_of(steps)) and not frames_of(size)
     steps, size = (size, steps) if last else (steps, size)
     # Here the frames of a term are rows, whatever the exporter calls their history.
-    parts = _row(name, size, wanted, [replace(term, history=1) for term in terms])
+    parts = _row(name, size, wanted, [replace(term, history=1) for term in terms], likely)
     part = parts[0]
     if len(parts) > 1:
         lines = ("sensor: proprio", *zeros(size, "frames with a scan, which no card can make"))
@@ -113,7 +123,8 @@ def _rows(wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedT
     wrap = f"wrap: [{{wrapper: stack, steps: {steps}{axis}}}]"
     if not terms or any(term.history != steps for term in terms):
         wrap += f"  {CHECK} the oldest frame comes first"
-    return replace(part, lines=(*part.lines, wrap))
+    ways = {name: (*lines, wrap) for name, lines in part.ways.items()}
+    return replace(part, lines=(*part.lines, wrap), ways=ways)
 
 
 def _argument(argument: ScriptInput, frame: int, said: str) -> Wanted:
