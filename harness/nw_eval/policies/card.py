@@ -17,6 +17,7 @@ from nw_eval.policies.action_filter import ButterworthFilter, LowPass
 from nw_eval.policies.joints import PerJoint
 from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits, Line
 from nw_eval.policies.observations import Observation, ProprioObservation
+from nw_eval.policies.terms import AppliedAction, LastOutput
 from nw_eval.policies.terms import Command as CommandTerm
 
 PHYSICS_RATE = 200
@@ -260,7 +261,7 @@ class Card(CardModel):
         if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
         self._check_inputs()
-        self._check_command()
+        self._check_terms()
         self._check_rates()
         if self.recurrent and self.adapter != "onnx":
             message = f"`recurrent` is for adapter onnx; `{self.adapter}` keeps its state itself"
@@ -292,14 +293,22 @@ class Card(CardModel):
             listed = ", ".join(unused)
             raise ValueError(f"no input uses the observation {listed}; use it or remove it")
 
-    def _check_command(self) -> None:
-        if isinstance(self.command, WaypointCommand):
-            for name, observation in self.observations.items():
-                if isinstance(observation, ProprioObservation) and any(
-                    isinstance(term, CommandTerm) for term in observation.frame_terms
-                ):
-                    message = f"{name!r} has the term `command` but the card commands no velocity"
-                    raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+    def _check_terms(self) -> None:
+        """Refuse terms that need what the card does not say."""
+        for name, observation in self.observations.items():
+            if not isinstance(observation, ProprioObservation):
+                continue
+            terms = observation.frame_terms
+            if isinstance(self.command, WaypointCommand) and any(
+                isinstance(term, CommandTerm) for term in terms
+            ):
+                message = f"{name!r} has the term `command` but the card commands no velocity"
+                raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+            if self.control.clip is None and any(
+                isinstance(term, LastOutput | AppliedAction) and term.clipped for term in terms
+            ):
+                message = f"{name!r} feeds a clipped action back but the card clips none"
+                raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
         """Return input names with the observations they are made of.

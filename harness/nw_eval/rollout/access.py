@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cache import cache_dir
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.errors import StoreError
+from nw_eval.policies.safety import Limits
 from nw_eval.scenes.whereabouts import scene_paths
 
 if TYPE_CHECKING:
@@ -25,6 +26,16 @@ def inspecting_rules(checkpoint: Path) -> Rules:
     return Rules(
         reads=(checkpoint.resolve(),),
         memory=memory_to_open(_size(checkpoint)),
+        seconds=OPENING_SECONDS,
+    )
+
+
+def folding_rules(checkpoint: Path, out: Path) -> Rules:
+    """Return the rules of a process that writes a checkpoint and files beside it as one file."""
+    return Rules(
+        reads=(checkpoint.resolve().parent,),
+        writes=(out.resolve().parent,),
+        memory=memory_to_open(Limits().file_bytes),
         seconds=OPENING_SECONDS,
     )
 
