@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 _REACH = 0.8  # m from the trunk's middle to the map's edges
 _CELL = 0.025  # m
-_EYE = 60.0  # m below the robot: from there rays upwards are as good as parallel, and cast as one fan
+_EYE = (
+    60.0  # m below the robot: from there rays upwards are as good as parallel, and cast as one fan
+)
 _LEAST_RISE = 0.02  # m; a foot that touches the ground covers what is under it, and no more
 _DARKEST = 0.9  # share of the light; some always comes from the side
 _FLAT = 0.04  # m: what lies this far off the ground of its cell is a wall or an edge

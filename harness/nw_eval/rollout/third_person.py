@@ -1,4 +1,4 @@
-"""The view of somebody who stands beside: the splat, with robot and cones in it."""
+"""The view of somebody who stands beside: the place, with robot and cones in it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from nw_eval.rollout.contact_shadow import ContactShadow
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.cones import Cones
 from nw_eval.sensors.insert import insert
+from nw_eval.sensors.mesh_picture import MeshPicture
 from nw_eval.sensors.overlay import draw, ray_directions
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.pixels import Pixels
@@ -36,12 +37,18 @@ _SHORT_OF_WALLS = 0.85
 
 
 class Spectator:
-    """Takes third-person pictures of one scene; owns nothing that must be closed."""
+    """Takes third-person pictures of one scene; owns nothing that must be closed.
 
-    def __init__(self, scene: Scene, renderer: Renderer, *, rays: RayScene | None = None) -> None:
+    Args:
+        scene: what is seen.
+        renderer: of its splat; None draws its mesh.
+    """
+
+    def __init__(self, scene: Scene, renderer: Renderer | None) -> None:
         self._scene = scene
-        self._renderer = renderer
-        self._rays = RayScene(scene.mesh()) if rays is None else rays
+        self._rays = RayScene(scene.mesh())
+        drawn = MeshPicture(self._rays, scene.T_world_splat)
+        self._renderer = drawn if renderer is None else renderer
 
     def beside(self, world: World, trail: NDArray[np.float64], *, width: int, height: int) -> Bytes:
         """Return the robot from behind its right shoulder, (height, width, 3)."""

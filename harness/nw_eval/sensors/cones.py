@@ -35,7 +35,7 @@ class Cones:
                 ]
             )
         )
-        self._middles = waypoints + [0.0, 0.0, HEIGHT / 2]
+        self._middles = waypoints + np.array([0.0, 0.0, HEIGHT / 2])
         corners = cone.mesh.triangles
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1)

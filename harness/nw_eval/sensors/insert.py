@@ -68,4 +68,4 @@ def insert(
 def _beside_surface(points: NDArray[np.float64], static: RayScene) -> NDArray[np.bool_]:
     """Return which points (N, 3) have a surface at most `_LOOSE` above or below them."""
     down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
-    return static.distance(points + [0.0, 0.0, _LOOSE], down) < 2.0 * _LOOSE
+    return static.distance(points + np.array([0.0, 0.0, _LOOSE]), down) < 2.0 * _LOOSE
