@@ -175,8 +175,8 @@ def _observe(
             world.step(robot.default_pose)
         given = None if renderer is None else lambda _scene: renderer
         sensors = build_sensors(card, world, renderer=given, code_from=code_from)
-        for number, sensor in enumerate(sensors.values()):
-            sensor.reset(number)
+        for sensor in sensors.values():
+            sensor.reset(0)
         moment = Moment(
             world=world,
             progress=TrailProgress(scene.trail, protocol),

@@ -26,8 +26,8 @@ _SAMPLES = 45
 """Rows and columns of pixels that are looked at, at least; more say nothing new about a mean."""
 _LEVEL = 0.02
 """Rays that go down less steeply than this see what is far away, or sky."""
-_ELSEWHERE = 1e-3
-"""Weight of those beside the others: they count only where there is no ground around."""
+_ELSEWHERE, _AFAR = 1e-4, 1e-2
+"""Weights beside that of ground around: of what is no ground, and of ground anywhere else."""
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -51,7 +51,8 @@ def light_around(
     step = tuple(slice(None, None, max(1, size // _SAMPLES)) for size in rgb.shape[:2])
     weight = np.where(down[step] > _LEVEL, 1.0, _ELSEWHERE)[..., np.newaxis]
     shown = np.clip(rgb[step], 0.0, 1.0)
-    total = _around(_cells(np.concatenate([shown * weight, weight], axis=-1)))
+    cells = _cells(np.concatenate([shown * weight, weight], axis=-1))
+    total = _around(cells) + _AFAR * cells.sum(axis=(0, 1))
     mean = _between(total[..., :3] / total[..., 3:], rgb.shape[:2], row, column)
     grey = (mean * _LUMA).sum(axis=-1, keepdims=True)
     light = (grey + _TINT * (mean - grey)) / _GREY

@@ -89,7 +89,7 @@ def text_strip(
     from PIL import ImageDraw, ImageFont
 
     font = ImageFont.load_default(size=size)
-    lines = wrapped(clean(text), width, font)
+    lines = wrapped(clean(text), width - 2, font)  # Letters lean out of their boxes a little.
     height = round(1.4 * size)
     strip = PillowImage.new("RGB", (width, height * len(lines)), "white")
     pen = ImageDraw.Draw(strip)
