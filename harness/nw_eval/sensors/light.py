@@ -17,7 +17,7 @@ Floats = NDArray[np.floating]
 
 _GREY = 0.46
 """Display value (sRGB) of what reflects 18 %."""
-_TINT = 0.35
+_TINT = 0.5
 """Share of the mean's tint that is the light's; the rest is of the surfaces themselves."""
 _DIMMEST, _BRIGHTEST = 0.15, 1.1
 _CELLS = (9, 16)
@@ -55,8 +55,9 @@ def light_around(
     total = _around(cells) + _AFAR * cells.sum(axis=(0, 1))
     mean = _between(total[..., :3] / total[..., 3:], rgb.shape[:2], row, column)
     grey = (mean * _LUMA).sum(axis=-1, keepdims=True)
-    light = (grey + _TINT * (mean - grey)) / _GREY
-    return np.clip(light, _DIMMEST, _BRIGHTEST).astype(np.float32)
+    brightness = np.clip(grey / _GREY, _DIMMEST, _BRIGHTEST)
+    tint = 1.0 + _TINT * (mean / np.maximum(grey, 1e-3) - 1.0)
+    return (brightness * tint).astype(np.float32)
 
 
 def _cells(image: Floats) -> Floats:
