@@ -27,6 +27,7 @@ PANEL = (400, 225)
 """Width and height of a picture, pixels."""
 
 _ACROSS = 4
+_BLANK = 232  # of a panel without a picture
 _SETTLING = 50  # control steps in which the robot comes to stand
 _BEFORE = 1.1  # m from the first waypoint to where it stands
 _MARGIN = 0.3  # m that it may stand behind its spawn
@@ -239,9 +240,10 @@ def _photo(seen: dict[str, NDArray[Any]], name: str) -> Bytes:
     """Return a camera's image, or a panel that says why there is none."""
     if name in seen:
         return pictures.enlarged(seen[name], PANEL)
-    strip = np.asarray(text_strip("no splat, so no camera images", PANEL[0], size=14))
-    paper = np.full((PANEL[1], *strip.shape[1:]), strip.max(), dtype=np.uint8)
-    paper[: len(strip)] = strip
+    strip = np.asarray(text_strip("no splat, so no camera images", PANEL[0] - 80, size=14))
+    paper = np.full((PANEL[1], PANEL[0], 3), _BLANK, dtype=np.uint8)
+    top = (PANEL[1] - len(strip)) // 2
+    paper[top : top + len(strip), 80:] = np.minimum(strip, _BLANK)
     return paper
 
 

@@ -17,7 +17,7 @@ Floats = NDArray[np.floating]
 
 _GREY = 0.46
 """Display value (sRGB) of what reflects 18 %."""
-_TINT = 0.5
+_TINT = 0.35
 """Share of the mean's tint that is the light's; the rest is of the surfaces themselves."""
 _DIMMEST, _BRIGHTEST = 0.15, 1.1
 _CELLS = (9, 16)
