@@ -97,7 +97,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
     """Return which inputs are not what a checkpoint is likely to have been trained on."""
     found: list[Finding] = []
     for spec, names in resolve_inputs(card, recording.inputs) if recording.inputs else ():
-        for name in names:
+        for name in (one for one in names if one in card.observations):
             is_rgb = isinstance(card.observations[name], SplatRgbObservation)
             is_bytes = recording.observations[name].dtype == np.uint8
             if is_rgb and is_bytes and spec.dtype.kind == "f":

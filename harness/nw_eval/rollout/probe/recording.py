@@ -202,7 +202,7 @@ def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code
         scene=scene,
         policy=str(bundle.card_path),
         checkpoint=bundle.checkpoint,
-        checkpoint_digest=bundle.checkpoint_sha256,
+        checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,
     )
 

@@ -1,0 +1,188 @@
+"""Networks that feed a policy: asked at their own rates, what they gave held in between."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.arrays import pack
+from nw_eval.errors import ActionError, TrialError
+from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.card_inputs import feeding_order
+from nw_eval.policies.card_networks import NetworkOutput
+from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.network import Network, Wanted
+from nw_eval.policies.observations.proprio import selected_indices
+from nw_eval.policies.policy import Action, InputSpec, Observation, Policy
+
+Array = NDArray[Any]
+
+
+def open_network(bundle: Bundle, wanted: Wanted) -> Network:
+    """Open one file of a bundle for some of its outputs.
+
+    Args:
+        bundle: from `Bundle.of_network`.
+        wanted: which outputs `run` is to return, in this order.
+
+    Raises:
+        PolicyError: the file is not what its adapter reads, or has other inputs and outputs than
+            the card says.
+    """
+    match bundle.card.adapter:
+        case "onnx":
+            from nw_eval.policies.adapters.onnx import OnnxNetwork
+
+            return OnnxNetwork(bundle, wanted)
+        case "torchscript":
+            from nw_eval.policies.adapters.torchscript import TorchScriptNetwork
+
+            return TorchScriptNetwork(bundle, wanted)
+        case _:
+            from nw_eval.policies.adapters.torch_export import TorchExportNetwork
+
+            return TorchExportNetwork(bundle, wanted)
+
+
+class Feeder:
+    """One network in a trial, with the names under which others take what it gives."""
+
+    def __init__(self, bundle: Bundle, name: str) -> None:
+        network = bundle.card.networks[name]
+        self.name = name
+        self.bundle = bundle.of_network(name)
+        self.outputs = network.given_as(name)
+        self.every = 1 if network.rate is None else bundle.card.control.rate // network.rate
+        """Actions from one time that it is asked to the next."""
+        wanted = [output.output for output in self.outputs.values()]
+        self.network = open_network(self.bundle, wanted)
+
+    def run(self, given: Observation) -> dict[str, Array]:
+        """Ask it; return what it gives by name, each in memory of its own.
+
+        Raises:
+            ActionError: an output is not finite.
+            TrialError: it failed, or `select` or `scale` does not fit an output.
+        """
+        raw = self.network.run(given)
+        return {
+            name: self._finite(name, _picked(name, output, array))
+            for (name, output), array in zip(self.outputs.items(), raw, strict=True)
+        }
+
+    def _finite(self, name: str, array: Array) -> Array:
+        if math.isfinite(float(array.sum())) or np.isfinite(array).all():
+            return array
+        index = int(np.argmin(np.isfinite(array)))
+        raise ActionError(
+            f"{self.bundle.subject} gave {array.flat[index]} for number {index} of `{name}`",
+            fix="check its file, and the observations' scales on the card",
+        )
+
+
+class FedPolicy:
+    """A policy whose inputs are observations, and what networks make of them.
+
+    With the actions 0, n, 2n, ... of a trial a network is asked that runs at an n-th of the
+    policy's rate. At one action, each is asked after those that feed it.
+    """
+
+    def __init__(self, bundle: Bundle, policy: Policy) -> None:
+        """Open the networks of a bundle.
+
+        Args:
+            bundle: of a card with networks.
+            policy: its checkpoint.
+
+        Raises:
+            PolicyError: as `open_network`.
+        """
+        self._name = bundle.name
+        self.policy = policy
+        self.feeders = tuple(Feeder(bundle, name) for name in feeding_order(bundle.card))
+        self._actions = 0
+        self._held: dict[str, Array] = {}
+
+    @property
+    def inputs(self) -> tuple[InputSpec, ...]:
+        """What the checkpoint declares to take; empty where its format does not say."""
+        return self.policy.inputs
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial: nothing was given yet."""
+        for feeder in self.feeders:
+            feeder.network.reset(seed)
+        self.policy.reset(seed)
+        self._actions = 0
+        self._held = {}
+
+    def act(self, observation: Observation) -> Action:
+        """Ask the networks whose time has come, then the policy.
+
+        Raises:
+            ActionError: a network gave inf or NaN, or as the policy.
+            TrialError: a network, or the policy, failed otherwise.
+        """
+        given = dict(observation)
+        for feeder in self.feeders:
+            if self._actions % feeder.every == 0:
+                self._held |= feeder.run(given)
+            given |= {name: self._held[name] for name in feeder.outputs}
+        self._actions += 1
+        return self.policy.act(given)
+
+    def state(self) -> bytes:
+        """Return what all of them remember, what is held, and how many actions there were."""
+        memories = {f"network {feeder.name}": feeder.network.state() for feeder in self.feeders}
+        memories["policy"] = self.policy.state()
+        arrays = {name: np.frombuffer(memory, np.uint8) for name, memory in memories.items()}
+        arrays |= {f"held {name}": array for name, array in self._held.items()}
+        return pack(arrays | {"actions": np.array(self._actions)})
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        arrays = unpack(state, self._name)
+        try:
+            for feeder in self.feeders:
+                feeder.network.restore(arrays.pop(f"network {feeder.name}").tobytes())
+            self.policy.restore(arrays.pop("policy").tobytes())
+            self._actions = int(arrays.pop("actions"))
+        except (KeyError, TypeError, ValueError) as error:
+            raise unfitting(self._name, repr(error)) from None
+        self._held = {name.removeprefix("held "): array for name, array in arrays.items()}
+        known = {name for feeder in self.feeders for name in feeder.outputs}
+        if self._held.keys() != (known if self._actions else set()):
+            raise unfitting(self._name, f"it holds {', '.join(self._held) or 'nothing'}")
+
+    def close(self) -> None:
+        """Close all of them."""
+        for feeder in self.feeders:
+            feeder.network.close()
+        self.policy.close()
+
+
+def _picked(name: str, output: NetworkOutput, array: Array) -> Array:
+    """Return a copy of what the card wants of an output, without a batch axis."""
+    if array.size == max(array.shape, default=1):
+        array = array.reshape(-1)
+    elif array.shape[0] == 1:
+        array = array[0]
+    if output.select is not None:
+        try:
+            array = array.reshape(-1)[selected_indices(output.select, array.size, of="output")]
+        except ValueError as error:
+            raise TrialError(f"`{name}`: {error}") from None
+    if output.scale == 1.0:
+        return array.copy()
+    scale = np.asarray(output.scale, array.dtype if array.dtype.kind == "f" else np.float32)
+    if scale.ndim and scale.shape != array.shape:
+        shape = " x ".join(str(side) for side in array.shape)
+        raise TrialError(f"`{name}`: `scale` has {scale.size} numbers, the output {shape}")
+    return array * scale
