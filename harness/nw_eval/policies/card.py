@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from nw_eval.errors import nearest
-from nw_eval.policies.card_networks import Inputs, Network, OutputKey, parts_of
+from nw_eval.policies.card_networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.policies.checkpoint import Checkpoint
 from nw_eval.policies.joints import PerJoint
 from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits, Line
@@ -252,7 +252,7 @@ class Card(CardModel):
 
         The name is None where the card leaves it to the checkpoint, which has one input then.
         """
-        return parts_of(list(self.observations) if self.inputs is None else self.inputs)
+        return input_parts(list(self.observations) if self.inputs is None else self.inputs)
 
     def of_network(self, name: str) -> Card:
         """Return the card of one of the networks: of its file alone, as if that were the policy."""

@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import Problem, nearest
-from nw_eval.policies.card_networks import parts_of
+from nw_eval.policies.card_networks import input_parts
 
 if TYPE_CHECKING:
     from nw_eval.policies.card import Card
@@ -81,8 +81,8 @@ class _Checked:
             words = "`inputs` is missing: it says what the checkpoint itself takes"
             fix = f"for example `inputs: [{', '.join(self._known)}]`"
             self._tell(("networks",), words, fix, named=False)
-        elif card.inputs is not None:
-            self._unused(used)
+        elif card.inputs is not None and used <= set(self._known):
+            self._unused(used)  # What is not used is often what a misspelt name meant.
         self._circles()
 
     def _names(self, place: Location, name: str) -> None:
@@ -102,7 +102,7 @@ class _Checked:
     ) -> set[str]:
         """Check the inputs of one file; return all that they are made of."""
         used: set[str] = set()
-        for name, parts in parts_of(inputs) if inputs else ():
+        for name, parts in input_parts(inputs) if inputs else ():
             where = place if name is None else (*place, name)
             if name in (recurrent or {}):
                 self._tell(where, f"{name!r} is in `recurrent` too", "name it in one of them")
@@ -151,7 +151,7 @@ class _Checked:
 
 def _fed_by(card: Card, name: str) -> set[str]:
     """Return the networks that feed a network."""
-    taken = {part for _, parts in parts_of(card.networks[name].inputs) for part in parts}
+    taken = {part for _, parts in input_parts(card.networks[name].inputs) for part in parts}
     return {
         other for other, network in card.networks.items() if taken & set(network.given_as(other))
     }

@@ -67,7 +67,7 @@ class Network(CardModel):
         return {f"{name}.{part}": output for part, output in self.outputs.items()}
 
 
-def parts_of(inputs: Inputs) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
+def input_parts(inputs: Inputs) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
     """Return input names with what they are made of; no name where the file has one input."""
     if isinstance(inputs, list):
         return ((None, tuple(inputs)),)

@@ -104,7 +104,8 @@ class FedPolicy:
         self.policy = policy
         self.feeders = tuple(Feeder(bundle, name) for name in feeding_order(bundle.card))
         self._actions = 0
-        self._held: dict[str, Array] = {}
+        self.held: dict[str, Array] = {}
+        """By name, what the networks gave last."""
 
     @property
     def inputs(self) -> tuple[InputSpec, ...]:
@@ -117,7 +118,7 @@ class FedPolicy:
             feeder.network.reset(seed)
         self.policy.reset(seed)
         self._actions = 0
-        self._held = {}
+        self.held = {}
 
     def act(self, observation: Observation) -> Action:
         """Ask the networks whose time has come, then the policy.
@@ -129,8 +130,8 @@ class FedPolicy:
         given = dict(observation)
         for feeder in self.feeders:
             if self._actions % feeder.every == 0:
-                self._held |= feeder.run(given)
-            given |= {name: self._held[name] for name in feeder.outputs}
+                self.held |= feeder.run(given)
+            given |= {name: self.held[name] for name in feeder.outputs}
         self._actions += 1
         return self.policy.act(given)
 
@@ -139,7 +140,7 @@ class FedPolicy:
         memories = {f"network {feeder.name}": feeder.network.state() for feeder in self.feeders}
         memories["policy"] = self.policy.state()
         arrays = {name: np.frombuffer(memory, np.uint8) for name, memory in memories.items()}
-        arrays |= {f"held {name}": array for name, array in self._held.items()}
+        arrays |= {f"held {name}": array for name, array in self.held.items()}
         return pack(arrays | {"actions": np.array(self._actions)})
 
     def restore(self, state: bytes) -> None:
@@ -156,10 +157,10 @@ class FedPolicy:
             self._actions = int(arrays.pop("actions"))
         except (KeyError, TypeError, ValueError) as error:
             raise unfitting(self._name, repr(error)) from None
-        self._held = {name.removeprefix("held "): array for name, array in arrays.items()}
+        self.held = {name.removeprefix("held "): array for name, array in arrays.items()}
         known = {name for feeder in self.feeders for name in feeder.outputs}
-        if self._held.keys() != (known if self._actions else set()):
-            raise unfitting(self._name, f"it holds {', '.join(self._held) or 'nothing'}")
+        if self.held.keys() != (known if self._actions else set()):
+            raise unfitting(self._name, f"it holds {', '.join(self.held) or 'nothing'}")
 
     def close(self) -> None:
         """Close all of them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Bundle, Card
+from nw_eval.policies.adapters.feeding import FedPolicy
 from nw_eval.policies.policy import InputSpec
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
@@ -61,6 +62,8 @@ class Recording:
     """What the checkpoint declares to take; empty where its format does not say."""
     sees_images: bool
     """Whether images were rendered for the policy, which takes far longer than all else."""
+    given: dict[str, NDArray[Any]] = field(default_factory=dict[str, NDArray[Any]])
+    """(T, ...) what the networks gave that feed the policy, by name."""
 
     @property
     def stumbles(self) -> bool:
@@ -150,6 +153,7 @@ def record(
     job = _job(bundle, library.scene(scene), scene, seconds=seconds, allow_code=allow_code)
     rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
     seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
+    given: dict[str, list[NDArray[Any]]] = {}
     outcome: Outcome | None = None
     tilt = 0.0
     with open_trial(job, library, StageClock()) as opened:
@@ -161,6 +165,9 @@ def record(
             outcome, _ = episode.advance(decision)
             for name, value in decision.observation.items():
                 seen[name].append(np.array(value))
+            if isinstance(episode.policy, FedPolicy):
+                for name, value in episode.policy.held.items():
+                    given.setdefault(name, []).append(value)
             tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
             body = (world.joint_positions, world.torques, tilt, _velocity(world))
             rows.append((decision.action, decision.targets, *body))
@@ -169,6 +176,7 @@ def record(
     actions, targets, positions, torques, tilts, velocities = zip(*rows, strict=True)
     return Recording(
         observations={name: np.stack(values) for name, values in seen.items()},
+        given={name: np.stack(values) for name, values in given.items()},
         actions=np.stack(actions),
         targets=np.stack(targets),
         positions=np.stack([first, *positions]),
