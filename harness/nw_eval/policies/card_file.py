@@ -42,6 +42,8 @@ def load_card(path: Path) -> Card:
     except ValidationError as error:
         problems = validation_problems(error, file, Card, also=_ALSO_CALLED)
         raise PolicyError(problems) from None
-    if problems := [*joint_problems(card, file), *input_problems(card, file)]:
-        raise PolicyError(sorted(problems, key=lambda problem: (problem.line, problem.column)))
+    problems = [*joint_problems(card, file), *input_problems(card, file)]
+    if problems:
+        problems.sort(key=lambda problem: (problem.line, problem.column))
+        raise PolicyError(problems)
     return card
