@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import re
 
 import numpy as np
 import pytest
@@ -414,3 +415,25 @@ def test_a_fed_policy_is_served_whole(tmp_path):
         away = walk(policy, [POSE] * 7)
         policy.close()
     assert away == walk(open_policy(bundle), [POSE] * 7)
+
+
+def test_a_policy_in_python_is_given_outputs_by_name(tmp_path):
+    bundle_of(
+        tmp_path,
+        {"encoder.onnx": linear(np.eye(12)), "body.pt": scripted(PlusOne())},
+        inputs="[encoder.doubled]",
+        encoder="encoder, inputs: [pose], outputs: {doubled: {output: twice}}",
+    )
+    text = (tmp_path / "policy.yaml").read_text()
+    text = re.sub(r"adapter: torchscript\ncheckpoint: .*", "adapter: python:mine:Mine", text)
+    (tmp_path / "policy.yaml").write_text(text.replace("inputs: [encoder.doubled]\n", ""))
+    (tmp_path / "mine.py").write_text(
+        "class Mine:\n"
+        "    def __init__(self, bundle): pass\n"
+        "    def act(self, observation):\n"
+        "        return observation['encoder.doubled'] + observation['pose']\n"
+    )
+    bundle = load_bundle(tmp_path)
+    check_bundle(bundle, allow_code=True)
+    policy = open_policy(bundle, allow_code=True)
+    assert walk(policy, [{"pose": np.ones(12, np.float32)}]) == [[3.0] * 12]

@@ -2,8 +2,10 @@
 
 import hashlib
 import io
+import os
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import onnx
 import pytest
@@ -20,6 +22,10 @@ from nw_eval.rollout.replay import replay
 from nw_eval.rollout.trial import run_trial
 from nw_eval.rollout.vetting import vet_bundle
 from nw_eval.sensors import check_bundle
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))
+HIMLOCO = ASSETS / "policies/himloco-go2/himloco.pt"
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -188,13 +194,45 @@ def test_a_hostile_second_file_is_refused_like_the_first(eyes, tmp_path):
     assert not list(tmp_path.glob("written*"))
 
 
-def test_a_fed_policy_passes_where_strangers_are_vetted(eyes):
-    vet_bundle(load_bundle(eyes), "go1")
-
-
 def test_a_trial_planned_with_another_encoder_is_refused(make_job, library, eyes):
     job = make_job(policy=str(eyes))
     own = load_bundle(eyes).checkpoint_sha256
     result = run_trial(replace(job, checkpoint_digest=own), library=library)
     assert result.status == "error"
     assert "the trial was planned with" in result.error_text
+
+
+class Unit(nn.Module):
+    def forward(self, latent: torch.Tensor) -> torch.Tensor:
+        return nn.functional.normalize(latent, dim=-1, p=2.0)
+
+
+@pytest.mark.assets
+@pytest.mark.skipif(not HIMLOCO.is_file(), reason=f"no weights at {HIMLOCO}")
+def test_himloco_in_three_files_walks_as_in_one(make_job, library, tmp_path):
+    himloco = torch.jit.load(str(HIMLOCO), "cpu")
+    parts = {"estimator": himloco.estimator, "actor": himloco.actor, "unit": Unit()}
+    said = {name: put(tmp_path, f"{name}.pt", scripted(module)) for name, module in parts.items()}
+    card = load_bundle("examples/himloco-go2", checkpoint=HIMLOCO).card_path.read_text()
+    text = re.sub(r"checkpoint:\n(  .*\n)+", f"checkpoint: {said['actor']}\n", card)
+    frame = text[text.index("  obs:\n") :].replace("  obs:\n", "  now:\n")
+    text += (
+        frame[: frame.index("    history:")]
+        + f"""\
+networks:
+  unit: {{adapter: torchscript, checkpoint: {said["unit"]}, inputs: [estimator.latent]}}
+  estimator:
+    adapter: torchscript
+    checkpoint: {said["estimator"]}
+    inputs: [obs]
+    outputs: {{velocity: {{select: ["0:3"]}}, latent: {{select: ["3:19"]}}}}
+inputs: [now, estimator.velocity, unit]
+"""
+    )
+    (tmp_path / "policy.yaml").write_text(text)
+    three = run_trial(make_job(policy=str(tmp_path), robot="go2", duration=4.0), library=library)
+    whole = make_job(policy="examples/himloco-go2", robot="go2", checkpoint=HIMLOCO, duration=4.0)
+    one = run_trial(whole, library=library)
+    assert three.status == "ok", three.error_text
+    assert (three.steps, three.action_digest) == (one.steps, one.action_digest)
+    assert three.waypoints_reached == one.waypoints_reached > 0

@@ -64,6 +64,10 @@ class Recording:
     """Whether images were rendered for the policy, which takes far longer than all else."""
     given: dict[str, NDArray[Any]] = field(default_factory=dict[str, NDArray[Any]])
     """(T, ...) what the networks gave that feed the policy, by name."""
+    fed_inputs: dict[str, tuple[InputSpec, ...]] = field(
+        default_factory=dict[str, tuple[InputSpec, ...]]
+    )
+    """What the file of each network declares to take."""
 
     @property
     def stumbles(self) -> bool:
@@ -159,15 +163,15 @@ def record(
     with open_trial(job, library, StageClock()) as opened:
         episode = opened.episode
         world = episode.world
+        fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
         first, start = world.joint_positions, world.trunk_position
         while outcome is None and tilt < level:
             decision = episode.decide()
             outcome, _ = episode.advance(decision)
             for name, value in decision.observation.items():
                 seen[name].append(np.array(value))
-            if isinstance(episode.policy, FedPolicy):
-                for name, value in episode.policy.held.items():
-                    given.setdefault(name, []).append(value)
+            for name, value in fed.held.items() if fed else ():
+                given.setdefault(name, []).append(value)
             tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
             body = (world.joint_positions, world.torques, tilt, _velocity(world))
             rows.append((decision.action, decision.targets, *body))
@@ -190,6 +194,7 @@ def record(
         outcome=None if outcome in {"timeout", "completed"} else outcome,
         inputs=episode.policy.inputs,
         sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
+        fed_inputs={one.name: one.network.inputs for one in fed.feeders} if fed else {},
     )
 
 
