@@ -96,7 +96,7 @@ inputs: [body, adaptation.latent, adaptation.velocity{uses}]
         ("vel, scale: 2", "-1", r":15:\d+: .*outputs\.velocity\.output: .*greater than or equal"),
         ("encoder.onnx", "../e.onnx", r":13:18: .*leaves the card's folder"),
         ("    rate: 5", "    recurrent: {obs_history: h}", r":14:14: .* is in `recurrent` too"),
-        ("  adaptation:\n", "  past:\n", r":11:3: networks\.past: an observation is called that"),
+        ("  adaptation:\n", "  past:\n", r":11:3: networks\.past: an observation is called 'past'"),
         ("  adaptation:\n", "  a.b:\n", r":11:3: networks\.a\.b: 'a\.b' is no name; use letters"),
         (
             "inputs: [body, adaptation.latent, adaptation.velocity]\n",

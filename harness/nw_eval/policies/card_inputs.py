@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import Problem, nearest
 from nw_eval.policies.card_networks import input_parts
+from nw_eval.policies.feeding_order import feeding_order, way_back
 
 if TYPE_CHECKING:
     from nw_eval.policies.card import Card
@@ -32,20 +34,6 @@ def input_problems(card: Card, file: YamlFile) -> list[Problem]:
     return sorted(told.problems, key=lambda problem: (problem.line, problem.column))
 
 
-def feeding_order(card: Card) -> list[str]:
-    """Return the networks of a card, each behind those that feed it.
-
-    Those of a circle are left out, and those that one feeds.
-    """
-    order: list[str] = []
-    waiting = dict(card.networks)
-    while ready := [name for name in waiting if _fed_by(card, name) <= set(order)]:
-        order += ready
-        for name in ready:
-            del waiting[name]
-    return order
-
-
 class _Checked:
     """The problems of a card's inputs, as they are found."""
 
@@ -53,13 +41,8 @@ class _Checked:
         self.problems: list[Problem] = []
         self._card = card
         self._file = file
-        self._given = {
-            name: network.given_as(name) for name, network in card.networks.items()
-        }  # What each network gives.
-        self._known = [
-            *card.observations,
-            *(part for all_ in self._given.values() for part in all_),
-        ]
+        self._given = {name: [*network.given_as(name)] for name, network in card.networks.items()}
+        self._known = [*card.observations, *chain.from_iterable(self._given.values())]
 
     def look(self) -> None:
         """Find all of them."""
@@ -86,13 +69,12 @@ class _Checked:
         self._circles()
 
     def _names(self, place: Location, name: str) -> None:
-        network = self._card.networks[name]
-        if name in self._card.observations:
-            self._tell(place, "an observation is called that, too", "give it another name")
-        for one, where in [
-            (name, place),
-            *((part, (*place, "outputs", part)) for part in network.outputs or ()),
-        ]:
+        """Check what a network and its outputs are called."""
+        taken = [one for one in (name, *self._given[name]) if one in self._card.observations]
+        if taken:
+            self._tell(place, f"an observation is called {taken[0]!r}, too", "rename one of them")
+        outputs = self._card.networks[name].outputs or {}
+        for one, where in ((name, place), *((part, (*place, "outputs", part)) for part in outputs)):
             if not _NAME.fullmatch(one):
                 fix = "use letters, digits, '_' and '-', a letter first"
                 self._tell(where, f"{one!r} is no name", fix)
@@ -135,7 +117,7 @@ class _Checked:
     def _circles(self) -> None:
         ordered = feeding_order(self._card)
         for name in self._card.networks:
-            if name in ordered or (way := _way_back(self._card, name)) is None:
+            if name in ordered or (way := way_back(self._card, name)) is None:
                 continue
             words = f"it feeds itself: {' <- '.join(way)}"
             fix = "leave one of them out of `inputs`; a file keeps its own state"
@@ -147,25 +129,3 @@ class _Checked:
         shown = ".".join(parts[:3] if parts[0] == "networks" else parts[:1])
         said = f"{shown}: {words}" if named else words
         self.problems.append(self._file.problem(place, said, fix))
-
-
-def _fed_by(card: Card, name: str) -> set[str]:
-    """Return the networks that feed a network."""
-    taken = {part for _, parts in input_parts(card.networks[name].inputs) for part in parts}
-    return {
-        other for other, network in card.networks.items() if taken & set(network.given_as(other))
-    }
-
-
-def _way_back(card: Card, name: str) -> list[str] | None:
-    """Return the way from a network over those that feed it to itself; None = there is none."""
-    ways = [[name]]
-    seen: set[str] = set()
-    for way in ways:
-        for other in sorted(_fed_by(card, way[-1])):
-            if other == name:
-                return [*way, name]
-            if other not in seen:
-                seen.add(other)
-                ways.append([*way, other])
-    return None

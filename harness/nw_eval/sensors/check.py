@@ -21,7 +21,7 @@ from nw_eval.policies import (
     actuator_values,
     open_policy,
 )
-from nw_eval.policies.adapters.feeding import FedPolicy
+from nw_eval.policies.adapters.fed_policy import FedPolicy
 from nw_eval.policies.inputs import shape_problems
 from nw_eval.policies.observations import (
     AnyObservation,

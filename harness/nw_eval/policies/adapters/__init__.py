@@ -21,7 +21,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     policy = _open_checkpoint(bundle, allow_code=allow_code)
     if not bundle.card.networks:
         return policy
-    from nw_eval.policies.adapters.feeding import FedPolicy
+    from nw_eval.policies.adapters.fed_policy import FedPolicy
 
     return FedPolicy(bundle, policy)
 

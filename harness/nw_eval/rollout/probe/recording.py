@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Bundle, Card
-from nw_eval.policies.adapters.feeding import FedPolicy
+from nw_eval.policies.adapters.fed_policy import FedPolicy
 from nw_eval.policies.policy import InputSpec
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
