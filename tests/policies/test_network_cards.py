@@ -190,6 +190,13 @@ def test_the_digests_cover_every_file_but_not_where_it_lies(tmp_path):
     assert slower.digest != first.digest
 
 
+def test_the_order_in_which_a_file_takes_its_inputs_counts(tmp_path):
+    both = CARD.replace("{obs_history: [past]}", "{a: [past], b: [body]}")
+    turned = CARD.replace("{obs_history: [past]}", "{b: [body], a: [past]}")
+    digests = {load_bundle(written(tmp_path, text)).digest for text in (both, turned)}
+    assert len(digests) == 2
+
+
 def test_a_policy_that_nothing_feeds_has_the_digest_of_its_one_file(tmp_path):
     text = CARD[: CARD.index("networks:")]
     bundle = load_bundle(written(tmp_path, text))

@@ -127,13 +127,15 @@ class Bundle:
         for network in fields["networks"].values():
             del network["checkpoint"]
         if not fields["networks"]:
-            del fields["networks"]  # Cards without any have the digest of before there were any.
+            del fields["networks"]  # Cards have the digest that they had before there were any.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
         code = [self.code_sha256] if self.code_sha256 else []
-        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=True)
+        # Their order counts where a file takes its inputs in it. Other cards keep what they had.
+        is_sorted = not self.networks
+        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=is_sorted)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def read_checkpoint(self) -> bytes:
