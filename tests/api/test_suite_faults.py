@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from nw_eval import api, cli
 from nw_eval.errors import PolicyError, SuiteError
+from nw_eval.scenes import catalogue
+from nw_eval.scenes.entry import Entry
 from nw_eval.suite import load_suite
 
 # What is right, and in its place: what is wrong, and what is said of it.
@@ -177,6 +179,18 @@ def test_check_takes_the_letters_that_run_takes(capsys):
         for word in ("-p STR", "-n INT", "-j INT", "--seed INT"):
             assert word in shown, (verb, word)
         assert "{None}" not in shown
+    with pytest.raises(SystemExit):
+        cli.main(["replay", "--help"])
+    assert "-p STR" in capsys.readouterr().out
+
+
+def test_what_is_no_log_and_no_run_is_a_usage_error(tmp_path, capsys):
+    folder = str(tmp_path)
+    for words in (["replay", folder], ["run", "--resume", folder], ["report", folder]):
+        with pytest.raises(SystemExit) as left:
+            cli.main(words)
+        assert left.value.code == 2
+        assert capsys.readouterr().err.startswith(f"error: {folder} is ")
 
 
 def test_suites_are_listed_with_what_they_run(capsys):
@@ -188,6 +202,15 @@ def test_suites_are_listed_with_what_they_run(capsys):
     assert "16 scenes x 10  bar 0.75  Hurdles: bars across the way" in rows["hurdles"]
     assert "2 scenes x 2    no bar" in rows["smoke"]
     assert all(len(line) < 130 for line in rows.values())
+
+
+def test_listing_suites_builds_none_of_their_places(monkeypatch):
+    def built(entry):
+        raise AssertionError(f"{entry.name} was built")
+
+    catalogue._built_in.cache_clear()
+    monkeypatch.setattr(Entry, "scene", built)
+    assert "64 scenes x 5" in api.list_suites()
 
 
 def test_a_suite_with_problems_is_listed_with_the_first_of_them(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -51,6 +52,24 @@ def test_an_unknown_option_is_a_usage_error(capsys: pytest.CaptureFixture[str]) 
         cli.main(["run", "smoke", "--trails", "3"])
     assert left.value.code == 2
     assert "--trials" in capsys.readouterr().err
+
+
+def test_checking_no_scene_is_no_pass(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        cli.main(["scenes", "check"])
+    assert left.value.code == 2
+    assert capsys.readouterr().err == "error: no scene to check; name one, or its folder\n"
+
+
+def test_no_metavar_shows_how_a_type_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["splat", "render"], ["run"], ["check"], ["policies", "init"], ["replay"]):
+        with pytest.raises(SystemExit):
+            cli.main([*words, "--help"])
+        shown = capsys.readouterr().out
+        # Braces hold words to choose from.
+        chosen = re.findall(r"\{(.*?)\}", shown, re.DOTALL)
+        assert not [found for found in chosen if "None" in found or "FLOAT" in found], words
+        assert "|STR" not in shown
 
 
 def test_scenes_are_listed_with_their_split(capsys: pytest.CaptureFixture[str]) -> None:

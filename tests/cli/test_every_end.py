@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import cli
-from nw_eval.cli.interruption import interruption
+from nw_eval.cli.terminal.interruption import interruption
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
 CODE_OF_REGRESSED = 1
@@ -59,7 +59,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
     capsys, monkeypatch, tmp_path, end
 ):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("nw_eval.cli.scenes.List.__call__", ENDS[end])
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS[end])
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -75,7 +75,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
 
 def test_a_traceback_without_room_costs_the_traceback_only(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
-    monkeypatch.setattr("nw_eval.cli.scenes.List.__call__", ENDS["disk"])
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS["disk"])
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -88,7 +88,7 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
         def __str__(self):
             raise RuntimeError("no words")
 
-    monkeypatch.setattr("nw_eval.cli.scenes.List.__call__", raising(MuteError()))
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(MuteError()))
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -96,7 +96,7 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
 
 
 def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
-    monkeypatch.setattr("nw_eval.cli.scenes.List.__call__", raising(KeyboardInterrupt()))
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(KeyboardInterrupt()))
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 130
@@ -106,7 +106,7 @@ def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
 def test_an_interruption_that_a_library_disguises_is_130_too(capsys, monkeypatch):
     monkeypatch.setattr(interruption, "was_heard", True)
     disguised = raising(ImportError("numpy failed to import"))
-    monkeypatch.setattr("nw_eval.cli.scenes.List.__call__", disguised)
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", disguised)
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 130
@@ -119,7 +119,7 @@ def test_a_run_that_is_interrupted_ends_with_130_and_says_how_to_go_on(
     def press_ctrl_c(*_):
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("nw_eval.cli.progress.RunProgress.trial", press_ctrl_c)
+    monkeypatch.setattr("nw_eval.cli.terminal.progress.RunProgress.trial", press_ctrl_c)
     suite, out = regressed_run.parent / "suite.yaml", tmp_path / "run"
     with pytest.raises(SystemExit) as left:
         cli.main(["run", str(suite), "--out", str(out), "--workers", "1"])
@@ -134,7 +134,7 @@ def test_a_run_that_is_interrupted_ends_with_130_and_says_how_to_go_on(
 
 
 def test_a_progress_display_that_breaks_costs_the_display_and_nothing_else(capsys, monkeypatch):
-    from nw_eval.cli.progress import RunProgress
+    from nw_eval.cli.terminal.progress import RunProgress
 
     monkeypatch.setattr("rich.console.Console.print", raising(RuntimeError("no terminal")))
     with RunProgress() as progress:
@@ -236,7 +236,8 @@ def test_ctrl_c_at_any_moment_of_the_start_is_130_without_a_traceback():
 
 THREAD = """
 import threading, weakref
-from nw_eval.cli import main, scenes
+from nw_eval.cli import main
+from nw_eval.cli.verbs import scenes
 
 class Fragile:
     def __del__(self):

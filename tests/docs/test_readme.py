@@ -1,18 +1,17 @@
 """What the README tells a newcomer to type and to write is what the program takes."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from nw_eval import api
-from nw_eval.cli.verbs import Verb
+from nw_eval import api, cli
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, load_card
 from nw_eval.sensors import check_bundle, check_card
-from nw_eval.shipped import available
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -25,19 +24,23 @@ def five_minutes():
     return text().split("## Your own checkpoint in five minutes")[1].split("\n## ")[0]
 
 
-@pytest.fixture
-def checkpoint(tmp_path):
-    """A graph that takes 48 numbers and an image, where the README copies its checkpoint to."""
-    inputs = {"obs": [1, 48], "image": [1, 3, 45, 80]}
+def save_network(path, **inputs):
+    """Write a graph that takes inputs of these shapes and answers with twelve zeros."""
     numbers = [helper.make_tensor_value_info(k, TensorProto.FLOAT, v) for k, v in inputs.items()]
     zeros = helper.make_tensor("zeros", TensorProto.FLOAT, [1, 12], [0.0] * 12)
     node = helper.make_node("Constant", [], ["actions"], value=zeros)
     actions = helper.make_tensor_value_info("actions", TensorProto.FLOAT, [1, 12])
     graph = helper.make_graph([node], "g", numbers, [actions])
-    (tmp_path / "my-policy").mkdir()
-    path = tmp_path / "my-policy" / "policy.onnx"
     opset = [helper.make_opsetid("", 17)]
     onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), str(path))
+
+
+@pytest.fixture
+def checkpoint(tmp_path):
+    """A graph that takes 48 numbers and an image, where the README copies its checkpoint to."""
+    (tmp_path / "my-policy").mkdir()
+    path = tmp_path / "my-policy" / "policy.onnx"
+    save_network(path, obs=[1, 48], image=[1, 3, 45, 80])
     return path
 
 
@@ -66,35 +69,50 @@ def test_the_first_command_writes_a_card_with_the_digest_and_with_what_to_check(
     assert load_bundle(checkpoint.parent).checkpoint_sha256 in told.text
 
 
-def test_the_card_without_a_digest_is_told_the_one_to_add_and_then_what_does_not_fit(checkpoint):
+def test_the_card_works_as_it_stands_with_a_checkpoint_that_fits_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    folder = Path("my-policy")
+    folder.mkdir()
+    paste_card(folder)
+    save_network(folder / "policy.onnx", obs=[1, 225], image=[1, 3, 45, 80])
+    command = re.findall(r"`nw-eval (policies check my-policy)`", five_minutes())
+    with pytest.raises(SystemExit) as left:
+        cli.main(command[0].split())
+    out, err = capsys.readouterr()
+    assert not err
+    assert "rgb          splat_rgb    10800" in out
+    # The card is right: what is wrong is the network, which answers zeros to everything.
+    assert left.value.code == 2
+    assert "fault: the action is the same at every step" in out
+
+
+def test_what_does_not_fit_is_told_as_the_readme_shows_it(checkpoint):
     folder = checkpoint.parent
     paste_card(folder)
-    with pytest.raises(PolicyError, match="`checkpoint` has no sha256") as told:
-        load_bundle(folder)
-    (line,) = re.findall(r"add `(sha256: \w{64})`", str(told.value))
-    card = folder / "policy.yaml"
-    card.write_text(
-        card.read_text().replace("{file: policy.onnx}", f"{{file: policy.onnx, {line}}}")
-    )
     (said,) = re.findall(r"error: my-policy/policy.yaml: (.*)", five_minutes())
     with pytest.raises(PolicyError) as told:
         check_bundle(load_bundle(folder))
-    assert str(told.value) == f"{card}: {said}"
+    assert str(told.value) == f"{folder / 'policy.yaml'}: {said}"
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/policies.md", "docs/wrappers.md"])
-def test_every_verb_that_a_page_names_exists(page):
-    named = set(re.findall(r"nw-eval (\w+)", (README.parent / page).read_text(encoding="utf-8")))
-    verbs = {part.__metadata__[0].name for part in Verb.__args__}
-    assert named - {"rolls"} <= verbs, named - verbs
+def test_built_in_places_are_called_synthetic_wherever_the_project_introduces_itself(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    described = tomllib.loads((README.parent / "pyproject.toml").read_text())["project"]
+    for words in (text(), told, described["description"]):
+        assert "synthetic" in words
+        assert "photographic" not in words
+    # Twins of real places are what people bring.
+    (twins,) = re.findall(r"[^.]*digital twins[^.]*", text(), re.IGNORECASE)
+    assert "what you bring" in twins
+    assert "twin" not in told + described["description"]
 
 
-def test_every_suite_that_it_names_exists():
-    suites = set(available("suites"))
-    for suite in re.findall(r"nw-eval (?:run|check) ([a-z]+)\b", text()):
-        assert suite in suites
-
-
-def test_its_pictures_and_pages_are_there():
-    for target in re.findall(r"\]\(([^)#]+)\)", text()):
-        assert (README.parent / target).exists(), target
+def test_it_leads_to_the_paper_its_page_and_its_data():
+    for place in (
+        "https://ziyc.github.io/neverwhere-bench",
+        "https://arxiv.org/abs/2609.16443",
+        "https://huggingface.co/datasets/ziyc/neverwhere",
+    ):
+        assert f"]({place})" in text()

@@ -1,20 +1,34 @@
-"""docs/results.md names every way to end and every column, and says the limits that hold."""
+"""docs/results.md names all that a run leaves: ends, files, columns, exit codes, and how to ask."""
 
+import inspect
+import re
+import signal
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from nw_eval import api
+from nw_eval.confinement import environment
+from nw_eval.engine import cpu
+from nw_eval.errors import UsageError
+from nw_eval.gate import EXIT_CODES
+from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
+from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.episode import HUGE
-from nw_eval.sim import Limits
 from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "results.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+def section(title):
+    return PAGE.split(f"\n## {title}")[1].split("\n## ")[0]
 
 
 def first_cells(title):
-    section = PAGE.split(f"\n## {title}")[1].split("\n## ")[0]
-    rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
+    rows = [line.split(" | ")[0] for line in section(title).splitlines() if line.startswith("| `")]
     return [word for cell in rows[1:] for word in cell.removeprefix("| ").split(", ")]
 
 
@@ -42,12 +56,60 @@ def test_every_column_is_told_once():
 
 
 def test_its_limits_are_those_of_the_code():
-    limits = Limits()
-    for said in (
-        f"over {limits.tilt:g} rad",
-        f"more than {limits.monitored_force:g} N",
-        f"{limits.stuck_after:g} s without getting {limits.stuck_distance:g} m",
-        f"{limits.off_course_distance:g} m from the trail, or {limits.below_ground:g} m under",
-    ):
-        assert said in PAGE
     assert HUGE == 1e6, "the page says a million"
+
+
+def rows(title):
+    """The rows of a section's first table, as cells."""
+    table = [line for line in section(title).splitlines() if line.startswith("|")][2:]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in table]
+
+
+def test_its_exit_codes_are_the_readmes_and_the_gates():
+    said = {int(code): words for code, words, _ in rows("Exit codes")}
+    interrupted = 128 + signal.SIGINT  # As shells have it.
+    assert list(said) == sorted({*EXIT_CODES.values(), UsageError.exit_code, interrupted})
+    table = (ROOT / "README.md").read_text(encoding="utf-8").split("| code | verdict |")[1]
+    assert list(said) == sorted(
+        {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
+    )
+    for word, code in EXIT_CODES.items():
+        # INVALID is the word of comparisons, which there are none of yet.
+        assert word in said[code] or word == "INVALID"
+
+
+def test_every_file_of_a_run_has_its_line():
+    run = RunFolder(path=Path("run"))
+    parts = [
+        getattr(run, key) for key, part in vars(RunFolder).items() if isinstance(part, property)
+    ]
+    files = {run.relative(part) for part in parts if isinstance(part, Path)} - {"mcap"}
+    told = {name.strip("`"): words for name, words in rows("Files of a run")}
+    assert set(told) == files | {run.relative(run.mcap("<scene>", "<trial>"))}
+    keys = set(re.findall(r"`(\w+)`", told["run.json"]))
+    assert len(keys) > 8
+    assert keys <= set(RunInfo.model_fields)
+
+
+def test_every_variable_that_the_code_looks_at_or_sets_is_told():
+    sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "harness").rglob("*.py"))
+    names = set(re.findall(r'environ(?:\.get\(|\[)"(\w+)"', sources))
+    assert "NW_EVAL_CACHE" in names
+    names |= {*re.findall(r'"(NW_EVAL_\w+)"', sources), *cpu._SETTINGS}
+    names |= {*environment._CHILDREN, *environment._FENCED}
+    # One word stands for the numbers of threads.
+    wanted = {name for name in names if not name.endswith("_THREADS")} | {"OMP_NUM_THREADS"}
+    assert wanted <= set(re.findall(r"[`$]([A-Z_]+)[`/]", section("Environment")))
+
+
+def test_every_function_of_the_api_is_told_with_what_it_returns():
+    told = set(re.findall(r"`(\w+)\(", section("From Python")))
+    assert told == {name for name in api.__all__ if inspect.isfunction(getattr(api, name))}
+    for cls in (api.RunReport, api.Message):
+        assert f"`{cls.__name__}`" in section("From Python")
+
+
+def test_every_extra_is_told():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    told = {name.strip("`[]") for name, _ in rows("Extras")}
+    assert told == set(project["optional-dependencies"])

@@ -120,12 +120,16 @@ def test_a_checkpoint_over_the_size_limit_is_not_read(folder, monkeypatch):
         load_bundle(folder)
 
 
-def test_a_card_without_digest_is_answered_with_the_line_to_add(folder):
+def test_a_card_without_digest_takes_the_file_that_lies_there_and_records_which(folder):
     text = (folder / "policy.yaml").read_text()
     (folder / "policy.yaml").write_text(text.replace(", sha256: ", "}  # "))
-    with pytest.raises(PolicyError, match="add `sha256: ") as caught:
-        load_bundle(folder)
-    assert hashlib.sha256(b"weights").hexdigest() in str(caught.value)
+    bundle = load_bundle(folder)
+    assert bundle.checkpoint_sha256 == hashlib.sha256(b"weights").hexdigest()
+    file = next(path for path in folder.iterdir() if path.read_bytes() == b"weights")
+    file.write_bytes(b"others")
+    with pytest.raises(PolicyError, match="changed while it was in use"):
+        bundle.read_checkpoint()
+    assert load_bundle(folder).digest != bundle.digest
 
 
 def test_a_policy_without_weights_takes_none(folder):
@@ -140,3 +144,11 @@ def test_the_digest_changes_with_the_card_but_not_with_its_title(folder):
     assert load_bundle(folder).digest == before
     card.write_text(card.read_text().replace("scale: 0.25", "scale: 0.5"))
     assert load_bundle(folder).digest != before
+
+
+def test_a_path_that_leads_nowhere_is_told_from_a_misspelt_name():
+    for path in ("./mine", "robots/mine", "mine.yaml"):
+        with pytest.raises(PolicyError, match=f"'{path}': there is no such folder or card; known:"):
+            load_bundle(path)
+    with pytest.raises(PolicyError, match="no policy, folder or card is called that; did you mean"):
+        load_bundle("go1-parkor")

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,33 @@ def save_torchscript(path, inputs):
     torch.jit.save(torch.jit.trace(network, torch.zeros(1, inputs)), str(path))
 
 
+class Both(torch.nn.Module):
+    """The two networks of walk-these-ways as its card's comment joins them."""
+
+    def __init__(self):
+        super().__init__()
+        sizes = {"adaptation": [2100, 256, 128, 2], "body": [2102, 512, 256, 128, 12]}
+        self.adaptation, self.body = (
+            torch.jit.script(layers(sizes[name], seed)) for seed, name in enumerate(sizes)
+        )
+
+    def forward(self, history):
+        return self.body(torch.cat((history, self.adaptation(history)), dim=-1))
+
+
+def layers(sizes, seed):
+    parts = []
+    for n, m in pairwise(sizes):
+        parts += [torch.nn.Linear(n, m), torch.nn.ELU()]
+    network = torch.nn.Sequential(*parts[:-1])
+    network.load_state_dict(randomized(network, seed=seed))
+    return network
+
+
+def walk_these_ways():
+    return torch.jit.script(Both())
+
+
 SAVE = {
     "act-go1": lambda path: torch.save(act(), path),
     "himloco-go2": lambda path: save_torchscript(path, 270),
@@ -117,6 +145,7 @@ SAVE = {
     "parkour-expert-go1": lambda path: torch.save(parkour(student=False), path),
     "parkour-student-go1": lambda path: torch.save(parkour(student=True), path),
     "playground-go1": lambda path: save_onnx(path, 48),
+    "walk-these-ways-go1": lambda path: torch.jit.save(walk_these_ways(), path),
 }
 SHAPES = {
     "act-go1": {"proprio": (53,), "rgb": (3, 180, 320)},
@@ -125,6 +154,7 @@ SHAPES = {
     "parkour-expert-go1": {"proprio": (53,), "scandots": (132,), "history": (530,)},
     "parkour-student-go1": {"proprio": (53,), "depth": (45, 80), "history": (530,)},
     "playground-go1": {"obs": (48,)},
+    "walk-these-ways-go1": {"history": (2100,)},
 }
 
 

@@ -31,7 +31,15 @@ from nw_eval.policies.observations import (
     SplatRgbObservation,
 )
 from nw_eval.policies.observations.proprio import History
-from nw_eval.policies.terms import AnyTerm
+from nw_eval.policies.terms import (
+    Acceleration,
+    AnyTerm,
+    FootContacts,
+    GaitClock,
+    Gravity,
+    LastOutput,
+    Yaw,
+)
 from nw_eval.robots import get_robot
 from nw_eval.sensors import check_bundle, check_card
 from nw_eval.sensors.heights import grid
@@ -64,7 +72,7 @@ def test_it_has_every_key_of_a_card_and_of_histories():
     keys = {field.alias or name for name, field in Card.model_fields.items()}
     for key in keys | set(ProprioObservation.model_fields) - {"sensor"}:
         assert re.search(rf"\b{key}\b", PAGE), key
-    for key in set(History.model_fields) - {"zero"}:
+    for key in History.model_fields:
         assert re.search(rf"\b{key}:", PAGE), key
 
 
@@ -101,18 +109,66 @@ def card(folder, observation):
 
 @pytest.mark.parametrize(
     ("heading", "model"),
-    [("key of `scandots`", ScandotsObservation), ("key of `splat_rgb`", SplatRgbObservation)],
+    [
+        ("key of `scandots`", ScandotsObservation),
+        ("key of `splat_rgb`", SplatRgbObservation),
+        ("key of `clock`", GaitClock),
+    ],
 )
 def test_its_defaults_are_those_of_the_code(heading, model):
     said = dict(defaults(rows(heading)))
-    assert set(said) | {"sensor"} >= set(model.model_fields) - set(BaseObservation.model_fields)
+    inherited = BaseObservation if issubclass(model, BaseObservation) else Gravity
+    own = set(model.model_fields) - set(inherited.model_fields)
+    assert set(said) | {"sensor"} >= own
     for name, value in said.items():
         if name == "rate":
             assert value == "control.rate"
             continue
+        if model.model_fields[name].is_required():
+            assert value == "required"
+            continue
         default = model.model_fields[name].default
+        default = "none" if default is None else default
         default = list(default) if isinstance(default, tuple) else default
         assert value == pytest.approx(default) if name == "offset" else value == default
+
+
+@pytest.mark.parametrize("term", [Acceleration, FootContacts, LastOutput, Yaw])
+def test_the_row_of_a_term_has_its_keys_and_words(term):
+    (name,) = get_args(term.model_fields["term"].annotation)
+    (row,) = (cells for cells in rows("term") if f"`{name}`" in cells[0])
+    for key in set(term.model_fields) - set(Gravity.model_fields):
+        assert re.search(rf"`{key}\b", row[2]), key
+        for word in get_args(term.model_fields[key].annotation):
+            if isinstance(word, str):
+                assert re.search(rf"\b{word}\b", row[2]), word
+
+
+def test_its_filters_are_filters(tmp_path):
+    said = re.findall(r"^    filter: (\{.*\}) +#", PAGE, re.MULTILINE)
+    assert len(said) == 2
+    for line in said:
+        (tmp_path / "policy.yaml").write_text(
+            "nw-policy: 1\nname: c\nrobot: go1\nadapter: zero\ncontrol:\n"
+            f"  action: joint_position_offset\n  filter: {line}\n"
+        )
+        low_pass = load_card(tmp_path / "policy.yaml").control.filter
+        assert f"kind: {low_pass.kind}" in line
+
+
+def test_its_clocks_are_clocks_of_the_size_that_their_stacks_see(tmp_path):
+    said = re.findall(r"^    (\{term: clock.*\}) +# ([\w-]+)", PAGE, re.MULTILINE)
+    sizes = {}
+    for line, stack in said:
+        written = card(tmp_path, f"{{sensor: proprio, terms: [{line}]}}")
+        (spec,) = check_card(written)
+        sizes[stack] = spec.shape
+    assert sizes == {
+        "walk-these-ways": (4,),
+        "unitree_rl_gym": (2,),
+        "unitree_rl_mjlab": (2,),
+        "Playground": (4,),
+    }
 
 
 def test_its_defaults_of_histories_are_those_of_the_code():

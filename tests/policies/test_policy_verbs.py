@@ -35,11 +35,13 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
         "examples/parkour-expert-go1",
         "examples/parkour-student-go1",
         "examples/playground-go1",
+        "examples/walk-these-ways-go1",
         "go1-parkour",
         "mine",
         "stand",
     ]
-    assert "is missing" in lines[7]
+    (own,) = (line for line in lines if line.startswith("mine"))
+    assert "is missing" in own
 
 
 def test_a_card_is_shown_without_its_weights():
@@ -109,6 +111,21 @@ def test_everything_that_is_not_by_default_is_shown(tmp_path):
     assert "\nactions: joint_position_offset, limited to -3..3, 25 Hz, delayed by 2, " in shown
     assert "physics at 500 Hz\n" in shown
     assert re.search(r"FR_calf +-1\.5 +0\.25 +20 +0\.5 +20 +0\.004 +0\.5\n", shown)
+
+
+def test_clocks_earlier_outputs_and_filters_are_shown(tmp_path):
+    card = EVERYTHING.replace("rate: 25,", "rate: 25, filter: {kind: butterworth, cutoff: 5},")
+    clock = "{term: clock, frequency: 3, offsets: [0.5, 0], values: [sine], standing: {below: 0.1}}"
+    terms = f"[{{term: yaw, values: sine_cosine}}, {{term: last_output, ago: 2}}, {clock}]"
+    frame = re.sub(r"    terms:\n(      .*\n)+", f"    terms: {terms}\n", card)
+    (tmp_path / "policy.yaml").write_text(re.sub(r"    (select|history): .*\n", "", frame))
+    shown = api.show_policy(str(tmp_path))
+    assert re.search(r"body +yaw +2 +values sine_cosine +25 Hz", shown)
+    assert re.search(r"body +last_output +12 +ago 2 +25 Hz", shown)
+    words = r"frequency 3 offsets \[0.5, 0\] values \[sine\] standing {below: 0.1}"
+    assert re.search(rf"body +clock +2 +{words} +25 Hz", shown)
+    assert ", delayed by 2, filter {kind: butterworth, cutoff: 5}, physics at 500 Hz\n" in shown
+    assert "`body` 16 = 2 + 12 + 2;" in shown
 
 
 def test_a_card_is_shown_with_weights_that_lie_elsewhere(tmp_path):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import onnx
+import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.policies import load_bundle
@@ -21,11 +22,11 @@ robot: go1
 adapter: onnx
 checkpoint: {file: policy.onnx, sha256: %s}
 control: {%s}
-observations: {body: {sensor: proprio, terms: [joint_vel], history: 2}}
+observations: {body: {sensor: proprio, %s}}
 """
 
 
-def counting_policy(folder, control):
+def counting_policy(folder, control, body="terms: [joint_vel], history: 2"):
     """A policy whose action is 0.1 times the number of times that it was asked."""
     one = numpy_helper.from_array(np.full((1, 12), 0.1, np.float32), "one")
     zero = numpy_helper.from_array(np.zeros((24, 12), np.float32), "zero")
@@ -52,7 +53,7 @@ def counting_policy(folder, control):
     data = model.SerializeToString()
     folder.mkdir(exist_ok=True)
     (folder / "policy.onnx").write_bytes(data)
-    (folder / "policy.yaml").write_text(CARD % (hashlib.sha256(data).hexdigest(), control))
+    (folder / "policy.yaml").write_text(CARD % (hashlib.sha256(data).hexdigest(), control, body))
     return load_bundle(folder)
 
 
@@ -116,6 +117,65 @@ def test_held_actions_and_recurrent_state_survive_a_restore(tmp_path, make_job):
         for _ in range(6):
             episode.advance(episode.decide())
         assert (episode.states.hex, episode.actions.hex) == end
+
+
+def test_a_filter_at_25_hz_takes_each_action_once_and_holds_what_it_made(tmp_path):
+    bundle = counting_policy(
+        tmp_path,
+        "action: joint_position_offset, scale: 0.01, rate: 25, delay_steps: 1, clip: 0.25, "
+        "filter: {kind: exponential, alpha: 0.5}",
+    )
+    made = record(bundle, scene=SCENE, seconds=0.2)
+    offsets = (made.targets[:8, 0] - made.targets[0, 0]) / 0.01
+    # Applied: 0, 0.1, 0.2, 0.25 of 0.3; each new one counts half.
+    expected = np.repeat([0.0, 0.05, 0.125, 0.1875], 2)
+    np.testing.assert_allclose(offsets, expected, atol=1e-6)
+
+
+def test_outputs_before_the_last_one_are_those_of_the_policys_own_rate(tmp_path):
+    bundle = counting_policy(
+        tmp_path,
+        "action: joint_position_offset, scale: 0.01, rate: 25",
+        "terms: [last_output, {term: last_output, ago: 1}]",
+    )
+    body = record(bundle, scene=SCENE, seconds=0.2).observations["body"][:, [0, 12]]
+    expected = np.repeat([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.2]], 2, axis=0)
+    np.testing.assert_allclose(body[:8], expected, atol=1e-6)
+
+
+REMEMBERS = """terms: [gravity, acceleration, {term: yaw, relative_to: start, values: sine_cosine},
+    {term: last_output, ago: 1}, {term: clock, frequency: 2.3, offsets: [0, 0.2, 0.5, 0.7],
+    stance: 0.6, values: [sine]}]"""
+
+
+@pytest.mark.parametrize("protocol", ["strict", "neverwhere-2026"])
+def test_all_that_a_card_can_ask_for_is_the_same_after_a_restore(tmp_path, make_job, protocol):
+    bundle = counting_policy(
+        tmp_path,
+        "action: joint_position_offset, scale: 0.05, rate: 25, "
+        "filter: {kind: butterworth, cutoff: 4.0, order: 3}",
+        REMEMBERS,
+    )
+    job = replace(make_job_for(bundle, make_job), protocol=protocol)
+
+    def go_on(episode):
+        decisions = []
+        for _ in range(9):
+            decisions.append(episode.decide())
+            episode.advance(decisions[-1])
+        return decisions
+
+    with open_trial(job, Library(), StageClock()) as trial:
+        episode = trial.episode
+        go_on(episode)
+        saved = episode.snapshot()
+        first = go_on(episode)
+        episode.restore(saved)
+        again = go_on(episode)
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(other.observation["body"], one.observation["body"])
+        np.testing.assert_array_equal(other.targets, one.targets)
+    assert np.ptp([one.observation["body"] for one in first], axis=0).min() > 0.0
 
 
 def make_job_for(bundle, make_job):

@@ -191,6 +191,30 @@ def test_a_gsplat_checkpoint_is_read(tmp_path, wrapped):
         assert np.array_equal(getattr(back, name), getattr(gaussians, name))
 
 
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_a_gsplat_checkpoint_is_written_as_trainers_write_it(tmp_path, degree):
+    gaussians = cloud(40, degree=degree)
+    write_splat(tmp_path / "a.pt", gaussians)
+    content = torch.load(tmp_path / "a.pt", weights_only=True)
+    assert content["step"] == 0
+    assert {key: tuple(value.shape) for key, value in content["splats"].items()} == {
+        "means": (40, 3),
+        "scales": (40, 3),
+        "quats": (40, 4),
+        "opacities": (40,),
+        "sh0": (40, 1, 3),
+        "shN": (40, 15, 3),
+    }
+    back = read_splat(tmp_path / "a.pt")
+    for name in ("means", "log_scales", "quats", "opacity_logits"):
+        assert np.array_equal(getattr(back, name), getattr(gaussians, name))
+    count = gaussians.sh.shape[1]
+    assert np.array_equal(back.sh[:, :count], gaussians.sh)
+    assert not back.sh[:, count:].any()
+    write_splat(tmp_path / "b.pt", gaussians)
+    assert (tmp_path / "a.pt").read_bytes() == (tmp_path / "b.pt").read_bytes()
+
+
 class _Boom:
     def __reduce__(self):
         return (print, ("code of the file ran",))

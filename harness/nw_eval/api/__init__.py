@@ -13,12 +13,12 @@ from nw_eval.api.policies import (
     check_policy,
     init_policy,
     list_policies,
-    schema,
     serve_policy,
     show_policy,
 )
 from nw_eval.api.reports import RunReport, report
 from nw_eval.api.runs import replay, run
+from nw_eval.api.schemas import schema
 from nw_eval.api.senses import draw_sensors, list_sensors
 from nw_eval.api.splats import splat_convert, splat_info, splat_render
 from nw_eval.api.suites import list_suites

@@ -45,11 +45,17 @@ def show_scene(reference: str, *, out: Path | None = None) -> str:
 
 
 def check_scenes(references: Sequence[str]) -> Message:
-    """Return what is wrong with scenes, one line a finding; exit code 2 if anything is."""
-    from nw_eval.errors import SceneError
+    """Return what is wrong with scenes, one line a finding; exit code 2 if anything is.
+
+    Raises:
+        UsageError: no scene is named, so nothing would be checked.
+    """
+    from nw_eval.errors import SceneError, UsageError
     from nw_eval.scenes.health.finding import has_errors
     from nw_eval.scenes.health.inspect import inspect_scene
 
+    if not references:
+        raise UsageError("no scene to check", fix="name one, or its folder")
     lines: list[str] = []
     is_bad = False
     for reference in references:

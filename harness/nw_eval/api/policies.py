@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Generator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Literal
 
 from nw_eval.api.message import Message, write_text
 from nw_eval.errors import UsageError
@@ -143,14 +141,3 @@ def serve_policy(
             fence_in_server(bundle)
         with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
             yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
-
-
-def schema(kind: Literal["suite", "policy"]) -> str:
-    """Return the JSON Schema of suite files or policy cards."""
-    if kind == "suite":
-        from nw_eval.suite import json_schema
-
-        return json.dumps(json_schema(), indent=2)
-    from nw_eval.policies.schema import json_schema as card_schema
-
-    return json.dumps(card_schema(), indent=2)

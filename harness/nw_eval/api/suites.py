@@ -31,12 +31,12 @@ def list_suites() -> str:
 def _describe(path: str) -> tuple[str, str, str]:
     """Return how much a suite runs, its bar, and what it is for."""
     from nw_eval.errors import NwEvalError
-    from nw_eval.scenes import match_scenes
+    from nw_eval.scenes import references
     from nw_eval.suite import load_suite
 
     try:
         suite = load_suite(path)
-        scenes = len(match_scenes(suite.scenes, suite.base))
+        scenes = len(references(suite.scenes, suite.base))
     except NwEvalError as error:
         return "?", "?", clean(str(error).splitlines()[0])
     bar = suite.gate.success_rate

@@ -1,4 +1,4 @@
-"""The command line: one small module for each verb; all of them call `nw_eval.api`.
+"""The command line: `verbs`, a small module each; all of them call `nw_eval.api`.
 
 Exit codes: 0 PASS or RAN (a suite without a bar), 1 REGRESSED, 2 usage, suite, scene or policy
 error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not comparable, 130 interrupted.
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """May this policy checkpoint ship?
 
-Rolls a legged robot's checkpoint out in digital twins of real places, scores the share of
-waypoints reached, and gives a verdict as an exit code: 0 PASS, or RAN where the suite has no bar,
-1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not
-comparable, 130 interrupted."""
+Rolls a legged robot's checkpoint out in simulated places, synthetic ones that are built in or scans
+that you bring, scores the share of waypoints reached, and gives a verdict as an exit code: 0 PASS,
+or RAN where the suite has no bar, 1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors
+left or trials missing, 5 not comparable, 130 interrupted."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             its signals, its streams, its end.
     """
     # Nothing is imported before signals have somewhere to go, or Ctrl-C would show a traceback.
-    from nw_eval.cli.interruption import leave_at_signals
+    from nw_eval.cli.terminal.interruption import leave_at_signals
 
     if argv is None:
         leave_at_signals()

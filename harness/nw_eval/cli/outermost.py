@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nw_eval.cli.interruption import INTERRUPTED, interruption
-from nw_eval.cli.last_words import tell, unforeseen
+from nw_eval.cli.terminal.interruption import INTERRUPTED, interruption
+from nw_eval.cli.terminal.last_words import tell, unforeseen
 from nw_eval.errors import NwEvalError, StoreError
 
 

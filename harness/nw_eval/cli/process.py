@@ -6,10 +6,10 @@ import sys
 import threading
 from typing import TYPE_CHECKING, NoReturn
 
-from nw_eval.cli.interruption import interruption, leave, nothing_left_to_interrupt
-from nw_eval.cli.last_words import tell, unforeseen
 from nw_eval.cli.outermost import end_of
-from nw_eval.cli.streams import Streams
+from nw_eval.cli.terminal.interruption import interruption, leave, nothing_left_to_interrupt
+from nw_eval.cli.terminal.last_words import tell, unforeseen
+from nw_eval.cli.terminal.streams import Streams
 from nw_eval.errors import StoreError
 
 if TYPE_CHECKING:

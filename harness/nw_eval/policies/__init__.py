@@ -4,6 +4,7 @@ A card and its checkpoint make a `Bundle`; `open_policy` makes a `Policy` of it,
 observations into raw actions; `JointControl` turns those into joint targets.
 """
 
+from nw_eval.policies.action_filter import ActionFilter
 from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.bundle import Bundle, find_card, load_bundle
 from nw_eval.policies.card import Card
@@ -14,6 +15,7 @@ from nw_eval.policies.policy import Action, InputSpec, Observation, Policy
 __all__ = [
     "Action",
     "ActionDelay",
+    "ActionFilter",
     "Bundle",
     "Card",
     "InputSpec",

@@ -38,7 +38,7 @@ class Weights(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Bundle:
-    """A valid card and a checkpoint whose digest has been verified."""
+    """A valid card and a checkpoint: the one whose digest the card says, if it says one."""
 
     card: Card
     card_path: Path
@@ -165,7 +165,8 @@ def load_bundle(
             with a `policy.yaml` (also relative to the shipped policies), or a card.
         search: the project folder, by default the working directory.
         checkpoint: weights to use in place of those of the card's `checkpoint`. They are the
-            caller's choice: their digest is computed and recorded, not compared with the card's.
+            caller's choice: their digest is computed and recorded, not compared with the card's. So
+            are those that a card names without a digest.
 
     Raises:
         PolicyError: there is no such bundle; the card has problems; a file of weights is missing,
@@ -202,15 +203,10 @@ def load_bundle(
 
 
 def _verified(card_path: Path, named: Checkpoint, *, network: str = "") -> Weights:
-    """Return the file of a policy, or of one of its networks, if it is what the card says."""
+    """Return the file of a policy, or of one of its networks; the one that the card means."""
     key = f"networks.{network}.checkpoint" if network else "checkpoint"
     weights = _measured(_beside(card_path, named.file), card_path, named.source, is_own=not network)
-    if named.sha256 is None:
-        raise PolicyError(
-            f"{card_path}: `{key}` has no sha256",
-            fix=f"if {weights.path.name} is the file you mean, add `sha256: {weights.sha256}`",
-        )
-    if weights.sha256 != named.sha256:
+    if named.sha256 is not None and weights.sha256 != named.sha256:
         raise PolicyError(
             f"{weights.path}: the checkpoint's SHA-256 is {weights.sha256}, the card says "
             f"{named.sha256}",
@@ -255,8 +251,12 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
                 fix="give a policy.yaml, and these weights with --checkpoint",
             )
         return path
+    is_path = "/" in str(name_or_path) or path.suffix in {".yaml", ".yml"}
+    missing = (
+        "there is no such folder or card" if is_path else "no policy, folder or card is called that"
+    )
     raise PolicyError(
-        f"unknown policy {str(name_or_path)!r}: no policy, folder or card is called that",
+        f"unknown policy {str(name_or_path)!r}: {missing}",
         fix=nearest(str(path), known),
     )
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from nw_eval.errors import nearest
+from nw_eval.policies.action_filter import ButterworthFilter, LowPass
 from nw_eval.policies.card_networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.policies.checkpoint import Checkpoint
 from nw_eval.policies.joints import PerJoint
@@ -68,6 +69,8 @@ class Control(CardModel):
     """Limits of the raw action, before scaling."""
     delay_steps: int = Field(default=0, ge=0, le=10)
     """Actions that are applied before a new one is: its latency, in periods of `rate`."""
+    filter: LowPass | None = None
+    """Low-pass on the raw action, behind limits and latency and before scaling; null = none."""
     joints: list[str] | None = None
     """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
     default_pose: PerJoint | None = None
@@ -89,6 +92,15 @@ class Control(CardModel):
         if kp is not None and info.data.get("action") == "joint_torque":
             raise ValueError("kp has no meaning for torques; remove it, or choose another `action`")
         return kp
+
+    @field_validator("filter")
+    @classmethod
+    def _below_half_the_rate(cls, low_pass: LowPass | None, info: ValidationInfo) -> LowPass | None:
+        rate = info.data.get("rate", CONTROL_RATE)
+        if isinstance(low_pass, ButterworthFilter) and not low_pass.cutoff < rate / 2:
+            message = f"a cutoff of {low_pass.cutoff:g} Hz is not below half of {rate} actions a"
+            raise ValueError(f"{message} second; give less than {rate / 2:g}, or remove `filter`")
+        return low_pass
 
     @property
     def hold(self) -> int:

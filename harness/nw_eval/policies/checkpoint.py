@@ -38,6 +38,6 @@ class Checkpoint(CardModel):
     file: Annotated[str, AfterValidator(_plain_file)]
     """Path inside the card's folder."""
     sha256: Sha256 | None = None
-    """Hex digest of the file; only a card that is always used with --checkpoint needs none."""
+    """Hex digest that the file must have; None = whatever lies there is taken, and recorded."""
     source: Line | None = None
     """Where people get the file if it does not lie beside the card."""

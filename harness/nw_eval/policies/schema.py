@@ -2,58 +2,12 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
-from itertools import pairwise
 from typing import Any
 
-from pydantic import BaseModel
-from pydantic.json_schema import GenerateJsonSchema
-from pydantic_core import core_schema
-
+from nw_eval.json_schema import json_schema_of
 from nw_eval.policies.card import Card
 
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a policy card."""
-    return Card.model_json_schema(by_alias=True, schema_generator=_Described)
-
-
-class _Described(GenerateJsonSchema):
-    """Describes properties by the docstrings under the fields.
-
-    Pydantic's own `use_attribute_docstrings` reads the sources whenever the classes are imported,
-    which adds a third to the time in which a first card is read; here it is done on demand.
-    """
-
-    def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
-        result = super().model_schema(schema)
-        model: type[BaseModel] = schema["cls"]
-        told = _field_docstrings(model)
-        for name, field in model.model_fields.items():
-            key = result["properties"][field.alias or name]
-            if name in told:
-                key["description"] = told[name]
-            elif "const" in key:  # `term: ang_vel` means what its class is.
-                key["description"] = result["description"]
-        return result
-
-
-def _field_docstrings(model: type[BaseModel]) -> dict[str, str]:
-    """Return the strings that stand under the fields of a model and its bases, by name."""
-    told: dict[str, str] = {}
-    for cls in reversed(model.__mro__):
-        if cls is BaseModel or not issubclass(cls, BaseModel):
-            continue
-        (body,) = ast.parse(inspect.getsource(cls)).body
-        assert isinstance(body, ast.ClassDef), "the source of a class is one statement"
-        for field, note in pairwise(body.body):
-            match field, note:
-                case (
-                    ast.AnnAssign(target=ast.Name(id=name)),
-                    ast.Expr(value=ast.Constant(value=str(text))),
-                ):
-                    told[name] = inspect.cleandoc(text)
-                case _:
-                    pass
-    return told
+    return json_schema_of(Card)

@@ -13,6 +13,9 @@ from nw_eval.policies.model import CardModel, Limits
 
 Foot = Literal["FR", "FL", "RR", "RL"]
 
+EARLIER_OUTPUTS = 4
+"""How many outputs before the last one a card can ask for."""
+
 
 class _Term(CardModel):
     scale: float | list[float] = 1.0
@@ -59,6 +62,27 @@ class Imu(_Term):
     term: Literal["imu"]
 
 
+class Yaw(_Term):
+    """Heading of the trunk: its yaw, rad in [-pi, pi), positive to the left."""
+
+    term: Literal["yaw"]
+    relative_to: Literal["world", "start"] = "world"
+    """`world`: from the world's x axis. `start`: from the heading at the start of the trial."""
+    values: Literal["angle", "sine_cosine"] = "angle"
+    """`angle`: (1). `sine_cosine`: (2), without the jump."""
+
+
+class Acceleration(_Term):
+    """What an accelerometer on the trunk reads, m/s^2 along the trunk's axes (3).
+
+    That is the point's acceleration minus gravity: (0, 0, 9.806) at rest, zeros in free fall.
+    """
+
+    term: Literal["acceleration"]
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where it sits, in the trunk frame, m."""
+
+
 class DeltaYaw(_Term):
     """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
 
@@ -103,6 +127,9 @@ class LastOutput(_Term):
     """The policy's own last raw output, which may still wait in the delay queue (12)."""
 
     term: Literal["last_output"]
+    ago: int = Field(default=0, ge=0, le=EARLIER_OUTPUTS)
+    """How many outputs lie between: 1 = the last but one. Zeros stand for those before the first.
+    """
 
 
 class FootContacts(_Term):
@@ -112,7 +139,39 @@ class FootContacts(_Term):
     feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
     """The order of the feet."""
     filter: Literal["two_steps", "none"] = "two_steps"
-    """`two_steps`: on the ground now or one observation ago."""
+    """`two_steps`: on the ground now or one control step ago. `none`: now."""
+
+
+class Standing(CardModel):
+    """What a clock shows while the command asks for no step. It runs on underneath."""
+
+    below: float = Field(gt=0.0)
+    """Norm of vx, vy (m/s) and yaw rate (rad/s) of the command, below which it is so."""
+    phase: float | None = Field(default=None, ge=0.0, lt=1.0)
+    """The phase of every foot then; null = every number of the term is 0."""
+
+
+class GaitClock(_Term):
+    """A clock that paces the feet: functions of the phase of each of them.
+
+    Phase = (`frequency` * seconds since the start + offset of the foot) modulo 1, in cycles; the
+    share `stance` of a cycle is stretched, or shrunk, to its first half.
+    """
+
+    term: Literal["clock"]
+    frequency: float = Field(gt=0.0, le=25.0)
+    """Cycles per second, Hz; a period of 0.8 s is 1.25."""
+    offsets: list[float] = Field(default=[0.0], min_length=1, max_length=16)
+    """Phase of each foot at the start, in cycles."""
+    stance: float = Field(default=0.5, gt=0.0, lt=1.0)
+    """Share of a cycle that a foot is meant to stand: the `duration` of walk-these-ways."""
+    values: list[Literal["sine", "cosine", "phase"]] = Field(
+        default=["sine", "cosine"], min_length=1, max_length=3
+    )
+    """What stands there, one after another, each of all feet: sine and cosine of 2 pi phase, or the
+    phase itself, in [0, 1)."""
+    standing: Standing | None = None
+    """null = the clock runs at any command."""
 
 
 class Constant(_Term):
@@ -134,6 +193,8 @@ AnyTerm = (
     | Gravity
     | RollPitch
     | Imu
+    | Yaw
+    | Acceleration
     | DeltaYaw
     | Command
     | Speed
@@ -142,6 +203,7 @@ AnyTerm = (
     | AppliedAction
     | LastOutput
     | FootContacts
+    | GaitClock
     | Constant
 )
 Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
@@ -152,6 +214,7 @@ _SIZES = {
     "gravity": 3,
     "roll_pitch": 2,
     "imu": 3,
+    "acceleration": 3,
     "command": 3,
     "speed": 1,
     "foot_contacts": 4,
@@ -165,6 +228,10 @@ def term_size(term: AnyTerm, joints: int = 12) -> int:
             return len(term.values)
         case DeltaYaw():
             return term.copies
+        case Yaw():
+            return 1 if term.values == "angle" else 2
+        case GaitClock():
+            return len(term.offsets) * len(term.values)
         case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
             return joints
         case _:

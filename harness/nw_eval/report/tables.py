@@ -234,7 +234,7 @@ def coverage_table(rows: Sequence[Row]) -> Table:
         ),
         numbers=frozenset({"least coverage", "mean coverage"}),
         note=_more(len(low)) + f"In some frame less than {COVERED:g} of the image was covered by "
-        "the splat; such images are no photograph of anything, and the result is to be doubted.",
+        "the splat; such images show no place, and the result is to be doubted.",
     )
 
 

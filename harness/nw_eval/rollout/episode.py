@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import DivergedError, TrialError
 from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy import all_finite
+from nw_eval.policies.terms import EARLIER_OUTPUTS
 from nw_eval.rollout.digest import ChainDigest
 from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
 from nw_eval.rollout.mcap.messages import Part, SimState
@@ -29,7 +30,7 @@ from nw_eval.sim.trail import TrailSnapshot
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.policies import JointControl, Policy
+    from nw_eval.policies import ActionFilter, JointControl, Policy
     from nw_eval.rollout.clock import StageClock
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import Termination, TrailProgress, World
@@ -65,6 +66,7 @@ class Episode:
         control: what actions mean.
         delay_steps: actions that are applied before a new one is.
         hold: control steps for which an action is applied.
+        action_filter: that applied actions pass through, at rest; None = none.
         progress: along the trial's own waypoints.
         termination: for the same waypoints.
         clock: where the time goes.
@@ -79,6 +81,7 @@ class Episode:
         control: JointControl,
         delay_steps: int,
         hold: int = 1,
+        action_filter: ActionFilter | None = None,
         progress: TrailProgress,
         termination: Termination,
         clock: StageClock,
@@ -94,10 +97,12 @@ class Episode:
         self._control = control
         self._delay = ActionDelay(delay_steps)
         self._hold = hold
+        self._filter = action_filter
         self._termination = termination
         self._clock = clock
         self._applied = np.zeros(len(world.robot.joints))
         self._output = self._applied.copy()
+        self._earlier = (self._output,) * EARLIER_OUTPUTS  # Outputs before it, the newest first.
 
     def decide(self) -> Decision:
         """Observe, and ask the policy.
@@ -117,7 +122,7 @@ class Episode:
                 observation={},
                 action=nothing,
                 applied=applied,
-                targets=self._control.targets(applied),
+                targets=self._control.targets(self._filtered(applied)),
             )
         moment = Moment(
             world=self.world,
@@ -125,6 +130,7 @@ class Episode:
             step=self.step,
             applied_action=self._applied,
             last_output=self._output,
+            earlier_outputs=self._earlier,
         )
         observation: dict[str, NDArray[Any]] = {}
         with self._clock("sense"):
@@ -136,17 +142,17 @@ class Episode:
                     observation[name] = sensor.read(moment)
                 if sensor.fresh and sensor.coverage is not None:
                     self.coverage.add(sensor.coverage)
-        if self.step % self._hold:
-            action, applied = self._output, self._applied
-        else:
+        if self._is_asked:
             with self._clock("policy"):
                 action = self._ask(observation)
             applied = self._delay.push(action)
+        else:
+            action, applied = self._output, self._applied
         return Decision(
             observation=observation,
             action=action,
             applied=applied,
-            targets=self._targets(applied),
+            targets=self._targets(self._filtered(applied)),
         )
 
     def advance(self, decision: Decision) -> tuple[Outcome | None, bool]:
@@ -161,6 +167,8 @@ class Episode:
                 self.world.step(decision.targets)
             except DivergedError as error:
                 raise PolicyFailedError(str(error), kind="diverged") from error
+            if self._is_asked:
+                self._earlier = (self._output, *self._earlier[:-1])
             self._applied, self._output = decision.applied, decision.action
             self.step += 1
             credited = self.progress.update(self.world.trunk_position)
@@ -204,10 +212,13 @@ class Episode:
             "delay": self._delay.state(),
             "applied": self._applied.tobytes(),
             "output": self._output.tobytes(),
+            "earlier": np.stack(self._earlier).tobytes(),
             "state_digest": self.states.value,
             "action_digest": self.actions.value,
             "coverage": json.dumps(self.coverage.values).encode(),
         }
+        if self._filter is not None:
+            parts["filter"] = self._filter.state()
         parts |= {f"sensor.{name}": sensor.state() for name, sensor in self.sensors.items()}
         with policy_at_fault():
             memory = self.policy.state()
@@ -232,6 +243,10 @@ class Episode:
             self._delay.restore(parts["delay"])
             self._applied = np.frombuffer(parts["applied"]).copy()
             self._output = np.frombuffer(parts["output"]).copy()
+            earlier = np.frombuffer(parts["earlier"]).reshape(EARLIER_OUTPUTS, -1)
+            self._earlier = tuple(output.copy() for output in earlier)
+            if self._filter is not None:
+                self._filter.restore(parts["filter"])
             self.states = ChainDigest(parts["state_digest"])
             self.actions = ChainDigest(parts["action_digest"])
             self.coverage = Coverage(*json.loads(parts["coverage"]))
@@ -257,6 +272,17 @@ class Episode:
                 fix="check the checkpoint, and the observations' scales on its card",
             )
         return action
+
+    @property
+    def _is_asked(self) -> bool:
+        """Whether the policy acts at this step, rather than hold its action."""
+        return self.step % self._hold == 0
+
+    def _filtered(self, applied: Array) -> Array:
+        """Return what the card's filter makes of an applied action; once for each new one."""
+        if self._filter is None:
+            return applied
+        return self._filter.push(applied) if self._is_asked else self._filter.output
 
     def _targets(self, applied: Array) -> Array:
         """Return what the motors are told, as long as there is sense in it."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from nw_eval.errors import PolicyError, UsageError, nearest
 from nw_eval.policies import (
+    ActionFilter,
     Bundle,
     JointControl,
     Policy,
@@ -101,13 +102,15 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
         period = world.control_period
+        control = JointControl.from_card(bundle.card, robot)
         episode = Episode(
             world=world,
             sensors=sensors,
             policy=policy,
-            control=JointControl.from_card(bundle.card, robot),
+            control=control,
             delay_steps=bundle.card.control.delay_steps,
             hold=bundle.card.control.hold,
+            action_filter=ActionFilter.from_card(bundle.card, control),
             progress=TrailProgress(start.trail, job.protocol, control_period=period),
             termination=Termination(
                 start.trail,

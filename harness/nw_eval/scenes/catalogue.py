@@ -80,7 +80,12 @@ def references(
     Raises:
         SceneError: as `match_scenes`.
     """
-    return {get_scene(key).name: key for key in _keys(patterns, base, collision)}
+    return {_name(key): key for key in _keys(patterns, base, collision)}
+
+
+def _name(key: str) -> str:
+    """Return the name of the scene that a key means; a built-in one is not built for it."""
+    return key if key in _BY_NAME else get_scene(key).name
 
 
 def _keys(patterns: Sequence[str], base: Path | None, collision: Collision) -> list[str]:

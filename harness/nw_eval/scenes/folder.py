@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.json_schema import json_schema_of
 from nw_eval.scenes import limits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
@@ -73,33 +74,50 @@ class _Box(_Model):
     """One solid box; see `nw_eval.scenes.Box`."""
 
     center: Point
+    """x, y, z of its middle, world, m."""
     half_size: HalfSize
+    """Half of its length along each of its own axes, m."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned: w x y z, any length but 0."""
     friction: tuple[Sliding, Turning, Turning] = (1.25, 0.3, 0.3)
+    """MuJoCo's sliding, torsional and rolling coefficients."""
     material: Line = ""
+    """What it is made of, for people."""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
+    """Its class in `semantics` images: an obstacle of the trail, the place itself, or clutter."""
 
 
 class _Collision(_Model):
-    """The collision file."""
+    """`collision.yaml`: a place as boxes on a ground plane."""
 
     boxes: tuple[_Box, ...] = Field(max_length=limits.SOLIDS)
+    """The solids; the plane of the scene's `ground` is there without saying so."""
 
 
 class _Spawn(_Model):
+    """Where the robot starts. The jitters are half widths of uniform draws, one for each trial."""
+
     position: Point = (0.0, 0.0, 0.0)
+    """x, y, z in the world, m; z is the height of the ground there."""
     yaw: Angle = 0.0
+    """Where it looks, rad; 0 = along x, positive = to the left."""
     x_jitter: Noise = 0.1
+    """m."""
     y_jitter: Noise = 0.1
+    """m."""
     yaw_jitter: Spread = 0.1
+    """rad."""
 
 
 class _Similarity(_Model):
     """What maps splat points to world metres: scale, then rotation, then translation."""
 
     scale: float = Field(default=1.0, ge=limits.SCALES[0], le=limits.SCALES[1])
+    """Metres in one unit of the splat."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """w x y z, any length but 0."""
     translation: tuple[Far, Far, Far] = (0.0, 0.0, 0.0)
+    """m."""
 
     def matrix(self) -> NDArray[np.float64]:
         transform = np.eye(4)
@@ -109,21 +127,34 @@ class _Similarity(_Model):
 
 
 class _SceneFile(_Model):
-    """The keys of `scene.yaml`."""
+    """`scene.yaml`: a place, what can be touched there, its looks, and the trail through it."""
 
     version: Literal[1] = Field(alias="nw-scene")
+    """Version of this format."""
     name: Annotated[str, AfterValidator(checked_name)]
+    """Up to four words with slashes between, each of letters, digits, '_', '-' and '.'."""
     task: Task
+    """What the trail asks of the robot; reports group by it."""
     title: Line = ""
+    """One line for people; the name when absent."""
     licence: Line
+    """SPDX identifier of the place's data, or words."""
     units: Literal["m"] = "m"
+    """Of all lengths here and in the mesh."""
     trail: tuple[Point, ...] = Field(min_length=1, max_length=limits.WAYPOINTS)
+    """Waypoints x, y, z on top of what the robot steps on, in order; world, m."""
     spawn: _Spawn = _Spawn()
+    """Where the robot starts."""
     waypoint_noise: tuple[Noise, Noise] = (0.0, 0.1)
+    """Half widths by which a trial moves each waypoint along x and y, m."""
     ground: Length = 0.0
+    """Height of the ground plane under boxes, m; a mesh is its own ground."""
     collision: str = "collision.yaml"
+    """A file of boxes, or a mesh (.obj, .ply, .stl) in metres, inside the folder."""
     splat: str | None = None
+    """A file of Gaussians inside the folder, which `splat_rgb` looks at."""
     T_world_splat: _Similarity = _Similarity()
+    """Where the splat lies in the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +245,12 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
         T_world_splat=text.T_world_splat.matrix(),
         licence=text.licence,
     )
+
+
+def json_schema(file: Literal["scene", "collision"]) -> dict[str, Any]:
+    """Return the JSON Schema of `scene.yaml`, or of a collision file of boxes."""
+    model = _SceneFile if file == "scene" else _Collision
+    return json_schema_of(model) | {"title": f"nw-eval {file}"}
 
 
 def solids_mesh(boxes: tuple[Box, ...], ground: float) -> TriangleMesh:

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-FaceKind = Literal["ground", "obstacle", "structure", "clutter", "overhead"]
+FaceKind = Literal["ground", "obstacle", "structure", "clutter", "overhead", "beside"]
 FACE_KINDS: tuple[FaceKind, ...] = get_args(FaceKind)
 
 # Corners of the unit cube, and two triangles for each of its faces, counter-clockwise from outside.
@@ -37,7 +37,8 @@ class TriangleMesh:
         vertices: (V, 3) float64, metres.
         faces: (F, 3) int32 indices into `vertices`.
         kinds: (F,) uint8, what each face belongs to: an index into `FACE_KINDS`. Height queries
-            look through faces of kind `overhead`.
+            look through what hangs `overhead`, and through what stands `beside` a published
+            course: its walls, which its scandots leave out.
     """
 
     vertices: NDArray[np.float64]

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 
+_LOOKED_THROUGH = [FACE_KINDS.index(kind) for kind in ("overhead", "beside")]
+
 # Embree's "no hit" is 1e37; nothing of ours is that far away.
 _FAR = 1e30
 
@@ -29,7 +31,7 @@ class RayScene:
         self._scene = _embree(mesh.vertices, mesh.faces)
         # Heights are asked of ground that one can stand on: a ceiling shows its underside, and
         # crowns and lamps hang overhead.
-        walkable = (normal[:, 2] > 0) & (mesh.kinds != FACE_KINDS.index("overhead"))
+        walkable = (normal[:, 2] > 0) & ~np.isin(mesh.kinds, _LOOKED_THROUGH)
         faces = np.flatnonzero(walkable)
         self._ground = _embree(mesh.vertices, mesh.faces[faces])
         # Corner and normal of each of them, a row for each face. The last row is that of a miss,
@@ -70,7 +72,7 @@ class RayScene:
     def height(self, xy: NDArray[np.floating], z_from: float = 50.0) -> NDArray[np.float64]:
         """Return the height of the ground under points: the first upward face below `z_from`.
 
-        Undersides (ceilings, shelves from below) and faces of kind `overhead` do not count.
+        Undersides (ceilings, shelves from below) and faces `overhead` or `beside` do not count.
 
         Args:
             xy: (N, 2) metres, world.

@@ -88,7 +88,7 @@ def _identity() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """A digital twin of one place. Cheap to construct: the splat is made when first asked for.
+    """One place. Cheap to construct: the splat is made when first asked for.
 
     Attributes:
         name: such as `hurdles/one_low_carpet`.

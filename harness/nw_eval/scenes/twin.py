@@ -36,9 +36,10 @@ class BuiltInSplat:
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store; build it in the cache on first use."""
-        path = cache_dir("scenes") / f"{self.place.name.replace('/', '-')}-{self.key[:16]}.splat"
-        from nw_eval.splat.store import compile_store, open_store
+        from nw_eval.splat.store import SUFFIX, compile_store, open_store
 
+        name = f"{self.place.name.replace('/', '-')}-{self.key[:16]}"
+        path = cache_dir("scenes") / f"{name}{SUFFIX}"
         if path.is_file():
             try:
                 open_store(path, key=self.key)

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from nw_eval.scenes.mesh import FACE_KINDS
+from nw_eval.scenes.mesh import FACE_KINDS, FaceKind
 
 ClassName = Literal[
     "nothing", "ground", "obstacle", "structure", "clutter", "overhead", "cone", "robot"
@@ -15,7 +15,15 @@ CLASSES: tuple[ClassName, ...] = get_args(ClassName)
 
 NOTHING, CONE, ROBOT = (CLASSES.index(name) for name in ("nothing", "cone", "robot"))
 
-FACE_CLASSES = np.array([CLASSES.index(kind) for kind in FACE_KINDS], dtype=np.uint8)
+_OF_KIND: dict[FaceKind, ClassName] = {
+    "ground": "ground",
+    "obstacle": "obstacle",
+    "structure": "structure",
+    "clutter": "clutter",
+    "overhead": "overhead",
+    "beside": "structure",
+}
+FACE_CLASSES = np.array([CLASSES.index(_OF_KIND[kind]) for kind in FACE_KINDS], dtype=np.uint8)
 """For each kind of a mesh's faces, its class."""
 
 PALETTE = np.array(

@@ -31,6 +31,8 @@ class Moment:
     """(12,) the raw action of the last control step, in the policy's order; zeros first."""
     last_output: Action
     """(12,) what the policy returned last, before any delay; zeros first."""
+    earlier_outputs: tuple[Action, ...] = ()
+    """What it returned before that, (12,) each, the newest first; zeros where there is no more."""
     position: Array = field(init=False)
     """Trunk origin in the world, (3,) m."""
     roll_pitch_yaw: tuple[float, float, float] = field(init=False)

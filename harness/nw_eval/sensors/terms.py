@@ -13,6 +13,7 @@ from nw_eval.policies import terms
 from nw_eval.policies.card import Command
 from nw_eval.policies.control import JointControl
 from nw_eval.sensors.command import commanded_speed, velocity_command
+from nw_eval.sensors.gait_clock import gait_clock
 from nw_eval.sensors.sensor import Array, Moment
 
 Reader = Callable[[Moment], ArrayLike]
@@ -53,6 +54,10 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: moment.roll_pitch_yaw[:2]
         case terms.Imu():
             return lambda moment: (*moment.roll_pitch_yaw[:2], 0.0)
+        case terms.Yaw():
+            return _yaw(term)
+        case terms.Acceleration():
+            return lambda moment: moment.world.specific_force(term.at)
         case terms.DeltaYaw():
             return lambda moment: moment.delta_yaw
         case terms.Command():
@@ -65,9 +70,11 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.AppliedAction():
             return lambda moment: moment.applied_action
         case terms.LastOutput():
-            return lambda moment: moment.last_output
+            return _last_output(term)
         case terms.FootContacts():
             return _foot_contacts(term)
+        case terms.GaitClock():
+            return gait_clock(term, command)
         case terms.Constant() | terms.Speed():
             values = np.array(fixed_values(term, command))
             return lambda moment: values  # noqa: ARG005 - as every reader.
@@ -100,6 +107,26 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
         c, s = math.cos(yaw), math.sin(yaw)
         x, y, z = in_world.tolist()
         return np.array([c * x + s * y, c * y - s * x, z])
+
+    return read
+
+
+def _yaw(term: terms.Yaw) -> Reader:
+    def read(moment: Moment) -> ArrayLike:
+        yaw = moment.roll_pitch_yaw[2]
+        if term.relative_to == "start":
+            yaw -= moment.world.start_yaw
+        if term.values == "sine_cosine":
+            return math.sin(yaw), math.cos(yaw)
+        return (yaw + math.pi) % (2.0 * math.pi) - math.pi
+
+    return read
+
+
+def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
+    def read(moment: Moment) -> Array:
+        outputs = (moment.last_output, *moment.earlier_outputs)
+        return outputs[term.ago] if term.ago < len(outputs) else np.zeros_like(outputs[0])
 
     return read
 

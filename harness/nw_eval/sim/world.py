@@ -62,6 +62,7 @@ class World:
         data: state of the simulation, for sensors that need more than the properties here.
         control_period: seconds of one control step.
         steps: control steps since the reset.
+        start_yaw: heading that the reset gave, rad.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class World:
         self.protocol: Protocol = protocol
         self.control_period = timestep * substeps
         self.steps = 0
+        self.start_yaw = 0.0
         motors = Actuators.of(robot) if actuators is None else actuators
         self._holds_pose = motors.follow == "position"
         health.keep_warnings_out_of_files()
@@ -110,6 +112,7 @@ class World:
         self._foot_forces = np.zeros(count)
         self._monitored_forces = np.zeros(len(self.monitored_geoms))
         self._torques = np.zeros(len(robot.joints))
+        self._acceleration = np.zeros(6)
         self._contacts = np.zeros(count, dtype=np.bool_)
         self._previous_contacts = np.zeros(count, dtype=np.bool_)
         start = scene.spawn
@@ -158,6 +161,7 @@ class World:
         data.qpos[_JOINTS] = pose
         data.ctrl[:] = pose if self._holds_pose else 0.0
         self.steps = 0
+        self.start_yaw = yaw
         mujoco.mj_forward(self.model, data)
         # Nothing has been sensed before the first step.
         self._contacts[:] = False
@@ -222,6 +226,8 @@ class World:
         self._foot_forces = numbers["foot_forces"]
         self._monitored_forces = numbers["monitored_forces"]
         self._torques = numbers["torques"]
+        self._acceleration = numbers["acceleration"]
+        self.start_yaw = float(numbers["start_yaw"][0])
         self._contacts = numbers["contacts"] > 0.0
         self._previous_contacts = numbers["previous_contacts"] > 0.0
 
@@ -256,6 +262,34 @@ class World:
     def trunk_angular_velocity(self) -> Array:
         """Angular velocity of the trunk, trunk frame, (3,) rad / s."""
         return self.data.qvel[3:6].copy()
+
+    def specific_force(self, at: Sequence[float]) -> Array:
+        """Return what an accelerometer on the trunk reads: acceleration minus gravity.
+
+        It is what MuJoCo's accelerometer reads at a site there. Under `neverwhere-2026` the
+        acceleration is that of the last physics step, as forces are.
+
+        Args:
+            at: (3,) where it sits, trunk frame, m.
+
+        Returns:
+            (3,) m / s^2, trunk frame.
+        """
+        # Plain cross products: `np.cross` takes longer than all the rest.
+        px, py, pz = at
+        wx, wy, wz = self.data.qvel[3:6].tolist()
+        ax, ay, az = self._acceleration[3:].tolist()
+        # Speed of the point around the origin, and what its circling adds: w x (w x p) + a x p.
+        vx, vy, vz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
+        circling = np.array(
+            [
+                wy * vz - wz * vy + ay * pz - az * py,
+                wz * vx - wx * vz + az * px - ax * pz,
+                wx * vy - wy * vx + ax * py - ay * px,
+            ]
+        )
+        in_world = self._acceleration[:3] - self.model.opt.gravity
+        return self.trunk_rotation.T @ in_world + circling
 
     @property
     def roll_pitch_yaw(self) -> Array:
@@ -366,6 +400,8 @@ class World:
         self._foot_forces = forces[:count]
         self._monitored_forces = forces[count:]
         self._torques = self.data.actuator_force.copy()
+        # Of the free joint: linear in the world's axes, angular in the trunk's.
+        self._acceleration = self.data.qacc[:6].copy()
         self._previous_contacts = self._contacts
         self._contacts = self._foot_forces > CONTACT_THRESHOLD
 
@@ -376,6 +412,8 @@ class World:
             "foot_forces": self._foot_forces.copy(),
             "monitored_forces": self._monitored_forces.copy(),
             "torques": self._torques.copy(),
+            "acceleration": self._acceleration.copy(),
+            "start_yaw": np.array([self.start_yaw]),
             "contacts": self._contacts.astype(np.float64),
             "previous_contacts": self._previous_contacts.astype(np.float64),
         }

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.files import read_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image
 from nw_eval.splat.movie import save_mp4
-from nw_eval.splat.store import Store, memory_store, open_store
+from nw_eval.splat.store import memory_store
 from nw_eval.splat.turntable import Up, axes, framing_camera, orbit, save_gif, save_png
 
 if TYPE_CHECKING:
@@ -24,17 +24,27 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".gif", ".mp4")
 
 Point = tuple[float, float, float]
+Circuit = Callable[[int], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Given a number, as many places for a camera (N, 3) on a way round, and what it looks at (3,)."""
+
 _FOVY = math.radians(60.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is drawn: Gaussians seen from outside, or a place in which the camera stands."""
+    """What is drawn: Gaussians seen from outside, or a place with the camera in it.
 
-    store: Store
+    Attributes:
+        gaussians: all of them.
+        up: upward axis of their frame.
+        stand: where the camera of a place stands for a still, looking ahead.
+        circuit: the camera's way round a place.
+    """
+
+    gaussians: Gaussians
     up: Up
-    gaussians: Gaussians | None = None
     stand: Point | None = None
+    circuit: Circuit | None = None
 
     def draw(
         self,
@@ -46,12 +56,12 @@ class Subject:
         frames: int = 48,
         backend: Literal["cpu", "cuda"] = "cpu",
     ) -> None:
-        """Write a still (.png) or a turn (.gif, .mp4).
+        """Write a still (.png), or a turn round the subject (.gif, .mp4).
 
         Args:
             path: what to write; one of `SUFFIXES`.
             size: pixels across and down.
-            eye: of a still, in the splat's own frame.
+            eye: where the camera stands, in the Gaussians' frame; a turn looks round from there.
             target: of a still; what it looks at.
             frames: of a turn.
             backend: the renderer.
@@ -61,60 +71,52 @@ class Subject:
         """
         from nw_eval.splat.render import open_renderer
 
-        renderer = open_renderer(self.store, backend)
+        renderer = open_renderer(memory_store(self.gaussians), backend)
         if path.suffix.lower() == ".png":
             save_png(path, renderer.render(self._still(size, eye, target)))
             return
-        turn = self._turn(renderer, size, frames)
+        turn = self._turn(renderer, size, frames, eye)
         (save_gif if path.suffix.lower() == ".gif" else save_mp4)(path, turn)
 
     def _still(self, size: tuple[int, int], eye: Point | None, target: Point | None) -> Camera:
-        width, height = size
-        upward, ahead, _ = axes(self.up)
         stand = self.stand if eye is None else eye
         if stand is None:
-            assert self.gaussians is not None
+            width, height = size
             return framing_camera(self.gaussians, width=width, height=height, up=self.up)
-        if target is None and self.gaussians is not None:
-            target = _middle(self.gaussians)
-        looked_at = np.asarray(stand) + ahead if target is None else np.asarray(target)
-        T = look_at(stand, looked_at, upward)
-        return Camera.from_fovy(width=width, height=height, fovy=_FOVY, T_world_camera=T)
+        if target is not None:
+            looked_at = np.asarray(target)
+        elif self.stand is not None:
+            looked_at = np.asarray(stand) + axes(self.up)[1]
+        else:
+            looked_at = _middle(self.gaussians)
+        return self._camera(size, np.asarray(stand), looked_at)
 
-    def _turn(self, renderer: Renderer, size: tuple[int, int], frames: int) -> Iterator[Image]:
-        width, height = size
-        if self.stand is None:
-            assert self.gaussians is not None
+    def _turn(
+        self, renderer: Renderer, size: tuple[int, int], frames: int, eye: Point | None
+    ) -> Iterator[Image]:
+        if eye is not None:
+            _, ahead, aside = axes(self.up)
+            for angle in np.arange(frames) * (2.0 * math.pi / frames):
+                towards = math.cos(angle) * ahead + math.sin(angle) * aside
+                yield renderer.render(self._camera(size, np.asarray(eye), eye + towards))
+        elif self.circuit is not None:
+            eyes, looked_at = self.circuit(frames)
+            for stand in eyes:
+                yield renderer.render(self._camera(size, stand, looked_at))
+        else:
+            width, height = size
             yield from orbit(
                 renderer, self.gaussians, frames=frames, width=width, height=height, up=self.up
             )
-            return
-        upward, ahead, aside = axes(self.up)
-        for index in range(frames):
-            angle = 2.0 * math.pi * index / frames
-            towards = np.asarray(self.stand) + math.cos(angle) * ahead + math.sin(angle) * aside
-            T = look_at(self.stand, towards, upward)
-            yield renderer.render(
-                Camera.from_fovy(width=width, height=height, fovy=_FOVY, T_world_camera=T)
-            )
+
+    def _camera(
+        self, size: tuple[int, int], eye: NDArray[np.float64], target: NDArray[np.float64]
+    ) -> Camera:
+        width, height = size
+        T = look_at(eye, target, axes(self.up)[0])
+        return Camera.from_fovy(width=width, height=height, fovy=_FOVY, T_world_camera=T)
 
 
-def of_file(path: Path, *, up: Up) -> Subject:
-    """Return the Gaussians of a file, seen from outside.
-
-    Raises:
-        SceneError: the file cannot be read.
-    """
-    gaussians = read_splat(path)
-    return Subject(store=memory_store(gaussians), gaussians=gaussians, up=up)
-
-
-def of_store(path: Path, *, stand: Point) -> Subject:
-    """Return a compiled place whose z axis points up, seen from a point in it along x."""
-    return Subject(store=open_store(path), stand=stand, up="+z")
-
-
-def _middle(gaussians: Gaussians) -> Point:
+def _middle(gaussians: Gaussians) -> NDArray[np.float64]:
     finite = gaussians.means[np.isfinite(gaussians.means).all(axis=1)]
-    x, y, z = np.median(finite, axis=0).tolist()
-    return x, y, z
+    return np.median(finite, axis=0).astype(np.float64)

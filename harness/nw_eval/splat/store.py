@@ -23,7 +23,13 @@ from nw_eval.splat.layout import Layout, arrange
 FORMAT = 3
 """Changes with the layout of the arrays; part of every cache key."""
 
+SUFFIX = ".nwsplat"
+"""Of our own: `.splat` is another format, which anybody reads."""
+
 _MAGIC = "nw-eval splat store"
+MARK = f'{{"magic": "{_MAGIC}"'.encode()
+"""What a file begins with."""
+
 _ALIGN = 64
 _HEADER_LIMIT = 4096
 _ARRAYS = {"geometry": "<f4", "dc": "<f4", "sh": "<u2", "bounds": "<f4"}
@@ -202,7 +208,7 @@ def compiled_store(source: Path | Gaussians, key: str | None = None) -> Path:
                 raise SceneError(f"{source}: {error.strerror or error}") from error
     full_key = f"{FORMAT}:{key}"
     name = hashlib.sha256(full_key.encode()).hexdigest()[:32]
-    path = cache_dir("splats") / f"{name}.nwsplat"
+    path = cache_dir("splats") / f"{name}{SUFFIX}"
     if path.exists():
         try:
             open_store(path, key=full_key)

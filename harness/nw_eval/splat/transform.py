@@ -34,7 +34,7 @@ def transformed(gaussians: Gaussians, T: NDArray[np.float64]) -> Gaussians:
         raise SceneError(
             f"no similarity: determinant {determinant:g}", fix="give a rotation times a scale"
         )
-    w, x, y, z = _quat(rotation)
+    w, x, y, z = quaternions(rotation)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return Gaussians(
         means=(gaussians.means @ linear.T + T[:3, 3]).astype(np.float32),
@@ -92,15 +92,17 @@ def harmonics(directions: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _quat(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4,) w x y z: the eigenvector of Davenport's matrix with the largest eigenvalue."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [0, r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-            [0, 0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
-            [0, 0, 0, r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    return np.linalg.eigh(np.triu(k) + np.triu(k, 1).T)[1][:, 3]
+def quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the w x y z (..., 4) of rotation matrices (..., 3, 3).
+
+    The eigenvector of Davenport's matrix with the largest eigenvalue.
+    """
+    r = np.moveaxis(rotations, (-2, -1), (0, 1))
+    rows = [
+        [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+        [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
+        [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
+        [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
+    ]
+    davenport = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.linalg.eigh(davenport)[1][..., 3]

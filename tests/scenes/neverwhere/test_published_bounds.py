@@ -75,7 +75,7 @@ def test_a_scale_of_no_place_is_refused(writer):
         load_published(writer.write())
 
 
-@pytest.mark.parametrize("name", ["3dgs/model.pt", "3dgs/data_transforms.json"])
+@pytest.mark.parametrize("name", ["3dgs/model.pt", "3dgs/model.ply", "3dgs/data_transforms.json"])
 def test_a_splat_that_is_a_link_out_of_the_scene_is_refused(writer, tmp_path, name):
     folder = writer.write()
     (tmp_path / "elsewhere").write_text(json.dumps({}))

@@ -11,6 +11,7 @@ from nw_eval.scenes.neverwhere import inspect_published, load_published
 from nw_eval.scenes.neverwhere.table import PUBLISHED
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.terrain.solids import FlexMesh, HeightField
+from nw_eval.splat import open_store, read_splat, write_splat
 
 
 def codes(folder, severity="error"):
@@ -242,6 +243,27 @@ def test_a_missing_splat_is_an_error_of_the_check_and_none_of_blind_policies(wri
     assert codes(folder) == ["no_splat"]
     with pytest.raises(SceneError, match="no splat"):
         load_published(folder).splat_store()
+
+
+def test_the_export_of_a_splat_is_read_where_there_is_no_checkpoint(writer):
+    writer.splat = blob()
+    folder = writer.write()
+    checkpoint = load_published(folder)
+    write_splat(folder / "3dgs" / "model.ply", read_splat(folder / "3dgs" / "model.pt"))
+    assert load_published(folder).digest == checkpoint.digest
+    (note,) = inspect_published(folder).findings
+    assert (note.code, note.severity) == ("two_splats", "note")
+    assert note.message.endswith("3dgs holds model.pt and model.ply: model.pt is read")
+    (folder / "3dgs" / "model.pt").unlink()
+    assert codes(folder) == []
+    exported = load_published(folder)
+    assert exported.splat.path.name == "model.ply"
+    for ours, theirs in zip(
+        open_store(exported.splat_store()).layout.arrays().values(),
+        open_store(checkpoint.splat.store()).layout.arrays().values(),
+        strict=True,
+    ):
+        assert np.array_equal(ours, theirs)
 
 
 def test_an_empty_splat_is_named(writer):

@@ -1,4 +1,4 @@
-"""Images: photographs of the splat, depth, and classes."""
+"""Images: renderings of the splat, depth, and classes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Rows = Annotated[int, Field(ge=8, le=1080)]
 
 
 class SplatRgbObservation(BaseObservation):
-    """A photographic image of the scene's splat from a camera of the robot."""
+    """A rendering of the scene's splat from a camera of the robot."""
 
     sensor: Literal["splat_rgb"]
     camera: str = "ego"

@@ -32,6 +32,7 @@ _PLACE: dict[FaceKind, Color] = {
     "structure": Color(r=0.78, g=0.76, b=0.72, a=1.0),
     "clutter": Color(r=0.45, g=0.55, b=0.42, a=1.0),
     "overhead": Color(r=0.80, g=0.80, b=0.80, a=0.25),  # seen through, or it hides the robot
+    "beside": Color(r=0.78, g=0.76, b=0.72, a=0.25),  # likewise
 }
 _WAYPOINT_DIAMETER = 0.6  # m; the reach radius of a waypoint is 0.3
 _WAYPOINT_HEIGHT = 0.02  # m

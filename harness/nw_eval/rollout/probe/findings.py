@@ -22,7 +22,15 @@ Array = NDArray[np.float64]
 _OFTEN = 0.2  # Share of control steps from which on a limit is a fault, not a moment.
 _MOVES = 0.05  # rad; a target that moves less tells nothing of how its joint follows.
 _LARGE = 30.0  # No scaled observation of a policy that learned is larger for long.
-_MAY_REST = {"foot_contacts", "applied_action", "last_output", "speed", "command", "direction"}
+_MAY_REST = {
+    "foot_contacts",
+    "applied_action",
+    "last_output",
+    "speed",
+    "command",
+    "direction",
+    "clock",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

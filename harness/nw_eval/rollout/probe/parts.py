@@ -121,7 +121,8 @@ def _form(term: AnyTerm) -> str:
         words.append(f"{term.offset:+g}")
     if isinstance(term, Constant):
         words.append(_runs(term.values))
-    words += settings(term, but={"term", "scale", "offset", "clip", "copies", "values"})
+    said = {"term", "scale", "offset", "clip", "copies"}
+    words += settings(term, but=said | {"values"} if isinstance(term, Constant) else said)
     return " ".join(words)
 
 

@@ -159,6 +159,8 @@ def _actions(card: Card, robot: RobotSpec) -> list[str]:
     words.append(f"{control.rate} Hz")
     if control.delay_steps:
         words.append(f"delayed by {control.delay_steps}")
+    if control.filter is not None:
+        words.append(f"filter {flow(control.filter)}")
     words.append(f"physics at {control.physics_rate} Hz")
     return [
         f"actions: {', '.join(words)}",

@@ -102,14 +102,17 @@ def _spawn(scene: Scene, rays: RayScene) -> list[Finding]:
     body = np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
     c, s = np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)
     points = here + body @ np.array([[c, s], [-s, c]])
-    highest = float(np.max(_heights(scene, rays, points)))
+    under = _heights(scene, rays, points)
+    highest = float(np.max(under))
     steps = np.linspace(-_ROUND, _ROUND, 17)
     nearby = here + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     ground = _heights(scene, rays, nearby)
     usual = float(np.median(ground[np.isfinite(ground)]))
+    # A narrow block may stand on lower ground: where it is level under the robot, it carries it.
+    level = max(usual, min(z, float(np.min(under))))
     inside = _inside_a_box(scene, points, max(z, usual))
-    if highest > usual + _CLEARANCE or inside:
-        found = "a solid" if inside else f"something {highest - usual:.2f} m high"
+    if highest > level + _CLEARANCE or inside:
+        found = "a solid" if inside else f"something {highest - level:.2f} m high"
         findings.append(
             Finding(
                 code="spawn_blocked",

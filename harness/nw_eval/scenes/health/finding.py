@@ -25,6 +25,7 @@ Code = Literal[
     "task_guessed",
     "terrain_error",
     "thin_wall",
+    "two_splats",
     "unreadable",
     "waypoint_above_surface",
     "waypoint_below_surface",

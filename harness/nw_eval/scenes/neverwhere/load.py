@@ -17,7 +17,7 @@ from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.name import name_of
 from nw_eval.scenes.neverwhere.places import ROBOTS, Places, RobotName, find_places
 from nw_eval.scenes.neverwhere.primitives import read_primitives
-from nw_eval.scenes.neverwhere.scan import Scan, is_scan, read_scan
+from nw_eval.scenes.neverwhere.scan import SPLATS, Scan, is_scan, read_scan
 from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.scenes.neverwhere.tree import Tree, read_tree
 from nw_eval.scenes.scene import Plane, Scene, Spawn
@@ -155,23 +155,31 @@ def _scan(
         ground=Plane(z=terrain.floor, friction=scan.friction),
         trail=trail,
         static_mesh=_with_overhead(scan, trail, options),
-        splat=FileSplat(path=scan.splat) if what_is(scan.splat) == "file" else None,
+        splat=FileSplat(path=scan.splats[0]) if scan.splats else None,
         spawn=Spawn(position=(0.0, 0.0, z)),
         waypoint_noise=row.waypoint_noise,
         T_world_splat=scan.T_world_splat,
         licence=_LICENCE,
     )
-    found = list(terrain.findings)
-    if scene.splat is None:
-        found.append(
+    return scene, [*terrain.findings, *_splat_findings(scan, places)]
+
+
+def _splat_findings(scan: Scan, places: Places) -> list[Finding]:
+    """Return that there is no splat, or which of two is read."""
+    if not scan.splats:
+        return [
             Finding(
                 code="no_splat",
                 severity="error",
-                message=f"{scan.splat}: there is no such file",
-                fix="download it; without it only policies without camera sensors run",
+                message=f"{places.folder}: there is neither {' nor '.join(SPLATS)}",
+                fix="download one; without it only policies without camera sensors run",
             )
-        )
-    return scene, found
+        ]
+    if len(scan.splats) == 1:
+        return []
+    read, other = (path.name for path in scan.splats)
+    message = f"{scan.splats[0].parent} holds {read} and {other}: {read} is read"
+    return [Finding(code="two_splats", severity="note", message=message)]
 
 
 def _with_overhead(scan: Scan, trail: NDArray[np.float64], options: TerrainOptions) -> TriangleMesh:

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.limits import FRICTION, LEAST_SIZE, REACH
-from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
+from nw_eval.scenes.mesh import (
+    FaceKind,
+    TriangleMesh,
+    box_mesh,
+    merge,
+    quad_mesh,
+    rotation_matrix,
+)
 from nw_eval.scenes.neverwhere.pose import moved, numbers
 from nw_eval.scenes.neverwhere.tree import PlacedGeom
 from nw_eval.scenes.scene import Box, Plane
@@ -22,6 +29,9 @@ _GROUND_REACH = 60.0
 _MUJOCO_FRICTION = (1.0, 0.005, 0.0001)
 # Without a ground plane, what falls is caught this far below everything, metres.
 _VOID = 1.0
+# The published scandots leave out geoms whose names begin so: their camera would see the tops of
+# balls, cones and walls. Everything else that can be touched is ground to them.
+_LEFT_OUT = ("ball", "basketball", "cone", "soccer", "wall")
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
 
@@ -58,7 +68,8 @@ def read_primitives(geoms: list[PlacedGeom]) -> Primitives:
             )
         solid = _solid(geom, kind)
         solids.append(solid)
-        meshes.append(_mesh(solid))
+        left_out = (geom.element.get("name") or "").startswith(_LEFT_OUT)
+        meshes.append(_mesh(solid, "beside" if left_out else "obstacle"))
     if planes:
         ground = max(planes, key=lambda plane: plane.z)
         reach = _GROUND_REACH
@@ -139,9 +150,9 @@ def _frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([x, np.cross(axis, x), axis])
 
 
-def _mesh(solid: Box | Primitive) -> TriangleMesh:
+def _mesh(solid: Box | Primitive, kind: FaceKind) -> TriangleMesh:
     if isinstance(solid, Box):
-        return box_mesh(solid.center, solid.half_size, solid.quat, "obstacle")
+        return box_mesh(solid.center, solid.half_size, solid.quat, kind)
     from trimesh import creation
 
     radius, *rest = solid.size
@@ -159,4 +170,4 @@ def _mesh(solid: Box | Primitive) -> TriangleMesh:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_matrix(solid.quat), solid.center
     vertices = moved(np.asarray(shape.vertices, dtype=np.float64), T)
-    return checked_mesh(vertices, np.asarray(shape.faces), "obstacle", solid.kind)
+    return checked_mesh(vertices, np.asarray(shape.faces), kind, solid.kind)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
-from nw_eval.inside import OutsideError, inside
+from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.scenes.limits import MESH_REACH, SCALES
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.neverwhere.places import Places
@@ -21,6 +21,9 @@ from nw_eval.scenes.terrain.solids import DEFAULT_FRICTION, Friction
 
 VISUAL = "visual_mesh"
 COLLISION = "collision_mesh"
+
+SPLATS = ("3dgs/model.pt", "3dgs/model.ply")
+"""The trainer's checkpoint, which the published evaluation reads, and its export."""
 
 # Relative difference of the three scales of a mesh that rounding may make.
 _UNEVEN = 1e-6
@@ -36,7 +39,7 @@ class Scan:
         friction: of the collision geom.
         scale: metres in one unit of the visual mesh.
         T_world_splat: (4, 4) similarity.
-        splat: the checkpoint's path; need not exist.
+        splats: those of `SPLATS` that there are, in that order; the first is read.
     """
 
     visual: TriangleMesh
@@ -44,7 +47,7 @@ class Scan:
     friction: Friction
     scale: float
     T_world_splat: Matrix
-    splat: Path
+    splats: tuple[Path, ...]
 
 
 def is_scan(tree: Tree) -> bool:
@@ -64,6 +67,7 @@ def read_scan(tree: Tree, places: Places) -> Scan:
     # The splat hangs on the body, not on the geom, which MuJoCo moves to the mesh's centre.
     T_world_colmap = T_mesh.copy()
     T_world_colmap[:3, :3] *= scale
+    paths = [_beside(places, name) for name in SPLATS]
     normalisation = read_normalisation(_beside(places, "3dgs/data_transforms.json"))
     return Scan(
         visual=_world(tree, places, VISUAL, visual_geom.T_world_geom, scale),
@@ -73,7 +77,7 @@ def read_scan(tree: Tree, places: Places) -> Scan:
         friction=checked_friction(collision_geom, DEFAULT_FRICTION),
         scale=scale,
         T_world_splat=product(T_world_colmap, inverse(normalisation)),
-        splat=_beside(places, "3dgs/model.pt"),
+        splats=tuple(path for path in paths if what_is(path) == "file"),
     )
 
 

@@ -1,7 +1,8 @@
 """The published table of scenes: task, and by how much a trial may move waypoints.
 
 Source: `scenes.txt` of ziyc/neverwhere, commit 5774a18; the misspelling `hurldes` is its own. The
-noise has no effect in the published evaluation and acts under `strict`.
+noise has no effect in the published evaluation and acts under `strict`. LucidSim's terrains, which
+are XML files of boxes, have theirs from its environments' registration, where it acts.
 """
 
 from __future__ import annotations
@@ -59,6 +60,15 @@ PUBLISHED: dict[str, Row] = {
     for name in names.split()
 }
 
+LUCIDSIM: dict[str, Row] = {
+    "hurdle": Row(task="hurdles", waypoint_noise=(0.0, 0.1)),
+    "gaps": Row(task="gaps", waypoint_noise=(0.0, 0.1)),
+    "parkour": Row(task="ramps", waypoint_noise=(0.1, 0.1)),
+    "stairs_v1": Row(task="stairs", waypoint_noise=(0.0, 0.1)),
+    "stairs_v2": Row(task="stairs", waypoint_noise=(0.0, 0.1)),
+}
+"""By the name of the XML, without its suffix."""
+
 _WORDS: tuple[tuple[str, Task], ...] = (
     ("hurdle", "hurdles"),
     ("hurlde", "hurdles"),
@@ -71,8 +81,9 @@ _WORDS: tuple[tuple[str, Task], ...] = (
 
 def row_of(name: str) -> tuple[Row, bool]:
     """Return the row of a scene and whether it is the published one, not guessed from the name."""
-    if name in PUBLISHED:
-        return PUBLISHED[name], True
+    for rows in (PUBLISHED, LUCIDSIM):
+        if name in rows:
+            return rows[name], True
     for word, task in _WORDS:
         if word in name.lower():
             return Row(task=task, waypoint_noise=(0.0, 0.1)), False

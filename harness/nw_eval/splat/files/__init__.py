@@ -6,9 +6,10 @@
     .pt       a gsplat training checkpoint
     folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
 
-Formats are told by content; only .splat, which has no mark, is told by its name. Everything comes
-back in the axes of the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with
-a zero quaternion, are left out when the splat is compiled.
+A file of nw-eval's own cache (.nwsplat) is read too, though not written here. Formats are told by
+content; only .splat, which has no mark, is told by its name. Everything comes back in the axes of
+the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with a zero quaternion,
+are left out when the splat is compiled.
 """
 
 from __future__ import annotations
@@ -17,18 +18,25 @@ from pathlib import Path
 
 from nw_eval.cache import atomic_path
 from nw_eval.errors import SceneError, UsageError, nearest
+from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
 from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat
-from nw_eval.splat.files.gsplat_pt import read_gsplat_pt
+from nw_eval.splat.files.gsplat_pt import read_gsplat_pt, write_gsplat_pt
 from nw_eval.splat.files.nerfstudio import read_nerfstudio
 from nw_eval.splat.files.ply import Ply
 from nw_eval.splat.files.spz import read_spz, write_spz
 from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply, write_threedgs_ply
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.store import MARK
 
 __all__ = ["RestOrder", "read_splat", "write_splat"]
 
-_WRITERS = {".ply": write_threedgs_ply, ".spz": write_spz, ".splat": write_dot_splat}
+_WRITERS = {
+    ".ply": write_threedgs_ply,
+    ".pt": write_gsplat_pt,
+    ".spz": write_spz,
+    ".splat": write_dot_splat,
+}
 
 
 def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
@@ -47,28 +55,30 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
         if path.is_dir():
             return read_nerfstudio(path, rest_order=rest_order)
         with path.open("rb") as file:
-            mark = file.read(4)
+            mark = file.read(len(MARK))
+        if mark == MARK:
+            return read_compiled(path)
         if mark[:3] == b"ply":
             ply = Ply.open(path)
             if "chunk" in ply.elements:
                 return read_compressed_ply(ply)
             return read_threedgs_ply(ply, rest_order=rest_order)
-        if mark[:2] == b"\x1f\x8b" or mark == b"NGSP":
+        if mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP":
             return read_spz(path)
-        if mark == b"PK\x03\x04":
+        if mark[:4] == b"PK\x03\x04":
             return read_gsplat_pt(path)
         if path.suffix.lower() == ".splat":
             return read_dot_splat(path)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix="give a splat file") from error
     raise SceneError(
-        f"{path}: starts with {mark!r}, which is no splat format",
+        f"{path}: starts with {mark[:4]!r}, which is no splat format",
         fix="give .ply, .spz, .splat, a gsplat .pt, or a nerfstudio export folder",
     )
 
 
 def write_splat(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in the format of the name: .ply (exact), .spz or .splat (both lossy).
+    """Write Gaussians in the format of the name: .ply, .pt (exact), .spz or .splat (lossy).
 
     Raises:
         UsageError: for another suffix.

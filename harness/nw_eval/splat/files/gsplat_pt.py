@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
 
 _KEYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 _FIX = "give a checkpoint of gsplat's simple_trainer"
@@ -35,10 +35,7 @@ def read_gsplat_pt(path: Path) -> Gaussians:
         PrerequisiteError: without torch.
     """
     _check_archive(path)
-    try:
-        import torch
-    except ImportError as error:
-        raise PrerequisiteError(f"{path}: needs torch", fix="pip install torch") from error
+    torch = _torch(path)
     try:
         content: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises whatever its unpickler meets.
@@ -60,6 +57,41 @@ def read_gsplat_pt(path: Path) -> Gaussians:
         opacity_logits=arrays["opacities"].reshape(-1),
         sh=sh,
     )
+
+
+def write_gsplat_pt(path: Path, gaussians: Gaussians) -> None:
+    """Write a gsplat checkpoint; exact.
+
+    Harmonics are filled up with zeros to degree 3: trainers keep so many, and who renders their
+    checkpoints asks for so many.
+
+    Raises:
+        PrerequisiteError: without torch.
+    """
+    torch = _torch(path)
+    sh = np.pad(gaussians.sh, ((0, 0), (0, SH_COUNTS[-1] - gaussians.sh.shape[1]), (0, 0)))
+    arrays = {
+        "means": gaussians.means,
+        "scales": gaussians.log_scales,
+        "quats": gaussians.quats,
+        "opacities": gaussians.opacity_logits,
+        "sh0": sh[:, :1],
+        "shN": sh[:, 1:],
+    }
+    # Copies: a view would be stored with all that lies under it.
+    splats = {key: torch.tensor(array) for key, array in arrays.items()}
+    # A step, because trainers ask for it; of none. Into an open file, so that its bytes do not
+    # depend on the name.
+    with path.open("wb") as file:
+        torch.save({"step": 0, "splats": splats}, file)
+
+
+def _torch(path: Path) -> Any:
+    try:
+        import torch
+    except ImportError as error:
+        raise PrerequisiteError(f"{path}: needs torch", fix="pip install torch") from error
+    return torch
 
 
 def _check_archive(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -14,7 +15,7 @@ class Replay:
 
     log: tyro.conf.Positional[Path]
     """A trial's MCAP file."""
-    policy: str | None = None
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """The bundle that made it, when it has moved since."""
     checkpoint: Path | None = None
     """Weights to use with the card, when they lie elsewhere than it says."""

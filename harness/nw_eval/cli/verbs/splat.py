@@ -8,40 +8,46 @@ from typing import Annotated, Literal
 
 import tyro
 
+Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Say what a file holds: counts, bounds, harmonics, sizes, opacities."""
+    """Say what a splat holds: counts, bounds, harmonics, sizes, opacities."""
 
-    file: tyro.conf.Positional[Path]
-    """3DGS or compressed PLY, SPZ, .splat, gsplat .pt, or a nerfstudio export's folder."""
+    source: tyro.conf.Positional[str]
+    """3DGS or compressed PLY, SPZ, .splat, gsplat .pt, a nerfstudio export's folder, a file of
+    nw-eval's cache, or the name of a built-in scene."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(api.splat_info(self.file))
+        print(api.splat_info(self.source))
         return 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convert:
-    """Write the Gaussians of one file as another: .ply (exact), .spz or .splat (lossy)."""
+    """Write Gaussians as another file: .ply, gsplat .pt (exact), .spz or .splat (lossy)."""
 
-    file: tyro.conf.Positional[Path]
-    """What to read."""
+    source: tyro.conf.Positional[str]
+    """A file of Gaussians, or the name of a built-in scene, which comes in world metres."""
     out: tyro.conf.Positional[Path]
     """What to write; its suffix says the format."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(api.splat_convert(self.file, self.out))
+        print(api.splat_convert(self.source, self.out))
         return 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Render:
-    """Draw a splat: a PNG from a pose, or a turn around it as GIF or MP4."""
+    """Draw a splat: a PNG from a pose, or a turn around it as GIF or MP4.
+
+    In a built-in scene the camera goes round the trail, within the walls.
+    """
 
     source: tyro.conf.Positional[str]
     """A file of Gaussians, or the name of a built-in scene."""
@@ -53,10 +59,10 @@ class Render:
     """Pixels down."""
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "-y"
     """Upward axis of a file; built-in scenes have +z."""
-    eye: tuple[float, float, float] | None = None
-    """Where the camera stands; chosen to frame the splat when absent."""
-    target: tuple[float, float, float] | None = None
-    """What it looks at."""
+    eye: Point = None
+    """Where the camera stands, and a turn looks round from; chosen when absent."""
+    target: Point = None
+    """What a PNG's camera looks at; needs --eye."""
     frames: int = 48
     """Frames of a turn."""
     render: Literal["cpu", "cuda"] = "cpu"

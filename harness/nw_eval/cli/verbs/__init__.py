@@ -8,17 +8,17 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
-from nw_eval.cli.check import Check
-from nw_eval.cli.policies import Policies
-from nw_eval.cli.replay import Replay
-from nw_eval.cli.report import Report
-from nw_eval.cli.run import Run
-from nw_eval.cli.scenes import Scenes
-from nw_eval.cli.schema import Schema
-from nw_eval.cli.sensors import Sensors
-from nw_eval.cli.splat import Splat
-from nw_eval.cli.suites import Suites
-from nw_eval.cli.warmup import Warmup
+from nw_eval.cli.verbs.check import Check
+from nw_eval.cli.verbs.policies import Policies
+from nw_eval.cli.verbs.replay import Replay
+from nw_eval.cli.verbs.report import Report
+from nw_eval.cli.verbs.run import Run
+from nw_eval.cli.verbs.scenes import Scenes
+from nw_eval.cli.verbs.schema import Schema
+from nw_eval.cli.verbs.sensors import Sensors
+from nw_eval.cli.verbs.splat import Splat
+from nw_eval.cli.verbs.suites import Suites
+from nw_eval.cli.verbs.warmup import Warmup
 
 Verb = (
     Annotated[Run, tyro.conf.subcommand("run")]

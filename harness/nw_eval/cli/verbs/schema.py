@@ -1,4 +1,4 @@
-"""`nw-eval schema`: the JSON Schema of suite files and policy cards, for editors."""
+"""`nw-eval schema`: the JSON Schema of suites, cards and scenes, for editors."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import tyro
 class Schema:
     """Write the JSON Schema that editors use to complete and check files."""
 
-    kind: tyro.conf.Positional[Literal["suite", "policy"]] = "suite"
-    """Which kind of file."""
+    kind: tyro.conf.Positional[Literal["suite", "policy", "scene", "collision"]] = "suite"
+    """Which kind of file: a suite, a policy's card, scene.yaml, or a scene's file of boxes."""
     out: Path | None = None
     """Where to write it; standard output when absent."""
 

@@ -16,7 +16,7 @@ class Warmup:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.progress import build_progress
+        from nw_eval.cli.terminal.progress import build_progress
 
         with build_progress() as listener:
             print(api.warmup(self.scenes, listener=listener))

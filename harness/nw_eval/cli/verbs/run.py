@@ -52,9 +52,9 @@ class Run:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.interruption import INTERRUPTED
-        from nw_eval.cli.last_words import tell
-        from nw_eval.cli.progress import RunProgress
+        from nw_eval.cli.terminal.interruption import INTERRUPTED
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
 
         with RunProgress() as progress:
             outcome = api.run(

@@ -67,7 +67,7 @@ class Render:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.progress import build_progress
+        from nw_eval.cli.terminal.progress import build_progress
 
         with build_progress() as listener:
             api.render_scenes(self.patterns, out=self.out, width=self.width, listener=listener)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from nw_eval.clean import clean
-from nw_eval.cli.last_words import tell, unforeseen
+from nw_eval.cli.terminal.last_words import tell, unforeseen
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row

@@ -1,0 +1,1 @@
+"""What a verb shares with a terminal: streams, signals, progress, and the last word."""

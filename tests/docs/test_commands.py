@@ -1,0 +1,144 @@
+"""The commands of the README and of docs/ do what they are there for.
+
+Each page is followed from top to bottom in an empty folder: its files are written where their names
+say, its commands run. What costs too much runs with fewer trials, or is listed with the reason.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import MappingProxyType
+
+import onnx
+import pytest
+from onnx import TensorProto, helper
+
+from nw_eval import cli
+from nw_eval.cli.verbs import parse
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+_ONE_TRIAL = "--trials 1 --scenes hurdles/one_low_carpet --record none"
+REDUCED = MappingProxyType(
+    {
+        "nw-eval run my-suite.yaml --out mine": _ONE_TRIAL,
+        "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
+        "nw-eval run my-place.yaml --out my-run": "--record none",
+    }
+)
+"""Options that make a command cheap and leave it what it is."""
+
+ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One trial decides nothing.
+"""Exit codes of commands that do not end with 0."""
+
+NOT_RUN = MappingProxyType(
+    {
+        "make run": "minutes; CI does it on a fresh machine",
+        "make test": "this is part of it",
+        "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
+        "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
+        "nw-eval run hurdles --policy ./my-policy --out reports/gate": "likewise, in a CI's YAML",
+        """python -c 'import onnx; onnx.save(onnx.load("policy.onnx"), "one.onnx")'""": (
+            "test_policies_page.py folds a graph with it"
+        ),
+    }
+)
+"""Commands that are left out, and why."""
+
+OUTPUT = re.compile(r"^nw-eval replay reports/hurdles-")
+"""What the README's run printed, not what a reader types."""
+
+_BLOCK = re.compile(r"^```([\w-]*)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_COMMAND = re.compile(r"^ {4,}(?:- run: )?((?:nw-eval|python|make|mkdir) .+?)(?:\s+#.*)?$")
+
+
+def files_of(page: Path) -> dict[str, str]:
+    """The files that a page shows, by their names."""
+    text = page.read_text(encoding="utf-8")
+    return {name: body for _, name, body in _BLOCK.findall(text) if name}
+
+
+def commands_of(page: Path) -> list[str]:
+    """What a page tells its reader to type: lines of its blocks, fenced or indented, in order."""
+    lines = _BLOCK.sub(_indented, page.read_text(encoding="utf-8")).splitlines()
+    found = [_COMMAND.match(line) for line in lines]
+    return [x[1] for x in found if x is not None and not OUTPUT.match(x[1])]
+
+
+def _indented(block: re.Match[str]) -> str:
+    """A fenced block as an indented one; nothing of a file."""
+    return "" if block[2] else "".join(f"    {line}\n" for line in block[3].splitlines())
+
+
+def named_in_prose(page: Path) -> list[str]:
+    """The commands between backquotes, one for each of `list|show`."""
+    told: list[str] = []
+    for command in re.findall(r"`nw-eval ([^`]+)`", _BLOCK.sub("", page.read_text("utf-8"))):
+        (choice,) = re.findall(r"\w+(?:\|\w+)+", command) or [""]
+        told += [command.replace(choice, each) if choice else command for each in choice.split("|")]
+    return told
+
+
+def save_checkpoint(path: Path) -> None:
+    """Write a network of 48 numbers, as velocity policies have them, that answers zeros."""
+    zeros = helper.make_tensor("zeros", TensorProto.FLOAT, [48, 12], [0.0] * 48 * 12)
+    obs = helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 48])
+    actions = helper.make_tensor_value_info("actions", TensorProto.FLOAT, [1, 12])
+    node = helper.make_node("MatMul", ["obs", "zeros"], ["actions"])
+    graph = helper.make_graph([node], "g", [obs], [actions], [zeros])
+    opset = [helper.make_opsetid("", 17)]
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), str(path))
+
+
+def type_in(command: str) -> int:
+    """Run a command as a shell would; return its exit code."""
+    verb, *arguments = shlex.split(f"{command} {REDUCED.get(command, '')}")
+    if verb == "nw-eval":
+        with pytest.raises(SystemExit) as left:
+            cli.main(arguments)
+        return int(left.value.code or 0)
+    line = f"{sys.executable} {command[7:]}" if verb == "python" else command
+    return subprocess.run(["bash", "-ec", line], check=False).returncode
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page",
+    # The worked example of wrappers.md has a test of its own, with all that it prints.
+    [page for page in PAGES if page.name != "wrappers.md" and commands_of(page)],
+    ids=lambda page: page.name,
+)
+def test_a_page_can_be_followed(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in files_of(page).items():
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(text, encoding="utf-8")
+    save_checkpoint(tmp_path / "exported.onnx")
+    for command in commands_of(page):
+        if command not in NOT_RUN:
+            assert type_in(command) == ENDS.get(command, 0), command
+
+
+def test_no_command_is_left_out_that_no_page_has() -> None:
+    typed = {command for page in PAGES for command in commands_of(page)}
+    assert {*REDUCED, *ENDS, *NOT_RUN} <= typed
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_program_takes_every_command_of_a_page(
+    page: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in commands_of(page):
+        if command.startswith("nw-eval "):
+            parse(shlex.split(command)[1:], description="")
+    for command in named_in_prose(page):
+        with pytest.raises(SystemExit) as left:  # Most name no file: their help is enough.
+            parse([*shlex.split(command.split(" ||")[0]), "--help"], description="")
+        assert left.value.code == 0, f"{page.name}: {command}\n{capsys.readouterr().err}"
