@@ -79,6 +79,7 @@ def init_policy(
         UsageError: there is a card already.
     """
     from nw_eval.policies.card_file import CARD_FILE
+    from nw_eval.policies.inspect.beside import files_beside
     from nw_eval.policies.inspect.draft import draft_of
     from nw_eval.rollout.access import inspecting_rules
     from nw_eval.rollout.isolated import call_isolated
@@ -97,6 +98,8 @@ def init_policy(
             layout=layout,
         )
     )
+    if card.parent.resolve() == checkpoint.parent.resolve():
+        text += files_beside(checkpoint)
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
 

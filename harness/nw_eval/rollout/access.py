@@ -44,7 +44,7 @@ def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
     """Return the rules of a process that opens a bundle's checkpoint, and runs it once."""
     return Rules(
         reads=_files(bundle),
-        memory=memory_to_open(_size(bundle.checkpoint)),
+        memory=memory_to_open(_size(*bundle.files)),
         seconds=OPENING_SECONDS,
         off=why_off(allow_code=allow_code),
     )
@@ -79,7 +79,7 @@ def running_rules(
         ),
         writes=() if logs is None else (logs.resolve(),),
         network="all" if bundle.card.adapter == "remote" else "none",
-        memory=memory_to_run(_size(bundle.checkpoint), scenes=len(places)),
+        memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
         off=why_off(allow_code=allow_code, render=render),
     )
 
@@ -100,8 +100,7 @@ def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:
 
 
 def _files(bundle: Bundle) -> tuple[Path, ...]:
-    weights = () if bundle.checkpoint is None else (bundle.checkpoint.resolve(),)
-    return (bundle.folder.resolve(), *weights)
+    return (bundle.folder.resolve(), *(path.resolve() for path in bundle.files))
 
 
 def _cache() -> tuple[Path, ...]:
@@ -111,8 +110,8 @@ def _cache() -> tuple[Path, ...]:
         return ()
 
 
-def _size(checkpoint: Path | None) -> int:
+def _size(*files: Path) -> int:
     try:
-        return 0 if checkpoint is None else checkpoint.stat().st_size
+        return sum(path.stat().st_size for path in files)
     except OSError:  # It is gone; whoever reads it says so.
         return 0

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import nn
 
+from nw_eval import api
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.card_file import load_card
@@ -273,3 +274,29 @@ def test_a_pickled_module_is_to_be_exported(tmp_path):
             inspect_checkpoint(tmp_path / name)
         assert "export the policy as ONNX or with torch.export" in str(raised.value)
         assert "save the plain state dict" not in str(raised.value)
+
+
+def test_files_beside_a_checkpoint_are_named_as_what_may_feed_it(onnx_file):
+    path = onnx_file({"obs": [1, 45]}, name="run/body.onnx")
+    encoder = path.with_name("Encoder v2.jit")
+    encoder.write_bytes(b"any")
+    path.with_name("notes.txt").write_text("no network")
+    path.with_name("away.pt").symlink_to(path)
+    card = path.with_name("policy.yaml")
+    api.init_policy(path, robot="go1")
+    load_bundle(card)
+    assert "notes" not in card.read_text()
+    assert "away" not in card.read_text()
+    lines = re.sub(r"^# (?=networks:|  )", "", card.read_text(), flags=re.MULTILINE)
+    (observed,) = load_bundle(card).card.observations
+    card.write_text(lines.replace("inputs: []", f"inputs: [{observed}]") + "inputs: [encoder_v2]\n")
+    bundle = load_bundle(card)
+    assert bundle.networks["encoder_v2"].path.samefile(encoder)
+    assert bundle.card.networks["encoder_v2"].adapter == "torchscript"
+
+
+def test_a_draft_elsewhere_says_nothing_of_what_lies_beside_the_checkpoint(onnx_file, tmp_path):
+    path = onnx_file({"obs": [1, 45]}, name="run/body.onnx")
+    path.with_name("encoder.pt").write_bytes(b"any")
+    api.init_policy(path, robot="go1", out=tmp_path / "other.yaml")
+    assert "networks" not in (tmp_path / "other.yaml").read_text()
