@@ -53,6 +53,7 @@ class Decision(NamedTuple):
     action: Array  # (12,) raw output
     applied: Array  # (12,) raw action that this step applies
     targets: Array  # (12,) joint targets of this step, rad; or torques, N m
+    moment: Moment | None = None  # what was observed; None where nothing was
 
 
 class Episode:
@@ -147,6 +148,7 @@ class Episode:
             action=action,
             applied=applied,
             targets=self._targets(applied),
+            moment=moment,
         )
 
     def advance(self, decision: Decision) -> tuple[Outcome | None, bool]:

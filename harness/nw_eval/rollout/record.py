@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -33,7 +35,8 @@ _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
 
 
-def provenance() -> dict[str, str]:
+@cache
+def provenance() -> Mapping[str, str]:
     """Return versions and architecture, without importing anything heavy."""
     found = {"nw-eval": __version__, "architecture": platform.machine()}
     for name in _LIBRARIES:
@@ -41,7 +44,7 @@ def provenance() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return MappingProxyType(found)
 
 
 def trial_metadata(job: TrialJob) -> dict[str, str]:

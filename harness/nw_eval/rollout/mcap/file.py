@@ -8,18 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import register_schema
-
 from nw_eval import __version__
-
-# Small chunks leave much to recover of a log whose process was killed.
-CHUNK_BYTES = 512 * 1024
+from nw_eval.rollout.mcap.writer import McapWriter
 
 Images = Literal["keep", "decide", "drop"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class _Entry:
     """One message, serialised."""
 
@@ -58,10 +53,7 @@ class McapFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         self._stream: IO[bytes] = self.partial.open("wb")
-        self._writer = Writer(
-            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-        )
-        self._writer.start(profile="", library=f"nw-eval/{__version__}")
+        self._writer = McapWriter(self._stream, library=f"nw-eval/{__version__}")
 
     @property
     def takes_images(self) -> bool:
@@ -72,6 +64,10 @@ class McapFile:
         """Append one message as it is now; times must not decrease."""
         self._take(_serialised(topic, time_ns, message))
 
+    def add_bytes(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
+        """Append a message of one kind that is serialised already."""
+        self._take(_Entry(topic=topic, time_ns=time_ns, kind=kind, data=data))
+
     def add_image(self, topic: str, time_ns: int, make: Callable[[], Any]) -> None:
         """Append the message that `make` returns, called only if images are kept."""
         if self.takes_images:
@@ -79,11 +75,11 @@ class McapFile:
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a record of texts by name."""
-        self._writer.add_metadata(name, values)
+        self._writer.metadata(name, values)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; it carries no time of day."""
-        self._writer.add_attachment(0, 0, name, media_type, data)
+        self._writer.attachment(name, media_type, data)
 
     def settle(self, *, keep_images: bool) -> None:
         """Write the messages that waited, with or without the images among them."""
@@ -119,15 +115,9 @@ class McapFile:
             entry = _serialised(entry.topic, entry.time_ns, entry.make())
         channel = self._channels.get(entry.topic)
         if channel is None:
-            schema = register_schema(self._writer, entry.kind)
-            channel = self._writer.register_channel(entry.topic, "protobuf", schema)
+            channel = self._writer.channel(entry.topic, entry.kind)
             self._channels[entry.topic] = channel
-        self._writer.add_message(
-            channel_id=channel,
-            log_time=entry.time_ns,
-            publish_time=entry.time_ns,
-            data=entry.data,
-        )
+        self._writer.message(channel, entry.time_ns, entry.data)
 
 
 def _serialised(topic: str, time_ns: int, message: Any) -> _Entry:
