@@ -21,7 +21,7 @@ def logged(tmp_path_factory, library):
     return tmp_path_factory.mktemp("log") / "trial.mcap", library
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def walk(logged, make_job):
     """Return the log of a trial in which the policy walks for two seconds, and its result."""
     path, library = logged

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -88,8 +89,20 @@ class View:
 
     def pinhole(self, mount: CameraMount) -> Pinhole | None:
         """Return the calibration of the pictures; None after a wrapper that may bend images."""
+        if any(isinstance(link, wrap.Flatten | wrap.PluginWrap) for link in self.spec.wrap):
+            return None
+        return self._traced(mount.fovy)
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        """Rows and columns behind the wrappers, as far as those are ours."""
+        seen = self._traced(1.0)
+        return seen.height, seen.width
+
+    def _traced(self, fovy: float) -> Pinhole:
+        """Return the camera behind all crops and changes of size; `fovy` in rad."""
         spec = self.spec
-        focal = 0.5 * spec.height / float(np.tan(0.5 * mount.fovy))
+        focal = 0.5 * spec.height / float(np.tan(0.5 * fovy))
         seen = Pinhole(
             width=spec.width,
             height=spec.height,
@@ -119,8 +132,6 @@ class View:
                         cx=seen.cx * across,
                         cy=seen.cy * down,
                     )
-                case wrap.Flatten() | wrap.PluginWrap():
-                    return None
                 case _:
                     pass
         return seen
@@ -143,9 +154,9 @@ class View:
 
     def _planes(self, array: Image) -> Image:
         """Return (H, W, all else), oldest sample first and colours together."""
-        # Rows and columns stand together, and are more than samples and colours are.
-        sizes = [a * b for a, b in zip(array.shape[:-1], array.shape[1:], strict=True)]
-        rows = int(np.argmax(sizes))
+        pairs = list(pairwise(array.shape))
+        # Of an image of unknown size, rows and columns are the two that make most pixels.
+        rows = pairs.index(self._size if self._size in pairs else max(pairs, key=prod))
         array = np.moveaxis(array, (rows, rows + 1), (0, 1))
         stacks = [link.axis for link in self.spec.wrap if isinstance(link, wrap.Stack)]
         if self._in_colour and stacks[-1:] == ["last"]:
