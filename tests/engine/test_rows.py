@@ -58,7 +58,7 @@ def test_a_result_becomes_a_row_with_its_stages_and_its_log(job, tmp_path):
         mcap_bytes=77,
     )
     made = row(job, result, tmp_path)
-    assert (made.outcome, made.end_reason, made.fraction) == ("fell", "roll", 0.25)
+    assert (made.outcome, made.end_reason, made.success) == ("fell", "roll", 0.25)
     assert not made.completed
     assert (made.physics_s, made.render_s, made.policy_s, made.log_s) == (0.1, 0.2, 0.3, 0.4)
     assert (made.mcap_path, made.mcap_bytes) == ("mcap/hurdles/x/t.mcap", 77)
@@ -75,7 +75,7 @@ def test_an_error_becomes_a_row_without_a_score(job, tmp_path):
         waypoints_reached=1,
     )
     made = row(job, result, tmp_path, attempt=2)
-    assert (made.status, made.outcome, made.fraction, made.attempt) == ("error", "hung", None, 2)
+    assert (made.status, made.outcome, made.success, made.attempt) == ("error", "hung", None, 2)
     assert (made.mcap_path, made.error_text) == ("", "no result")
 
 

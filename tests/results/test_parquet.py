@@ -39,7 +39,7 @@ def test_rows_come_back_equal_sorted_and_with_their_metadata(
     tmp_path: Path, make_row: Callable[..., Row]
 ) -> None:
     error = make_row(
-        trial_id="c", status="error", outcome="crashed", fraction=None, error_text="signal 11"
+        trial_id="c", status="error", outcome="crashed", success=None, error_text="signal 11"
     )
     rows = [
         make_row(trial_id="b", perturbation=(("friction", 0.6),), coverage_min=0.25),
@@ -50,7 +50,7 @@ def test_rows_come_back_equal_sorted_and_with_their_metadata(
     write_rows(path, rows, {"suite_digest": "ab", "engine": "mujoco 4.0.0"})
     back, metadata = read_rows(path)
     assert back == sorted(rows, key=lambda row: row.trial_id)
-    assert metadata == {"schema_version": "1", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
+    assert metadata == {"schema_version": "2", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
 
 
 def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row]) -> None:
@@ -66,7 +66,7 @@ def test_metadata_that_readers_look_for_carry_the_prefix(
     write_rows(tmp_path / "t.parquet", [make_row()], {"run_id": "r1"})
     raw = pq.read_schema(tmp_path / "t.parquet").metadata
     assert raw[b"nw.run_id"] == b"r1"
-    assert raw[b"nw.schema_version"] == b"1"
+    assert raw[b"nw.schema_version"] == b"2"
 
 
 def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_a_missing_damaged_or_foreign_file_is_told_apart(
         read_rows(torn)
     foreign = tmp_path / "foreign.parquet"
     pq.write_table(pa.table({"x": [1]}), foreign)
-    with pytest.raises(StoreError, match="row schema None, this nw-eval reads 1"):
+    with pytest.raises(StoreError, match="row schema None, this nw-eval reads 2"):
         read_rows(foreign)
     write_as_another_version(foreign, pq.read_table(good).drop_columns(["outcome"]))
     with pytest.raises(StoreError, match="lacks the columns outcome"):
@@ -165,19 +165,19 @@ def outcomes(draw: st.DrawFn) -> dict[str, object]:
     total = draw(st.integers(0, 9))
     reached = draw(st.integers(0, total))
     if draw(st.booleans()):
-        fraction = draw(st.floats(0.0, 1.0))
+        success = draw(st.floats(0.0, 1.0))
         return {
             "status": "ok",
             "outcome": draw(st.sampled_from(OUTCOMES)),
-            "fraction": fraction,
-            "completed": fraction == 1.0,
+            "success": success,
+            "completed": success == 1.0,
             "waypoints_reached": reached,
             "waypoints_total": total,
         }
     return {
         "status": "error",
         "outcome": draw(st.sampled_from(FAULTS)),
-        "fraction": None,
+        "success": None,
         "waypoints_reached": reached,
         "waypoints_total": total,
     }
