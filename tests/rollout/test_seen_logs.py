@@ -163,9 +163,7 @@ def test_photographs_are_the_policy_s_own_and_no_other_camera_s(watched):
     assert set(frames) == pictures | {f"{topic}/calib" for topic in pictures}
 
 
-def test_a_policy_that_sees_depth_only_is_shown_no_photograph(
-    folder, make_job, library, tmp_path
-):
+def test_a_policy_that_sees_depth_only_is_shown_no_photograph(make_job, library, tmp_path):
     card = re.sub(r"(?m)^  (?!metres)\w+: .*\n(    .*\n)*", "", CARD)
     (tmp_path / "policy.yaml").write_text(card)
     path = tmp_path / "depth.mcap"
@@ -230,7 +228,9 @@ def test_the_path_is_where_the_trunk_was_and_the_trail_is_where_it_should_go(wal
     trail = library.only.trail
     np.testing.assert_allclose(corners[0, :2], points[0, :2], atol=1e-6)
     drawn = next(m for _, _, m in log.messages("/waypoints"))
-    placed = [(e.cylinders[0].pose.position.x, e.cylinders[0].pose.position.y) for e in drawn.entities]
+    placed = [
+        (e.cylinders[0].pose.position.x, e.cylinders[0].pose.position.y) for e in drawn.entities
+    ]
     np.testing.assert_allclose(corners[1:, :2], placed, atol=1e-6)
     assert np.abs(np.array(placed) - trail[:, :2]).max() < 0.3, "the trail's noise"
 
@@ -244,9 +244,7 @@ def test_the_path_is_where_the_trunk_was_and_the_trail_is_where_it_should_go(wal
     assert not (cloud_points(first)[1][:, 1] > cloud_points(first)[1][:, 0]).any()
 
 
-def test_points_of_the_place_lie_on_its_faces_and_those_of_the_robot_in_its_bodies(
-    walked, library
-):
+def test_points_of_the_place_lie_on_its_faces_and_those_of_the_robot_in_its_bodies(walked, library):
     log, _ = walked
     [cloud] = [m for _, _, m in log.messages("/points/place")]
     points, _ = cloud_points(cloud)
@@ -282,7 +280,9 @@ def test_the_layout_names_topics_that_are_there(policy, folder, walked, watched)
     assert panels["3D!place"]["followTf"] == "trunk"
 
     def leaves(tree):
-        return [tree] if isinstance(tree, str) else [*leaves(tree["first"]), *leaves(tree["second"])]
+        return (
+            [tree] if isinstance(tree, str) else [*leaves(tree["first"]), *leaves(tree["second"])]
+        )
 
     assert sorted(leaves(layout["layout"])) == sorted(panels), "each panel has its place"
 

@@ -27,7 +27,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
-from nw_eval.gate.scores import by_scene, successes, score
+from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.results.row import Row
 from nw_eval.stats import (

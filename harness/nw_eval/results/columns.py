@@ -23,9 +23,7 @@ SCHEMA = pa.schema(
         _column("scene", _WORD, "the scene's name"),
         _column("task", _WORD, "what the scene asks for: hurdles, gaps, ramps, stairs, flat"),
         _column("robot", _WORD, "which robot: go1, go2"),
-        _column(
-            "tier", _WORD, "how much the scene counts: critical, supporting, informational"
-        ),
+        _column("tier", _WORD, "how much the scene counts: critical, supporting, informational"),
         _column("seed_index", _WHOLE, "number of the start in its scene, from 0"),
         _column("seed", pa.uint64(), "the trial's seed; the same for every policy"),
         _column("policy", _WORD, "the policy's name"),
@@ -59,9 +57,7 @@ SCHEMA = pa.schema(
         ),
         _column("waypoints_reached", _WHOLE, "number of waypoints reached, in their order"),
         _column("waypoints_total", _WHOLE, "number of waypoints of the trail"),
-        _column(
-            "waypoint_times", pa.list_(pa.float32()), "when each was reached, simulated s"
-        ),
+        _column("waypoint_times", pa.list_(pa.float32()), "when each was reached, simulated s"),
         _column("steps", _WHOLE, "control steps done, 50 in a simulated second"),
         _column("sim_s", _REAL, "simulated s"),
         _column("physics_s", _REAL, "wall s spent on physics"),

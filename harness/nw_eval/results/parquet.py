@@ -40,6 +40,7 @@ _SUM, _UNKNOWN = "nw.sum", "0" * 64
 _SUM_PLACE = re.compile(rb"nw\.sum\x18\x40([0-9a-f]{64})")
 """The sum as Thrift's compact protocol writes it: the key, then a string (8) of 64 (0x40) bytes."""
 
+
 def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> None:
     """Write rows, sorted by trial, with `nw.<key>` metadata in the schema.
 

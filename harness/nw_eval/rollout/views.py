@@ -6,7 +6,6 @@ colours. Of a stack the newest image is shown: the others were, when they were n
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
@@ -78,7 +77,7 @@ class View:
         A wrapper of somebody else's may make several images of one; each is shown. Nothing is, if
         no axes are left that could be rows and columns.
         """
-        if array.ndim < 2:  # noqa: PLR2004 - rows and columns.
+        if array.ndim < 2:
             return []
         planes = self._planes(array)
         step = _COLOURS if self._in_colour and planes.shape[-1] % _COLOURS == 0 else 1
@@ -170,9 +169,9 @@ class View:
             return ("drawing", image) if is_drawn else ("photo", self._bytes(image))
         if isinstance(spec, SemanticsObservation) and spec.values == "ids" and _is_bytes(image):
             return "classes", image
-        if isinstance(spec, DepthObservation) and spec.mode == "metres":
-            if all(isinstance(link, _FAITHFUL) for link in spec.wrap):
-                return "metres", image
+        is_metric = isinstance(spec, DepthObservation) and spec.mode == "metres"
+        if is_metric and all(isinstance(link, _FAITHFUL) for link in spec.wrap):
+            return "metres", image
         return ("grey", image) if _is_bytes(image) else ("numbers", image)
 
     def _bytes(self, image: Image) -> NDArray[np.uint8]:
@@ -195,7 +194,9 @@ def views_of(card: Card) -> tuple[View, ...]:
     `/camera/<camera>/<observation>`.
     """
     found: list[View] = []
-    for name, spec in _cameras(card).items():
+    for name, spec in card.observations.items():
+        if not isinstance(spec, SplatRgbObservation | DepthObservation | SemanticsObservation):
+            continue
         topic = f"/camera/{spec.camera}"
         is_first = isinstance(spec, SplatRgbObservation) and topic not in {v.topic for v in found}
         found.append(
@@ -207,11 +208,6 @@ def views_of(card: Card) -> tuple[View, ...]:
             )
         )
     return tuple(found)
-
-
-def _cameras(card: Card) -> Mapping[str, CameraObservation]:
-    kinds = SplatRgbObservation | DepthObservation | SemanticsObservation
-    return {name: spec for name, spec in card.observations.items() if isinstance(spec, kinds)}
 
 
 def _is_bytes(image: Image) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,9 +41,10 @@ def place_cloud(mesh: TriangleMesh) -> PointCloud:
     """Return some thousand points on the static geometry, in the colours of its kinds."""
     a, b, c = mesh.triangles.transpose(1, 0, 2)
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    # By the root of their area, or a wide ground would leave nothing for an obstacle on it.
-    shares = np.cumsum(np.sqrt(areas))
-    at = (np.arange(_PLACE_POINTS) + 0.5) * (shares[-1] / _PLACE_POINTS)
+    # As many for each kind: a wide ground would leave nothing for the obstacle on it.
+    kinds, number = np.unique(mesh.kinds, return_inverse=True)
+    shares = np.cumsum(areas / np.bincount(number, areas)[number])
+    at = (np.arange(_PLACE_POINTS) + 0.5) * (len(kinds) / _PLACE_POINTS)
     faces = np.minimum(np.searchsorted(shares, at), len(shares) - 1)
     u, v = ((np.arange(1, _PLACE_POINTS + 1)[:, np.newaxis] * _R2) % 1.0).T
     outside = u + v > 1.0
@@ -76,7 +78,7 @@ def trail_cloud(time_ns: int, start: ArrayLike, trail: Points, *, reached: int) 
     corners = np.concatenate([np.reshape(start, (1, 3)), trail])
     dots: list[Points] = []
     colours: list[Points] = []
-    for leg, (near, far) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+    for leg, (near, far) in enumerate(pairwise(corners)):
         count = max(1, round(float(np.linalg.norm(far - near)) / _DOTS))
         share = np.arange(1, count + 1)[:, np.newaxis] / count
         dots.append(near + share * (far - near))

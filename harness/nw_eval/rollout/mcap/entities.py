@@ -73,7 +73,8 @@ def place_update(mesh: TriangleMesh) -> bytes:
 
 def trail_entity(start: Sequence[float], trail: np.ndarray) -> SceneEntity:
     """Return the way from the start through all waypoints (K, 3) m, as a line."""
-    corners = np.concatenate([np.reshape(start, (1, 3)), trail]) + (0.0, 0.0, _LINE)
+    corners = np.concatenate([np.reshape(start, (1, 3)), trail])
+    corners[:, 2] += _LINE
     line = LinePrimitive(
         type=LinePrimitive.LINE_STRIP,
         pose=_pose((0.0, 0.0, 0.0)),

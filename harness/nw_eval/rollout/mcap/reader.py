@@ -142,7 +142,7 @@ class LogReader:
             yield time_ns * 1e-9, frame
 
     def observations(self, name: str) -> Iterator[tuple[float, np.ndarray]]:
-        """Yield (time in s, float32 array) of an observation that is no picture, when it was new."""
+        """Yield (time in s, float32 array) of an observation that is no picture, when new."""
         for _, time_ns, message in self.messages(f"/observation/{name}"):
             with self._damage_is_told():
                 values = values_of(message)

@@ -77,7 +77,7 @@ class TrialLog:
         self._joints = tuple(joints)
         self._forms: dict[str, Form] = {}  # by topic
         self._place: tuple[np.ndarray, np.ndarray] | None = None  # start (3,) and trail (K, 3)
-        self._path: list[list[float]] = []
+        self._walked: list[list[float]] = []
         self._file: McapFile | None = None
         if path is not None:
             try:
@@ -182,10 +182,10 @@ class TrialLog:
     @_costs_only_the_log
     def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
         """Remember where the trunk is, (3,) m, and write the way so far if it is to be shown."""
-        self._path.append(position.tolist())
+        self._walked.append(position.tolist())
         if is_shown:
             when = nanoseconds(time)
-            self._out.add("/robot/path", when, path_cloud(when, self._path))
+            self._out.add("/robot/path", when, path_cloud(when, self._walked))
 
     @_costs_only_the_log
     def policy(
@@ -315,9 +315,7 @@ class TrialLog:
         self._out.add("/waypoints", when, waypoints_update(when, trail, reached=reached))
         self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
 
-    def _fill(
-        self, topic: str, when: int, numbers: np.ndarray, make: Callable[[], Form]
-    ) -> None:
+    def _fill(self, topic: str, when: int, numbers: np.ndarray, make: Callable[[], Form]) -> None:
         """Write a message of the form that the topic's first one had."""
         form = self._forms.get(topic)
         if form is None:
