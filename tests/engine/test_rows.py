@@ -26,6 +26,7 @@ def job(tmp_path):
         task="hurdles",
         index=2,
         perturbation=(("friction", 0.6),),
+        tier="critical",
     )
     return TrialJob(
         trial=trial,
@@ -59,6 +60,7 @@ def test_a_result_becomes_a_row_with_its_stages_and_its_log(job, tmp_path):
     )
     made = row(job, result, tmp_path)
     assert (made.outcome, made.end_reason, made.success) == ("fell", "roll", 0.25)
+    assert (made.robot, made.tier) == ("go1", "critical")
     assert not made.completed
     assert (made.physics_s, made.render_s, made.policy_s, made.log_s) == (0.1, 0.2, 0.3, 0.4)
     assert (made.mcap_path, made.mcap_bytes) == ("mcap/hurdles/x/t.mcap", 77)

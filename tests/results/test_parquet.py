@@ -10,7 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
-from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, sealed, write_rows
+from nw_eval.results import parquet
+from nw_eval.results.columns import SCHEMA
+from nw_eval.results.parquet import read_rows, schema_text, sealed, write_rows
 from nw_eval.results.row import Row, rows_digest
 from nw_eval.words import FAULTS, OUTCOMES
 
@@ -67,6 +69,27 @@ def test_metadata_that_readers_look_for_carry_the_prefix(
     raw = pq.read_schema(tmp_path / "t.parquet").metadata
     assert raw[b"nw.run_id"] == b"r1"
     assert raw[b"nw.schema_version"] == b"2"
+
+
+def test_the_file_itself_says_what_each_column_holds(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    write_rows(tmp_path / "t.parquet", [make_row()], {})
+    schema = pq.read_schema(tmp_path / "t.parquet")
+    told = {field.name: field.metadata[b"about"].decode() for field in schema}
+    assert set(told) == set(Row.__dataclass_fields__)
+    assert "share of the trail's waypoints reached" in told["success"]
+    assert all(len(words) > 5 for words in told.values())
+
+
+def test_a_file_whose_columns_had_other_names_is_refused(
+    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parquet, "SCHEMA_VERSION", "1")
+    write_rows(tmp_path / "t.parquet", [make_row()], {})
+    monkeypatch.undo()
+    with pytest.raises(StoreError, match="row schema 1, this nw-eval reads 2; use the version"):
+        read_rows(tmp_path / "t.parquet")
 
 
 def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:

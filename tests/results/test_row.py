@@ -58,6 +58,20 @@ def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
     assert again.digest == row.digest
 
 
+def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(
+    make_row: Callable[..., Row],
+) -> None:
+    # As it was when `success` was called `fraction`, and neither robot nor tier was told.
+    digest = "01cd5974f4e41df18fb28295e18eb91e72bc005aaa5713e4fb287fe7b59d0635"
+    assert make_row().digest == digest
+    assert make_row(robot="go2", tier="critical").digest == digest
+
+
+def test_a_tier_that_is_none_is_refused(make_row: Callable[..., Row]) -> None:
+    with pytest.raises(ValueError, match="tier 'vital' is none of critical, supporting, info"):
+        make_row(tier="vital")
+
+
 @pytest.mark.parametrize("column", sorted(MEASURED))
 def test_the_digest_ignores_what_differs_between_runs(
     make_row: Callable[..., Row], column: str

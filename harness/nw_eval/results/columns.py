@@ -22,8 +22,6 @@ SCHEMA = pa.schema(
         _column("suite", _WORD, "the suite's name"),
         _column("scene", _WORD, "the scene's name"),
         _column("task", _WORD, "what the scene asks for: hurdles, gaps, ramps, stairs, flat"),
-        _column("robot", _WORD, "which robot: go1, go2"),
-        _column("tier", _WORD, "how much the scene counts: critical, supporting, informational"),
         _column("seed_index", _WHOLE, "number of the start in its scene, from 0"),
         _column("seed", pa.uint64(), "the trial's seed; the same for every policy"),
         _column("policy", _WORD, "the policy's name"),
@@ -98,6 +96,8 @@ SCHEMA = pa.schema(
         _column("error_type", _WORD, "kind of the error, also of a policy that failed; or empty"),
         _column("error_text", _TEXT, "what went wrong, in one line; or empty"),
         _column("contact_s", _REAL, "simulated s with head or trunk in contact"),
+        _column("robot", _WORD, "which robot: go1, go2"),
+        _column("tier", _WORD, "how much the scene counts: critical, supporting, informational"),
     ]
 )
 """The columns in the order of the file."""

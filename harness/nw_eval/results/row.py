@@ -52,8 +52,6 @@ class Row:
     suite: str
     scene: str
     task: str
-    robot: str
-    tier: Tier = "supporting"
     seed_index: int
     seed: int
     policy: str
@@ -88,6 +86,8 @@ class Row:
     error_type: str = ""
     error_text: str = ""
     contact_s: float = 0.0
+    robot: str
+    tier: Tier = "supporting"
 
     def __post_init__(self) -> None:
         fault = _mistyped(self)
