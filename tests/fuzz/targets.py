@@ -526,7 +526,8 @@ def _log(folder):
     reader.attachments()
     reader.topics()
     reader.states()
-    for stream in (reader.messages(), reader.frames(), reader.poses()):
+    seen = reader.observations("proprio")
+    for stream in (reader.messages(), reader.frames(), reader.poses(), seen):
         for _ in itertools.islice(stream, 100_000):
             pass
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import IO, Any
@@ -58,8 +59,7 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._parts: list[bytes] = []  # of the chunk in the making
         self._size = 0  # bytes of them
-        self._index: dict[int, list[int]] = {}  # by channel: time, place, time, place, ...
-        self._times: list[int] = []  # of the first and the latest message of the chunk
+        self._index = _new_index()
         stream.write(_MAGIC)
         self._put(Header(profile="", library=library))
 
@@ -85,11 +85,9 @@ class McapWriter:
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
         """Append a message; times must not decrease."""
+        self._index[channel] += (time_ns, self._size)
         length = _AFTER_LENGTH + len(data)
-        self._index.setdefault(channel, []).extend((time_ns, self._size))
-        self._times[1:] = [time_ns] if self._times else [time_ns, time_ns]
-        self._add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns))
-        self._add(data)
+        self._add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns) + data)
         if self._size > CHUNK_BYTES:
             self._end_chunk()
 
@@ -158,11 +156,12 @@ class McapWriter:
         self._size += len(part)
 
     def _end_chunk(self) -> None:
-        if not self._times:
+        if not self._index:
             return  # Channels without messages would be a chunk without times.
         data = b"".join(self._parts)
         packed = self._compressor.compress(data)
-        first, last = self._times
+        first = min(pairs[0] for pairs in self._index.values())
+        last = max(pairs[-2] for pairs in self._index.values())
         place, length = self._put(
             Chunk(
                 compression="zstd",
@@ -194,7 +193,7 @@ class McapWriter:
                 uncompressed_size=len(data),
             )
         )
-        self._parts, self._size, self._index, self._times = [], 0, {}, []
+        self._parts, self._size, self._index = [], 0, _new_index()
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -214,6 +213,11 @@ class McapWriter:
         place, data = self._stream.tell(), _record(record)
         self._stream.write(data)
         return place, len(data)
+
+
+def _new_index() -> defaultdict[int, list[int]]:
+    """Return an empty index of a chunk's messages: by channel time, place, time, place, ..."""
+    return defaultdict(list)
 
 
 def _record(record: McapRecord) -> bytes:
