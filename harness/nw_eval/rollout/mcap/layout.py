@@ -49,7 +49,8 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
             },
             "followMode": "follow-position",
             "followTf": trunk,
-            "scene": {"transforms": {"showLabel": False, "axisScale": 0.1, "lineWidth": 1}},
+            # Small axes: `axisSize` is Foxglove's word for Lichtblick's `axisScale`.
+            "scene": {"transforms": {"showLabel": False, "axisSize": 0.1, "axisScale": 0.1}},
             "topics": {
                 "/scene": {"visible": True, "showOutlines": False},
                 "/waypoints": {"visible": True, "showOutlines": False},
@@ -71,17 +72,23 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
     if observations:
         topic = f"/observation/{observations[0]}"
         panels["RawMessages!observation"] = {"topicPath": topic, "diffEnabled": False}
-    shown = pictures[:_MOST_PICTURES]
-    for number, topic in enumerate(shown):
-        panels[f"Image!{number}"] = {"imageMode": {"imageTopic": topic}}
-    left = _stacked(["3D!place", "RosOut!events"], shares=(78,))
-    right = _stacked([name for name in panels if name not in {"3D!place", "RosOut!events"}])
+    images = {
+        f"Image!{number}": {"imageMode": {"imageTopic": topic}}
+        for number, topic in enumerate(pictures[:_MOST_PICTURES])
+    }
+    left = ("3D!place", "RosOut!events")
+    right = [*images, *(name for name in panels if name not in left)]
     layout = {
-        "configById": panels,
+        "configById": {**panels, **images},
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": {"first": left, "second": right, "direction": "row", "splitPercentage": 62},
+        "layout": {
+            "first": _stacked(left, shares=(78.0,)),
+            "second": _stacked(right),
+            "direction": "row",
+            "splitPercentage": 62.0,
+        },
     }
     return json.dumps(layout, indent=2) + "\n"
 
