@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from nw_eval.policies import Card
 from nw_eval.policies.observations import DepthObservation, SemanticsObservation
 from nw_eval.policies.observations import SplatRgbObservation as Photo
 from nw_eval.policies.observations.wraps import Wrap
 from nw_eval.robots import get_robot
-from nw_eval.rollout.views import View
+from nw_eval.rollout.views import View, views_of
 from nw_eval.sensors.splat_image import arrange
 from nw_eval.sensors.wrappers import Chain, Shot, Spec, make_wrappers
 
@@ -111,3 +112,15 @@ def test_cropping_and_resizing_move_the_camera_s_centre():
 
 def _ego():
     return get_robot("go1").cameras["ego"]
+
+
+def test_names_that_are_no_plain_words_are_numbers_in_topics():
+    names = ("depth", "calib", "a/b", "line\nbreak", "x" * 2000)
+    observations = {name: {"sensor": "depth"} for name in names}
+    control = {"action": "joint_position_offset"}
+    card = Card.model_validate(
+        {"nw-policy": 1, "name": "p", "robot": "go1", "adapter": "zero", "control": control}
+        | {"observations": observations}
+    )
+    topics = [view.topic.removeprefix("/camera/ego/") for view in views_of(card)]
+    assert topics == ["depth", "~1", "~2", "~3", "~4"]

@@ -16,7 +16,7 @@ from nw_eval.policies.observations.wraps import Flatten, PluginWrap
 from nw_eval.policies.terms import term_size
 from nw_eval.rollout.cameras import LOG_TOPIC
 from nw_eval.rollout.mcap.layout import layout_json
-from nw_eval.rollout.views import View, views_of
+from nw_eval.rollout.views import View, topic_names, views_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,6 +53,7 @@ class Seen:
             for view in views_of(card)
             if len(sensors[view.observation].shape) > 1
         }
+        self._names = topic_names(card)
         self._terms = {
             name: _terms(name, spec, sensors[name].shape)
             for name, spec in card.observations.items()
@@ -86,9 +87,10 @@ class Seen:
             if name in self._views:
                 self._pictures(self._views[name], array)
             elif array.size <= MANY:
-                self._log.numbers(self._world.time, name, array, terms=self._terms[name])
+                terms = self._terms[name]
+                self._log.numbers(self._world.time, self._names[name], array, terms=terms)
             else:
-                self._log.many_numbers(self._world.time, name, array)
+                self._log.many_numbers(self._world.time, self._names[name], array)
 
     def _pictures(self, view: View, array: NDArray[Any]) -> None:
         if not self._log.takes_images:
@@ -106,7 +108,7 @@ def layout_of(card: Card, robot: RobotSpec) -> str:
     sure = [v for v in views if not any(isinstance(w, Flatten | PluginWrap) for w in v.spec.wrap)]
     pictures = [view.topic for view in sure] if views else [LOG_TOPIC]
     cameras = {view.observation for view in views}
-    numbers = [name for name in card.observations if name not in cameras]
+    numbers = [topic for name, topic in topic_names(card).items() if name not in cameras]
     return layout_json(trunk=robot.bodies[0], pictures=pictures, observations=numbers)
 
 

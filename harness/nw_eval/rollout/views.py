@@ -6,6 +6,7 @@ colours. Of a stack the newest image is shown: the others were, when they were n
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
@@ -31,6 +32,7 @@ Image = NDArray[Any]
 CameraObservation = SplatRgbObservation | DepthObservation | SemanticsObservation
 
 _COLOURS = 3
+_PLAIN = re.compile(r"[\w.-]{1,100}")
 # After these a pixel's unit still is what it was.
 _FAITHFUL = (
     wrap.NoiseWrap
@@ -187,6 +189,17 @@ class View:
         return np.clip(np.rint(np.nan_to_num(image)), 0.0, 255.0).astype(np.uint8)
 
 
+def topic_names(card: Card) -> dict[str, str]:
+    """Return what stands for each observation in topics: its name, if that is a plain word.
+
+    A card may be a stranger's, and `calib` is taken by calibrations.
+    """
+    return {
+        name: name if _PLAIN.fullmatch(name) and name != "calib" else f"~{number}"
+        for number, name in enumerate(card.observations)
+    }
+
+
 def views_of(card: Card) -> tuple[View, ...]:
     """Return the views of a card's cameras, in its order.
 
@@ -194,6 +207,7 @@ def views_of(card: Card) -> tuple[View, ...]:
     `/camera/<camera>/<observation>`.
     """
     found: list[View] = []
+    names = topic_names(card)
     for name, spec in card.observations.items():
         if not isinstance(spec, SplatRgbObservation | DepthObservation | SemanticsObservation):
             continue
@@ -202,7 +216,7 @@ def views_of(card: Card) -> tuple[View, ...]:
         found.append(
             View(
                 observation=name,
-                topic=topic if is_first else f"{topic}/{name}",
+                topic=topic if is_first else f"{topic}/{names[name]}",
                 mount=spec.camera,
                 spec=spec,
             )

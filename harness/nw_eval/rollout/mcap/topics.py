@@ -71,8 +71,9 @@ TOPICS = (
         name="/observation/<observation>",
         schema="nw.Observation",
         rate=_NEW,
-        holds="numbers as the policy was given them, after latency, noise and wrappers, bit for "
-        "bit: `terms` by the card's names; more than 4,096 numbers only where images are kept",
+        holds="numbers as the policy was given them, after latency, noise and wrappers, in single "
+        "precision, bit for bit: `terms` by the card's names; more than 4,096 numbers only where "
+        "images are kept",
     ),
     Topic(
         name="/camera/<camera>",
