@@ -29,7 +29,6 @@ from nw_eval.results.provenance import (
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
 from nw_eval.rollout.access import why_off
-from nw_eval.rollout.seen import layout_of
 from nw_eval.scenes.catalogue import FLEX
 from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
@@ -91,9 +90,7 @@ def run(
             earlier = read_run_info(folder.run_json)
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
             write_run_info(folder.run_json, info)
-        with atomic_path(folder.layout) as temporary:
-            layout = layout_of(plan.bundle.card, get_robot(plan.suite.robot))
-            temporary.write_text(layout, encoding="utf-8")
+        _write_layout(folder, plan)
         if renders:
             build_splats(plan.scenes, told)
         text = suite_yaml(plan.suite)
@@ -190,6 +187,15 @@ def _info(
         machine=machine_info(),
         versions=library_versions(),
     )
+
+
+def _write_layout(folder: RunFolder, plan: Plan) -> None:
+    """Write how Foxglove is to show the logs of this policy."""
+    from nw_eval.rollout.seen import layout_of  # It knows the simulator, and takes as long.
+
+    with atomic_path(folder.layout) as temporary:
+        layout = layout_of(plan.bundle.card, get_robot(plan.suite.robot))
+        temporary.write_text(layout, encoding="utf-8")
 
 
 def _finish(
