@@ -1,4 +1,4 @@
-"""The words for how trials end, each list of them defined once."""
+"""The words for how trials end, and how much their scenes count, each list of them defined once."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ physics diverged under what it told the motors; its process ended by itself in m
 Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
 """How a trial can fail to come to a result: never counted as a failure of the policy."""
 
+Tier = Literal["critical", "supporting", "informational"]
+"""How much a scene counts for the verdict: alone, in the mean, or not at all."""
+
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)
+TIERS: tuple[Tier, ...] = get_args(Tier)

@@ -58,6 +58,8 @@ def test_the_shipped_policy_passes_low_bars_and_leaves_the_evidence(suite, tmp_p
     for name in ("run.json", "journal.jsonl", "trials.parquet", "report.md"):
         assert (ran.folder / name).is_file()
     assert (ran.folder / "report.md").read_text().startswith("# PASS")
+    panels = json.loads((ran.folder / "foxglove.json").read_text())["configById"]
+    assert panels["Image!0"] == {"imageMode": {"imageTopic": "/camera/ego"}}
     rows, metadata = read_rows(ran.folder / "trials.parquet")
     assert len(rows) == 8
     assert (

@@ -87,7 +87,7 @@ def stop_before_the_journal(monkeypatch):
     monkeypatch.setattr(Journal, "create", stop)
 
 
-@pytest.mark.parametrize("left", [None, b'{"journal":2,"suite_dig'])
+@pytest.mark.parametrize("left", [None, b'{"journal":3,"suite_dig'])
 def test_a_folder_in_which_nothing_has_run_can_be_started_again_and_resumed(
     project, monkeypatch, left
 ):

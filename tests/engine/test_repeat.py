@@ -48,13 +48,13 @@ def row(tmp_path):
 def test_a_failure_that_repeats_is_a_result_with_what_was_reached(row):
     made = row(settled(RAISED, row(RAISED)), attempt=2)
     assert (made.status, made.outcome, made.end_reason) == ("ok", "policy_failed", "exception")
-    assert (made.fraction, made.completed, made.error_text) == (0.25, False, "no gait")
+    assert (made.success, made.completed, made.error_text) == (0.25, False, "no gait")
 
 
 def test_an_exit_that_repeats_is_a_result_that_reached_nothing_that_is_known(row):
     made = row(settled(GONE, row(GONE)), attempt=2)
     assert (made.status, made.outcome, made.end_reason) == ("ok", "policy_failed", "exit")
-    assert (made.fraction, made.completed, made.waypoints_total) == (0.0, False, 0)
+    assert (made.success, made.completed, made.waypoints_total) == (0.0, False, 0)
     assert (made.error_type, made.error_text) == ("crashed", "the process exited with 7")
 
 

@@ -26,6 +26,7 @@ def job(tmp_path):
         task="hurdles",
         index=2,
         perturbation=(("friction", 0.6),),
+        tier="critical",
     )
     return TrialJob(
         trial=trial,
@@ -58,7 +59,8 @@ def test_a_result_becomes_a_row_with_its_stages_and_its_log(job, tmp_path):
         mcap_bytes=77,
     )
     made = row(job, result, tmp_path)
-    assert (made.outcome, made.end_reason, made.fraction) == ("fell", "roll", 0.25)
+    assert (made.outcome, made.end_reason, made.success) == ("fell", "roll", 0.25)
+    assert (made.robot, made.tier) == ("go1", "critical")
     assert not made.completed
     assert (made.physics_s, made.render_s, made.policy_s, made.log_s) == (0.1, 0.2, 0.3, 0.4)
     assert (made.setup_s, made.sense_s) == (0.05, 0.06)
@@ -76,7 +78,7 @@ def test_an_error_becomes_a_row_without_a_score(job, tmp_path):
         waypoints_reached=1,
     )
     made = row(job, result, tmp_path, attempt=2)
-    assert (made.status, made.outcome, made.fraction, made.attempt) == ("error", "hung", None, 2)
+    assert (made.status, made.outcome, made.success, made.attempt) == ("error", "hung", None, 2)
     assert (made.mcap_path, made.error_text) == ("", "no result")
 
 

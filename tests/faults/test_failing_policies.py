@@ -161,7 +161,7 @@ def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is
     kinds = dict.fromkeys(EXCEPTIONS, "exception") | {"huge": "action", "shaking": "diverged"}
     for way, kind in kinds.items():
         row = rows[way]
-        said = (row.status, row.outcome, row.end_reason, row.fraction, row.completed, row.attempt)
+        said = (row.status, row.outcome, row.end_reason, row.success, row.completed, row.attempt)
         attempts = 3 if way == "unlucky" else 2  # What killed it first was not the policy.
         assert said == ("ok", "policy_failed", kind, 0.0, False, attempts), way
         assert EXCEPTIONS.get(way, "") in row.error_text, way
@@ -174,12 +174,12 @@ def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is
     assert (rows["flaky"].outcome, rows["flaky"].attempt) == ("timeout", 2)
     assert (rows["flaky"].error_type, rows["flaky"].error_text) == ("", "")
     fickle = rows["fickle"]
-    assert (fickle.status, fickle.outcome, fickle.fraction) == ("error", "policy_error", None)
+    assert (fickle.status, fickle.outcome, fickle.success) == ("error", "policy_error", None)
     assert "nan" in fickle.error_text
     assert fickle.error_text.endswith("act raised ValueError: once")
     killed = rows["killed"]
     assert (killed.status, killed.outcome, killed.end_reason) == ("error", "crashed", "error")
-    assert (killed.attempt, killed.fraction) == (2, None)
+    assert (killed.attempt, killed.success) == (2, None)
     assert sorted(row.trial_id for row in run.ears.rows) == sorted(by_trial)
 
     for way in ("exit 0", "huge", "shaking"):
@@ -206,7 +206,7 @@ def test_a_run_cut_between_a_failure_and_its_repeat_goes_on_to_the_same_rows(mis
     lines = run.folder.journal.read_bytes().splitlines(keepends=True)
     attempts = [json.loads(line)["row"] for line in lines[1:]]
     first, again = (row for row in attempts if row["trial_id"] == told.trial_id)
-    columns = ("attempt", "status", "outcome", "end_reason", "fraction")
+    columns = ("attempt", "status", "outcome", "end_reason", "success")
     assert [first[name] for name in columns] == [1, "error", "policy_error", "exception", None]
     assert [again[name] for name in columns] == [2, "ok", "policy_failed", "exception", 0.0]
 
@@ -223,7 +223,7 @@ def test_a_policy_that_ends_its_process_has_failed(misbehave):
     rows = by_way(run.go(workers=2), by_trial)
     for way in ("leaves 0", "leaves 7"):
         row = rows[way]
-        said = (row.status, row.outcome, row.end_reason, row.fraction, row.attempt)
+        said = (row.status, row.outcome, row.end_reason, row.success, row.attempt)
         assert said == ("ok", "policy_failed", "exit", 0.0, 2)
         assert f"exit code {way[-1]}" in row.error_text
         assert (row.error_type, row.waypoints_total, row.mcap_path) == ("crashed", 0, "")

@@ -19,7 +19,7 @@ def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     assert ok, "no trial of the panel starts with the waypoint on the right"
     assert hung, "no trial of the panel starts with the waypoint on the left"
     assert {row.outcome for row in hung} == {"hung"}
-    assert {row.fraction for row in hung} == {None}
+    assert {row.success for row in hung} == {None}
     assert {row.attempt for row in hung} == {2}, "an error is tried once more"
     assert {row.attempt for row in ok} == {1}
     assert "6 s" in hung[0].error_text

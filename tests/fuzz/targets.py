@@ -447,9 +447,9 @@ def _rows(count=4):
     for index in range(count):
         yield Row(
             trial_id=f"hurdles-one-{index:03}", suite="hurdles", scene="hurdles/one",
-            task="hurdles",
+            task="hurdles", robot="go1",
             seed_index=index, seed=2**63 + index, policy="gift", status="ok", outcome="fell",
-            end_reason="roll", completed=False, fraction=0.75, waypoints_reached=3,
+            end_reason="roll", completed=False, success=0.75, waypoints_reached=3,
             waypoints_total=4, waypoint_times=(1.1, 2.2, 3.3), steps=200, sim_s=4.0, physics_s=0.5,
             render_s=1.0, policy_s=0.1, log_s=0.2, wall_s=2.0, checkpoint_digest="cc" * 32,
             scene_digest="dd" * 32, mcap_path=f"mcap/hurdles/one/{index}.mcap", mcap_bytes=9,
@@ -526,7 +526,8 @@ def _log(folder):
     reader.attachments()
     reader.topics()
     reader.states()
-    for stream in (reader.messages(), reader.frames(), reader.poses()):
+    seen = reader.observations("proprio")
+    for stream in (reader.messages(), reader.frames(), reader.poses(), seen):
         for _ in itertools.islice(stream, 100_000):
             pass
 

@@ -12,6 +12,7 @@ import pytest
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.results.journal import Journal, JournalHeader, has_begun, read_journal
+from nw_eval.results.seal import seal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,14 +130,17 @@ def test_a_changed_number_is_noticed_in_the_last_line_too(
         read_journal(path)
 
 
-def test_a_journal_of_the_first_version_is_told(path: Path) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_journal_of_an_earlier_version_is_told(path: Path, version: int) -> None:
     path.parent.mkdir()
-    path.write_text('{"journal":1,"suite_digest":"aa"}\n')
-    with pytest.raises(StoreError, match=r"journal version 1, this nw-eval reads 2.*new run"):
+    line = f'{{"journal":{version},"suite_digest":"aa"}}'
+    path.write_text(seal(line, "")[0] if version > 1 else f"{line}\n")
+    words = rf"journal version {version}, this nw-eval reads 3.*new run"
+    with pytest.raises(StoreError, match=words):
         read_journal(path)
 
 
-@pytest.mark.parametrize("left", [b"", b'{"journal":2,"suite_di', bytes(4096)])
+@pytest.mark.parametrize("left", [b"", b'{"journal":3,"suite_di', bytes(4096)])
 def test_a_start_that_was_cut_off_is_no_journal_and_can_be_started_again(
     path: Path, make_row: Callable[..., Row], left: bytes
 ) -> None:
@@ -202,7 +206,7 @@ def test_resuming_with_one_more_scene_is_fine_and_is_written_down(path: Path) ->
 def test_a_retry_supersedes_an_error_but_never_a_result(
     path: Path, make_row: Callable[..., Row]
 ) -> None:
-    error = make_row(status="error", outcome="crashed", fraction=None)
+    error = make_row(status="error", outcome="crashed", success=None)
     with Journal.create(path, HEADER) as journal:
         journal.append(error)
         journal.append(make_row(attempt=2))

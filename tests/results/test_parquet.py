@@ -10,7 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
-from nw_eval.results.parquet import SCHEMA, read_rows, schema_text, sealed, write_rows
+from nw_eval.results import parquet
+from nw_eval.results.columns import SCHEMA
+from nw_eval.results.parquet import read_rows, schema_text, sealed, write_rows
 from nw_eval.results.row import Row, rows_digest
 from nw_eval.words import FAULTS, OUTCOMES
 
@@ -39,7 +41,7 @@ def test_rows_come_back_equal_sorted_and_with_their_metadata(
     tmp_path: Path, make_row: Callable[..., Row]
 ) -> None:
     error = make_row(
-        trial_id="c", status="error", outcome="crashed", fraction=None, error_text="signal 11"
+        trial_id="c", status="error", outcome="crashed", success=None, error_text="signal 11"
     )
     rows = [
         make_row(trial_id="b", perturbation=(("friction", 0.6),), coverage_min=0.25),
@@ -50,7 +52,7 @@ def test_rows_come_back_equal_sorted_and_with_their_metadata(
     write_rows(path, rows, {"suite_digest": "ab", "engine": "mujoco 4.0.0"})
     back, metadata = read_rows(path)
     assert back == sorted(rows, key=lambda row: row.trial_id)
-    assert metadata == {"schema_version": "1", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
+    assert metadata == {"schema_version": "2", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
 
 
 def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row]) -> None:
@@ -66,7 +68,28 @@ def test_metadata_that_readers_look_for_carry_the_prefix(
     write_rows(tmp_path / "t.parquet", [make_row()], {"run_id": "r1"})
     raw = pq.read_schema(tmp_path / "t.parquet").metadata
     assert raw[b"nw.run_id"] == b"r1"
-    assert raw[b"nw.schema_version"] == b"1"
+    assert raw[b"nw.schema_version"] == b"2"
+
+
+def test_the_file_itself_says_what_each_column_holds(
+    tmp_path: Path, make_row: Callable[..., Row]
+) -> None:
+    write_rows(tmp_path / "t.parquet", [make_row()], {})
+    schema = pq.read_schema(tmp_path / "t.parquet")
+    told = {field.name: field.metadata[b"about"].decode() for field in schema}
+    assert set(told) == set(Row.__dataclass_fields__)
+    assert "share of the trail's waypoints reached" in told["success"]
+    assert all(len(words) > 5 for words in told.values())
+
+
+def test_a_file_whose_columns_had_other_names_is_refused(
+    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parquet, "SCHEMA_VERSION", "1")
+    write_rows(tmp_path / "t.parquet", [make_row()], {})
+    monkeypatch.undo()
+    with pytest.raises(StoreError, match="row schema 1, this nw-eval reads 2; use the version"):
+        read_rows(tmp_path / "t.parquet")
 
 
 def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:
@@ -107,7 +130,7 @@ def test_a_missing_damaged_or_foreign_file_is_told_apart(
         read_rows(torn)
     foreign = tmp_path / "foreign.parquet"
     pq.write_table(pa.table({"x": [1]}), foreign)
-    with pytest.raises(StoreError, match="row schema None, this nw-eval reads 1"):
+    with pytest.raises(StoreError, match="row schema None, this nw-eval reads 2"):
         read_rows(foreign)
     write_as_another_version(foreign, pq.read_table(good).drop_columns(["outcome"]))
     with pytest.raises(StoreError, match="lacks the columns outcome"):
@@ -165,19 +188,19 @@ def outcomes(draw: st.DrawFn) -> dict[str, object]:
     total = draw(st.integers(0, 9))
     reached = draw(st.integers(0, total))
     if draw(st.booleans()):
-        fraction = draw(st.floats(0.0, 1.0))
+        success = draw(st.floats(0.0, 1.0))
         return {
             "status": "ok",
             "outcome": draw(st.sampled_from(OUTCOMES)),
-            "fraction": fraction,
-            "completed": fraction == 1.0,
+            "success": success,
+            "completed": success == 1.0,
             "waypoints_reached": reached,
             "waypoints_total": total,
         }
     return {
         "status": "error",
         "outcome": draw(st.sampled_from(FAULTS)),
-        "fraction": None,
+        "success": None,
         "waypoints_reached": reached,
         "waypoints_total": total,
     }

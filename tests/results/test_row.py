@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"fraction": 1.5}, "not between 0 and 1"),
-        ({"fraction": float("nan")}, "not between 0 and 1"),
-        ({"fraction": None}, "not between 0 and 1"),
+        ({"success": 1.5}, "not between 0 and 1"),
+        ({"success": float("nan")}, "not between 0 and 1"),
+        ({"success": None}, "not between 0 and 1"),
         ({"waypoints_reached": 5}, "5 of 4 waypoints"),
-        ({"completed": True}, "completed is True at fraction 0.75"),
+        ({"completed": True}, "completed is True at success 0.75"),
         ({"outcome": "crashed"}, "does not go with status 'ok'"),
         ({"status": "fine"}, "neither ok nor error"),
-        ({"status": "error", "outcome": "crashed"}, "an error has a fraction"),
+        ({"status": "error", "outcome": "crashed"}, "an error has a success"),
         ({"seed": 2**64}, "does not fit 64 bits"),
         ({"seed": -1}, "does not fit 64 bits"),
         ({"wall_s": float("inf")}, "not finite"),
@@ -47,15 +47,29 @@ def test_a_row_that_contradicts_itself_is_refused(
 
 
 def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
-    row = make_row(status="error", outcome="hung", fraction=None, error_text="no step for 60 s")
-    assert row.fraction is None
+    row = make_row(status="error", outcome="hung", success=None, error_text="no step for 60 s")
+    assert row.success is None
 
 
 def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
-    row = make_row(perturbation=(("friction", 0.6),), fraction=1 / 3, coverage_min=0.1)
+    row = make_row(perturbation=(("friction", 0.6),), success=1 / 3, coverage_min=0.1)
     again = from_dict(json.loads(json.dumps(to_dict(row))))
     assert again == row
     assert again.digest == row.digest
+
+
+def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(
+    make_row: Callable[..., Row],
+) -> None:
+    # As it was when `success` was called `fraction`, and neither robot nor tier was told.
+    digest = "01cd5974f4e41df18fb28295e18eb91e72bc005aaa5713e4fb287fe7b59d0635"
+    assert make_row().digest == digest
+    assert make_row(robot="go2", tier="critical").digest == digest
+
+
+def test_a_tier_that_is_none_is_refused(make_row: Callable[..., Row]) -> None:
+    with pytest.raises(ValueError, match="tier 'vital' is none of critical, supporting, info"):
+        make_row(tier="vital")
 
 
 @pytest.mark.parametrize("column", sorted(MEASURED))
@@ -70,7 +84,7 @@ def test_the_digest_ignores_what_differs_between_runs(
     "change",
     [
         {"seed": 1},
-        {"fraction": 0.5},
+        {"success": 0.5},
         {"waypoint_times": (1.1, 2.2, 3.4)},
         {"state_digest": "ee"},
         {"action_digest": "ee"},
@@ -118,7 +132,7 @@ def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
     make_row: Callable[..., Row],
 ) -> None:
     row = make_row(
-        status="error", outcome="policy_error", fraction=None, error_text="no\n" * 2_000_000
+        status="error", outcome="policy_error", success=None, error_text="no\n" * 2_000_000
     )
     assert row.error_text.startswith("no no no")
     assert row.error_text.endswith("more characters")

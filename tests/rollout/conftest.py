@@ -78,7 +78,7 @@ def seeing(tmp_path_factory):
     return str(folder)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_job(library):
     """Return a maker of jobs: `make_job(index=0, policy="go1-parkour", mcap=...)`."""
 

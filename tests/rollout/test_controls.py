@@ -76,7 +76,7 @@ def ghosts():
 @pytest.mark.parametrize("scene", SCENES)
 def test_doing_nothing_scores_zero(scene):
     result = run(scene, library=Library(), policy="stand")
-    assert result.fraction == 0.0
+    assert result.success == 0.0
     assert result.outcome == "stuck"
 
 
@@ -87,7 +87,7 @@ def test_a_walking_policy_scores_one_where_bars_cannot_be_touched(ghosts, scene)
     result = run(
         scene, library=ghosts, policy="examples/playground-go1", checkpoint=PLAYGROUND, duration=20
     )
-    assert result.fraction == 1.0
+    assert result.success == 1.0
     assert result.outcome == "completed"
 
 
@@ -109,17 +109,17 @@ def test_a_blind_stair_climber_climbs_13_cm_by_its_card_alone(scene):
         for index in range(3)
     ]
     # 60 trials of its suite average 0.96; three that all stop half-way would be another policy.
-    assert sum(result.fraction for result in results) / 3 >= 0.8
+    assert sum(result.success for result in results) / 3 >= 0.8
     # It feels its way: its chin touches steps.
     assert any(result.contact_s > 0.0 for result in results)
 
 
 def test_the_shipped_policy_scores_one_where_bars_cannot_be_touched(ghosts):
-    fractions = [
-        run("hurdles/three_low", library=ghosts, policy="go1-parkour", index=index).fraction
+    successes = [
+        run("hurdles/three_low", library=ghosts, policy="go1-parkour", index=index).success
         for index in range(3)
     ]
-    assert fractions == [1.0, 1.0, 1.0]
+    assert successes == [1.0, 1.0, 1.0]
 
 
 @pytest.mark.assets
@@ -131,7 +131,7 @@ def test_a_walking_policy_is_stopped_by_a_bar_of_thirty_centimetres():
         policy="examples/playground-go1",
         checkpoint=PLAYGROUND,
     )
-    assert result.fraction == 0.0
+    assert result.success == 0.0
 
 
 @pytest.mark.assets

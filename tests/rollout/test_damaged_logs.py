@@ -224,7 +224,11 @@ def test_pictures_and_messages_that_are_none_are_told(tmp_path):
     messages_of(path, "foxglove.CompressedImage", b"\xff\xff\xff")
     with pytest.raises(StoreError, match="is damaged"):
         list(LogReader(path).frames())
-    for kind, words in {"JPEG": r"5000 x 4000 pixels", "PNG": "a picture is damaged"}.items():
+    for kind, words in {
+        "JPEG": "5000 x 4000 p",
+        "PNG": "5000 x 4000 p",
+        "GIF": "is damaged",
+    }.items():
         picture = BytesIO()
         Image.new("L", (5000, 4000)).save(picture, kind)
         data = CompressedImage(data=picture.getvalue()).SerializeToString()

@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
+from nw_eval.robots import get_robot
 from nw_eval.rollout.trial import run_trial
 
 STEPS = 100  # 2 s at 50 Hz
@@ -20,7 +21,7 @@ def logged(tmp_path_factory, library):
     return tmp_path_factory.mktemp("log") / "trial.mcap", library
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def walk(logged, make_job):
     """Return the log of a trial in which the policy walks for two seconds, and its result."""
     path, library = logged
@@ -45,11 +46,22 @@ def test_every_topic_has_its_schema_and_its_number_of_messages(walk):
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     schemas = {c.topic: summary.schemas[c.schema_id] for c in summary.channels.values()}
+    parts = {shape.body for shape in get_robot("go1").visuals}
+    bodies = {f"/points/robot/{body}": "foxglove.PointCloud" for body in parts}
+    seen = ("proprio", "scandots", "last_output", "history")
     assert {topic: schema.name for topic, schema in schemas.items()} == {
         "/tf": "foxglove.FrameTransforms",
         "/robot/joints": "foxglove.JointStates",
         "/robot/odom": "foxglove.PoseInFrame",
+        "/robot/twist": "nw.Twist",
+        "/robot/command": "nw.Command",
+        "/robot/path": "foxglove.PointCloud",
+        **{f"/observation/{name}": "nw.Observation" for name in seen},
         "/scene": "foxglove.SceneUpdate",
+        "/waypoints": "foxglove.SceneUpdate",
+        "/points/place": "foxglove.PointCloud",
+        "/points/trail": "foxglove.PointCloud",
+        **bodies,
         "/camera/ego": "foxglove.CompressedImage",
         "/camera/ego/calib": "foxglove.CameraCalibration",
         "/nw/policy": "nw.PolicyStep",
@@ -65,7 +77,15 @@ def test_every_topic_has_its_schema_and_its_number_of_messages(walk):
         "/tf": STEPS + 1,
         "/robot/joints": STEPS + 1,
         "/robot/odom": STEPS + 1,
-        "/scene": 1 + reached,
+        "/robot/twist": STEPS + 1,
+        "/robot/command": STEPS,
+        "/robot/path": STEPS / 25 + 1,
+        **{f"/observation/{name}": STEPS for name in seen},
+        "/scene": 1,
+        "/waypoints": 1 + reached,
+        "/points/place": 1,
+        "/points/trail": 1 + reached,
+        **dict.fromkeys(bodies, 1),
         "/camera/ego": STEPS / 5,
         "/camera/ego/calib": 1,
         "/nw/policy": STEPS,
@@ -114,16 +134,19 @@ def test_transforms_joints_and_pose_agree_with_each_other(walk):
 
 def test_a_reached_waypoint_turns_green_and_is_an_event(walk):
     path, result = walk
-    scenes = [message for topic, _, _, message in messages(path) if topic == "/scene"]
-    at_start = {entity.id: entity for entity in scenes[0].entities}
-    assert {"place/ground", "robot/trunk", "robot/FR_calf", "waypoint/0"} <= set(at_start)
+    read = messages(path)
+    [scene] = [message for topic, _, _, message in read if topic == "/scene"]
+    at_start = {entity.id: entity for entity in scene.entities}
+    assert {"place/ground", "robot/trunk", "robot/FR_calf", "trail"} <= set(at_start)
     assert at_start["robot/trunk"].frame_id == "trunk"
-    open_colour = at_start["waypoint/0"].cylinders[0].color
-    [changed] = scenes[1].entities
-    assert changed.id == "waypoint/0"
-    colour = changed.cylinders[0].color
-    assert colour.g > colour.r
-    assert open_colour.r > open_colour.g
+    updates = [message for topic, _, _, message in read if topic == "/waypoints"]
+    # Each message says all: a viewer whose time is moved looks at the latest one only.
+    assert [[entity.id for entity in update.entities] for update in updates] == [
+        ["waypoint/0", "waypoint/1"]
+    ] * (1 + result.waypoints_reached)
+    colours = [[entity.cylinders[0].color for entity in update.entities] for update in updates]
+    assert all(colour.r > colour.g for colour in colours[0])
+    assert [colour.g > colour.r for colour in colours[1]] == [True, False]
     events = [message for topic, _, _, message in messages(path) if topic == "/nw/event"]
     assert [event.kind for event in events] == [
         "start",

@@ -11,7 +11,8 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from nw_eval.rollout.library import Recent
-from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
+from nw_eval.rollout.mcap.file import McapFile
+from nw_eval.rollout.mcap.writer import CHUNK_BYTES
 
 
 def topics(path):

@@ -139,7 +139,7 @@ def test_code_that_fails_as_it_is_made_is_the_policys_and_a_lost_file_is_not(
         (folder / f"made_{name}.py").write_text(code)
         result = run_trial(make_job(policy=str(folder), allow_code=True), library=library)
         assert (result.error_type, policy_fault(result)) == ("policy_error", "exception")
-        assert (result.waypoints_total, result.fraction) == (0, 0.0)
+        assert (result.waypoints_total, result.success) == (0, 0.0)
     lost = make_job(policy=str(folder), allow_code=True)
     for path in sorted(folder.rglob("*.*")):
         path.unlink()
@@ -220,7 +220,7 @@ def test_a_walking_policy_that_runs_away_under_a_carpet_fails_in_the_same_step_e
         checkpoint_digest=library.bundle(str(RUNAWAY), None).checkpoint_sha256,
     )
     one, two = (run_trial(job, library=library) for _ in range(2))
-    assert (one.status, policy_fault(one), one.fraction) == ("error", "action", 0.5)
+    assert (one.status, policy_fault(one), one.success) == ("error", "action", 0.5)
     assert "the policy's action makes a target of" in one.error_text
     assert (one.steps, one.action_digest, one.error_text) == (
         two.steps,

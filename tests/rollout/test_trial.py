@@ -29,7 +29,7 @@ def test_two_trials_of_a_scene_start_differently(make_job, library):
 def test_the_shipped_policy_walks_the_flat_trail_and_its_stages_take_time(make_job, library):
     result = run_trial(make_job(duration=12.0), library=library)
     assert (result.outcome, result.end_reason) == ("completed", "all waypoints")
-    assert (result.waypoints_reached, result.fraction) == (2, 1.0)
+    assert (result.waypoints_reached, result.success) == (2, 1.0)
     first, second = result.waypoint_times
     # 0.5 m and 2.2 m from the spawn to the edge of the waypoints' reach, at 0.8 m/s or so.
     assert 0.3 < first < 1.8

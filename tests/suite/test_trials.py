@@ -52,6 +52,13 @@ def test_an_id_is_scene_and_index_and_fits_a_file_name() -> None:
     assert trial(perturbation=(("friction", 0.6),)).id == "hurdles-one_low_carpet-003-friction_0.6"
 
 
+def test_a_trial_says_how_much_its_scene_counts_and_keeps_its_identity() -> None:
+    gate = {"success_rate": 0.5, "tiers": {"hurdles/one": "critical"}}
+    told, plain = (expand(new_suite({**BASE, **more}), [ONE, TWO]) for more in ({"gate": gate}, {}))
+    assert [t.tier for t in told[:2]] == ["critical", "supporting"]
+    assert [t.identity for t in told] == [t.identity for t in plain]
+
+
 def test_a_suite_expands_round_by_round_over_scenes_and_cells() -> None:
     suite = new_suite({**BASE, "trials": 2, "perturb": {"friction": [0.6, 1.0]}})
     assert [t.id for t in expand(suite, [ONE, TWO])] == [

@@ -7,6 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from nw_eval.cache import atomic_path
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.cpu import cpu_kind
 from nw_eval.engine.listener import Listener, Silence
@@ -26,6 +27,7 @@ from nw_eval.results.provenance import (
     write_run_info,
 )
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.robots import get_robot
 from nw_eval.rollout.access import why_off
 from nw_eval.scenes.catalogue import TRIANGLES
 from nw_eval.suite import suite_yaml
@@ -89,6 +91,7 @@ def run(
             info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
             write_run_info(folder.run_json, info)
         ready_scans(plan.scenes, told)
+        _write_layout(folder, plan)
         if renders:
             build_splats(plan.scenes, told)
         text = suite_yaml(plan.suite)
@@ -185,6 +188,15 @@ def _info(
         machine=machine_info(),
         versions=library_versions(),
     )
+
+
+def _write_layout(folder: RunFolder, plan: Plan) -> None:
+    """Write how Foxglove is to show the logs of this policy."""
+    from nw_eval.rollout.seen import layout_of  # It knows the simulator, and takes as long.
+
+    with atomic_path(folder.layout) as temporary:
+        layout = layout_of(plan.bundle.card, get_robot(plan.suite.robot))
+        temporary.write_text(layout, encoding="utf-8")
 
 
 def _finish(

@@ -27,7 +27,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
-from nw_eval.gate.scores import by_scene, fractions, score
+from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.results.row import Row
 from nw_eval.stats import (
@@ -56,7 +56,7 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
     counted = [
         values
         for item in scores
-        if item.tier != "informational" and (values := fractions(groups[item.scene])).size
+        if item.tier != "informational" and (values := successes(groups[item.scene])).size
     ]
     bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
@@ -145,7 +145,7 @@ def _condemned(
     confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
     reasons: list[str] = []
     for scene in critical:
-        most = upper_bound([fractions(groups[scene])], confidence)
+        most = upper_bound([successes(groups[scene])], confidence)
         if most < gate.success_rate:
             reasons.append(
                 f"critical scene {scene} alone: success is at most {most:.3f}, "

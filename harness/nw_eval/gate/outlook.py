@@ -19,7 +19,7 @@ def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -
     """Return what was seen in each scene that counts, as waypoints reached."""
     found: list[Course] = []
     for item in scores:
-        rows = [row for row in groups[item.scene] if row.fraction is not None]
+        rows = [row for row in groups[item.scene] if row.success is not None]
         if item.tier != "informational" and rows:
             waypoints = max(1, *(row.waypoints_total for row in rows))
             reached = np.array([row.waypoints_reached for row in rows])

@@ -15,9 +15,9 @@ from nw_eval.stats import Interval, mean_of_scenes, wilson
 from nw_eval.suite.model import Gate
 
 
-def fractions(rows: Sequence[Row]) -> NDArray[np.float64]:
+def successes(rows: Sequence[Row]) -> NDArray[np.float64]:
     """Return the success rates of the trials that have a result, shape (n,)."""
-    return np.array([row.fraction for row in rows if row.fraction is not None], dtype=np.float64)
+    return np.array([row.success for row in rows if row.success is not None], dtype=np.float64)
 
 
 def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[Row]]:
@@ -40,7 +40,7 @@ def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[
 
 def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneScore:
     """Return the score of one scene from its rows."""
-    values = fractions(rows)
+    values = successes(rows)
     completed = sum(row.completed for row in rows)
     estimate = mean_of_scenes([values], gate.confidence) if values.size else None
     return SceneScore(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nw_eval.stats import Interval
-from nw_eval.suite.model import Tier
+from nw_eval.words import Tier
 
 Word = Literal["PASS", "RAN", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "INVALID"]
 

@@ -101,7 +101,7 @@ def outcomes_table(rows: Sequence[Row]) -> Table:
                 name if name in OUTCOMES else f"{name} (error)",
                 str(counts[name]),
                 f"{100 * counts[name] / len(rows):.0f} %",
-                _mean([row.fraction for row in rows if row.outcome == name]),
+                _mean([row.success for row in rows if row.outcome == name]),
                 Counter(row.end_reason for row in rows if row.outcome == name).most_common(1)[0][0],
             )
             for name in order
@@ -117,8 +117,8 @@ def perturbations_table(rows: Sequence[Row], confidence: float) -> Table:
     for cell in cells:
         scenes: dict[str, list[float]] = {}
         for row in rows:
-            if row.perturbation == cell and row.fraction is not None:
-                scenes.setdefault(row.scene, []).append(row.fraction)
+            if row.perturbation == cell and row.success is not None:
+                scenes.setdefault(row.scene, []).append(row.success)
         name = ", ".join(f"{axis} {value:g}" for axis, value in cell)
         if scenes:
             groups = [np.array(values) for _, values in sorted(scenes.items())]
@@ -156,7 +156,7 @@ def failures_table(rows: Sequence[Row]) -> Table:
         title="Policy failures",
         columns=("trial", "kind", "success", "what happened"),
         rows=tuple(
-            (row.trial_id, row.end_reason, _mean([row.fraction]), row.error_text)
+            (row.trial_id, row.end_reason, _mean([row.success]), row.error_text)
             for row in failed[:WORST]
         ),
         numbers=frozenset({"success"}),
@@ -167,8 +167,8 @@ def failures_table(rows: Sequence[Row]) -> Table:
 
 def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
     """Return the trials that went worst, each with the command that shows it again."""
-    failed = [row for row in rows if row.fraction is not None and not row.completed]
-    failed.sort(key=lambda row: (row.fraction, row.sim_s, row.trial_id))
+    failed = [row for row in rows if row.success is not None and not row.completed]
+    failed.sort(key=lambda row: (row.success, row.sim_s, row.trial_id))
     return Table(
         title="Worst trials",
         columns=("trial", "success", "outcome", "at", "replay"),

@@ -1,6 +1,6 @@
 """The journal of a run: one JSON line per finished trial, on disk before the next one starts.
 
-    {"journal": 2, "suite_digest": ..., "policy_digest": ..., ..., "sum": ...}
+    {"journal": 3, "suite_digest": ..., "policy_digest": ..., ..., "sum": ...}
     {"row": {...}, "sum": ...}
     {"row": {...}, "sum": ...}
 
@@ -25,7 +25,7 @@ from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.results.row import Row, from_dict, to_dict
 from nw_eval.results.seal import seal, unseal
 
-_VERSION = 2
+_VERSION = 3
 _MOST = 256 * 2**20
 """Bytes of a journal that is read: some 200,000 trials."""
 _LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand

@@ -21,9 +21,10 @@ from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
+from nw_eval.results.columns import SCHEMA
 from nw_eval.results.row import Row, from_dict, rows_digest, to_dict
 
-SCHEMA_VERSION = "1"
+SCHEMA_VERSION = "2"
 """Raised when a column changes its meaning; new columns may be added without."""
 
 _ADDED = frozenset({"contact_s", "sense_s", "setup_s"})
@@ -38,53 +39,6 @@ _REBUILD = "`nw-eval report` on its folder writes it again from the journal"
 _SUM, _UNKNOWN = "nw.sum", "0" * 64
 _SUM_PLACE = re.compile(rb"nw\.sum\x18\x40([0-9a-f]{64})")
 """The sum as Thrift's compact protocol writes it: the key, then a string (8) of 64 (0x40) bytes."""
-
-_WORD = pa.dictionary(pa.int32(), pa.string())
-
-SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.string(), nullable=False),
-        pa.field("suite", _WORD, nullable=False),
-        pa.field("scene", _WORD, nullable=False),
-        pa.field("task", _WORD, nullable=False),
-        pa.field("seed_index", pa.int32(), nullable=False),
-        pa.field("seed", pa.uint64(), nullable=False),
-        pa.field("policy", _WORD, nullable=False),
-        pa.field("arm", _WORD, nullable=False),
-        pa.field("attempt", pa.int32(), nullable=False),
-        pa.field("perturbation", pa.map_(pa.string(), pa.float64()), nullable=False),
-        pa.field("status", _WORD, nullable=False),
-        pa.field("outcome", _WORD, nullable=False),
-        pa.field("end_reason", _WORD, nullable=False),
-        pa.field("completed", pa.bool_(), nullable=False),
-        pa.field("fraction", pa.float64()),
-        pa.field("waypoints_reached", pa.int32(), nullable=False),
-        pa.field("waypoints_total", pa.int32(), nullable=False),
-        pa.field("waypoint_times", pa.list_(pa.float32()), nullable=False),
-        pa.field("steps", pa.int32(), nullable=False),
-        pa.field("sim_s", pa.float64(), nullable=False),
-        pa.field("physics_s", pa.float64(), nullable=False),
-        pa.field("render_s", pa.float64(), nullable=False),
-        pa.field("policy_s", pa.float64(), nullable=False),
-        pa.field("log_s", pa.float64(), nullable=False),
-        pa.field("wall_s", pa.float64(), nullable=False),
-        pa.field("coverage_min", pa.float64()),
-        pa.field("coverage_mean", pa.float64()),
-        pa.field("state_digest", pa.string(), nullable=False),
-        pa.field("action_digest", pa.string(), nullable=False),
-        pa.field("checkpoint_digest", pa.string(), nullable=False),
-        pa.field("scene_digest", pa.string(), nullable=False),
-        pa.field("cached", pa.bool_(), nullable=False),
-        pa.field("host", _WORD, nullable=False),
-        pa.field("mcap_path", pa.string(), nullable=False),
-        pa.field("mcap_bytes", pa.int64(), nullable=False),
-        pa.field("error_type", _WORD, nullable=False),
-        pa.field("error_text", pa.string(), nullable=False),
-        pa.field("contact_s", pa.float64(), nullable=False),
-        pa.field("setup_s", pa.float64(), nullable=False),
-        pa.field("sense_s", pa.float64(), nullable=False),
-    ]
-)
 
 
 def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> None:

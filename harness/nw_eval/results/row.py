@@ -12,7 +12,7 @@ from types import NoneType
 from typing import Any, Literal, get_args
 
 from nw_eval.clean import LONGEST, clean
-from nw_eval.words import FAULTS, OUTCOMES, Fault, Outcome
+from nw_eval.words import FAULTS, OUTCOMES, TIERS, Fault, Outcome, Tier
 
 Arm = Literal["candidate", "baseline"]
 Status = Literal["ok", "error"]
@@ -35,14 +35,14 @@ MEASURED = frozenset(
 )
 """Columns that may differ between two runs of the same trial; digests leave them out."""
 
+OF_THE_PLAN = frozenset({"robot", "tier"})
+"""Columns that repeat what the suite says. The robot is part of each trial's seed, the tier of the
+gate alone: digests leave them out, too."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """The result of one trial. Times in s, digests hex sha256.
-
-    `fraction` is the share of the trail's waypoints reached; None for a trial that did not run to
-    a result, so that nobody averages it in. Every `*_s` but `sim_s` and `contact_s` is wall time of
-    that stage; `wall_s` is all of the trial, stages not named here included.
+    """The result of one trial. Times in s, digests hex sha256; `columns.COLUMNS` tells each field.
 
     Texts may be a policy's or a file's: every one is made harmless and short (`clean.clean`).
 
@@ -55,7 +55,7 @@ class Row:
     scene: str
     task: str
     seed_index: int
-    seed: int  # Unsigned, 64 bits.
+    seed: int
     policy: str
     arm: Arm = "candidate"
     attempt: int = 1
@@ -63,10 +63,8 @@ class Row:
     status: Status
     outcome: Outcome | Fault
     end_reason: str
-    """What the outcome was decided by: "roll", "contact face", "time"; where the policy itself
-    failed, one of `words.POLICY_FAULTS`."""
     completed: bool
-    fraction: float | None
+    success: float | None
     waypoints_reached: int
     waypoints_total: int
     waypoint_times: tuple[float, ...] = ()  # Single precision, as the file keeps them.
@@ -77,7 +75,7 @@ class Row:
     policy_s: float
     log_s: float
     wall_s: float
-    coverage_min: float | None = None  # Of the camera frames' splat alpha; None without frames.
+    coverage_min: float | None = None
     coverage_mean: float | None = None
     state_digest: str = ""
     action_digest: str = ""
@@ -85,13 +83,15 @@ class Row:
     scene_digest: str
     cached: bool = False
     host: str = ""
-    mcap_path: str = ""  # Relative to the run folder; empty without a log.
+    mcap_path: str = ""
     mcap_bytes: int = 0
     error_type: str = ""
     error_text: str = ""
-    contact_s: float = 0.0  # Simulated time during which head or trunk collided.
-    setup_s: float = 0.0  # Scene, world and policy, before the first step.
-    sense_s: float = 0.0  # Observations that are no images.
+    contact_s: float = 0.0
+    robot: str
+    tier: Tier = "supporting"
+    setup_s: float = 0.0
+    sense_s: float = 0.0
 
     def __post_init__(self) -> None:
         fault = _mistyped(self)
@@ -106,12 +106,14 @@ class Row:
 
     @property
     def digest(self) -> str:
-        """Hex sha256 of the result: all columns but the measured ones.
+        """Hex sha256 of the result: all columns but the measured ones and the plan's.
 
         What a policy said as it failed is no part of it: that may name a process, a path or the
         time. How it failed, where and after which actions, is.
         """
-        kept = {name: value for name, value in to_dict(self).items() if name not in MEASURED}
+        left_out = MEASURED | OF_THE_PLAN
+        kept = {name: value for name, value in to_dict(self).items() if name not in left_out}
+        kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
         text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -173,17 +175,19 @@ def _fault(row: Row) -> str | None:
     """Return what contradicts itself in a row, or None."""
     if row.status not in get_args(Status):
         return f"status {row.status!r} is neither ok nor error"
+    if row.tier not in TIERS:
+        return f"tier {row.tier!r} is none of {', '.join(TIERS)}"
     known = OUTCOMES if row.status == "ok" else FAULTS
     if row.outcome not in known:
         return f"outcome {row.outcome!r} does not go with status {row.status!r}"
     if not 0 <= row.waypoints_reached <= row.waypoints_total:
         return f"{row.waypoints_reached} of {row.waypoints_total} waypoints reached"
     if row.status == "error":
-        return None if row.fraction is None else f"an error has a fraction ({row.fraction})"
-    if row.fraction is None or not 0.0 <= row.fraction <= 1.0:
-        return f"fraction {row.fraction} is not between 0 and 1"
-    if row.completed != (row.fraction == 1.0):
-        return f"completed is {row.completed} at fraction {row.fraction}"
+        return None if row.success is None else f"an error has a success ({row.success})"
+    if row.success is None or not 0.0 <= row.success <= 1.0:
+        return f"success {row.success} is not between 0 and 1"
+    if row.completed != (row.success == 1.0):
+        return f"completed is {row.completed} at success {row.success}"
     if not 0 <= row.seed < 2**64:
         return f"seed {row.seed} does not fit 64 bits"
     seconds = (getattr(row, field.name) for field in fields(Row) if field.name.endswith("_s"))

@@ -48,6 +48,11 @@ class RunFolder:
         return self.path / "workers.log"
 
     @property
+    def layout(self) -> Path:
+        """A layout of Foxglove and Lichtblick for the logs of this run."""
+        return self.path / "foxglove.json"
+
+    @property
     def logs(self) -> Path:
         """The logs of trials: all that worker processes write."""
         return self.path / "mcap"

@@ -54,6 +54,7 @@ class Decision(NamedTuple):
     action: Array  # (12,) raw output
     applied: Array  # (12,) raw action that this step applies
     targets: Array  # (12,) joint targets of this step, rad; or torques, N m
+    moment: Moment | None = None  # what was observed; None where nothing was
 
 
 class Episode:
@@ -153,6 +154,7 @@ class Episode:
             action=action,
             applied=applied,
             targets=self._targets(self._filtered(applied)),
+            moment=moment,
         )
 
     def advance(self, decision: Decision) -> tuple[Outcome | None, bool]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import platform
-from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -35,18 +35,16 @@ _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
 
 
-def provenance() -> dict[str, str]:
+@cache
+def provenance() -> Mapping[str, str]:
     """Return versions and architecture, without importing anything heavy."""
-    return {"nw-eval": __version__, "architecture": platform.machine(), **_versions()}
-
-
-@cache  # Finding six packages takes some ms, which every trial would wait for.
-def _versions() -> dict[str, str]:
-    found: dict[str, str] = {}
+    found = {"nw-eval": __version__, "architecture": platform.machine()}
     for name in _LIBRARIES:
-        with suppress(PackageNotFoundError):
+        try:
             found[name] = version(name)
-    return found
+        except PackageNotFoundError:
+            continue
+    return MappingProxyType(found)
 
 
 def trial_metadata(job: TrialJob) -> dict[str, str]:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.cameras import Cameras
+from nw_eval.rollout.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.episode import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
+from nw_eval.rollout.seen import Seen
+from nw_eval.sensors.command import velocity_command
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 # stacks of images, which would otherwise be most of the file.
 STATE_PERIOD, LARGE_STATE_PERIOD = 5, 25
 LARGE_STATE = 32 * 1024  # bytes
+# The walked path has a point at 10 Hz, and is written at 2 Hz.
+PATH_PERIOD, PATH_SHOWN = 5, 25
 # A camera image that the splat covers less than this is an event in the log.
 LOW_COVERAGE = 0.9
 
@@ -45,15 +49,22 @@ class Recorder:
         self._episode = trial.episode
         self._log = log
         self._clock = clock
-        self._cameras = Cameras(
+        self._seen = Seen(
             card=trial.bundle.card,
+            sensors=trial.episode.sensors,
+            world=trial.episode.world,
+            log=log,
+        )
+        self._camera = LogCamera(
+            needed=not self._seen.views,
             world=trial.episode.world,
             scene=trial.scene,
-            sensors=trial.episode.sensors,
             renderer=trial.renderer,
             log=log,
             clock=clock,
         )
+        own = (LOG_CAMERA,) if self._camera.is_on else ()
+        self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._memory_digest = b""  # of the policy, where this step has a state
@@ -65,14 +76,17 @@ class Recorder:
         job = self._trial.job
         if not self._log.is_open:
             return
+        x, y, _ = self._episode.world.trunk_position.tolist()
         self._log.start(
             robot=self._trial.robot,
             mesh=self._trial.scene.mesh(),
+            start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.progress.waypoints,
             metadata={TRIAL: trial_metadata(job), PROVENANCE: provenance()},
             attachments=job.attachments,
         )
-        self._cameras.calibrate()
+        self._seen.calibrate()
+        self._camera.calibrate()
         self._event("start", f"trial {job.trial.id} of suite {job.trial.suite}")
 
     def step(self) -> Outcome | None:
@@ -101,7 +115,7 @@ class Recorder:
         if not self._log.is_open:
             return
         episode = self._episode
-        self._write_body()
+        self._write_body(is_last=True)
         if result.status == "ok":
             self._log.state(episode.world.time, episode.snapshot())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
@@ -127,19 +141,32 @@ class Recorder:
             targets=decision.targets,
         )
         self._memory_digest = b""
-        self._cameras.record(episode.step, decision.observation)
+        if decision.moment is not None:
+            moment, command = decision.moment, self._trial.bundle.card.command
+            asked = (*velocity_command(command, moment), moment.delta_yaw)
+            self._log.command(episode.world.time, asked)
+        self._seen.record(decision.observation)
+        self._camera.record(episode.step)
 
-    def _write_body(self) -> None:
+    def _write_body(self, *, is_last: bool = False) -> None:
         world = self._episode.world
         frames = world.body_transforms()
-        for mount in self._cameras.mounts:
+        for mount in self._mounts:
             frames[camera_frame(mount)] = _pose(world.camera_pose(mount))
         self._log.body(
             world.time,
             frames=frames,
             trunk=self._trial.robot.bodies[0],
             joints=(world.joint_positions, world.joint_velocities, world.torques),
+            twist=(
+                world.trunk_rotation.T @ world.trunk_linear_velocity,
+                world.trunk_angular_velocity,
+            ),
         )
+        step = self._episode.step
+        if is_last or step % PATH_PERIOD == 0:
+            is_shown = is_last or step % PATH_SHOWN == 0
+            self._log.path(world.time, world.trunk_position, is_shown=is_shown)
 
     def _notice(self, *, credited: bool) -> None:
         """Write events of the step that was just made."""
@@ -147,7 +174,7 @@ class Recorder:
         progress = episode.progress
         if credited:
             number = progress.reached - 1
-            self._log.waypoint(episode.world.time, number, progress.waypoints[number].tolist())
+            self._log.waypoints(episode.world.time, reached=progress.reached)
             self._event("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
         force = episode.world.monitored_force()
         if force > 0.0 and not self._touching:

@@ -59,7 +59,7 @@ class TrialResult:
     mcap_error: str = ""  # why there is no log, although one was asked for
 
     @property
-    def fraction(self) -> float:
+    def success(self) -> float:
         """Share of the trail's waypoints reached, 0..1."""
         return self.waypoints_reached / self.waypoints_total if self.waypoints_total else 0.0
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from nw_eval.errors import UsageError
 from nw_eval.suite.digest import digest_of
+from nw_eval.words import Tier
 
 if TYPE_CHECKING:
     from nw_eval.suite.model import Suite
@@ -48,6 +49,8 @@ class Trial:
     task: str
     index: int
     perturbation: tuple[tuple[str, float], ...] = ()
+    tier: Tier = "supporting"
+    """How much the scene counts, as the suite's gate says; a label, too."""
 
     @property
     def id(self) -> str:
@@ -112,6 +115,7 @@ def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
             task=scene.task,
             index=index,
             perturbation=cell,
+            tier=suite.gate.tier(scene.name),
         )
         for index in range(suite.trials)
         for cell in cells

@@ -55,7 +55,7 @@ TERMS = "[joint_pos, joint_vel, gravity]"
 SAME = (
     "trial_id",
     "outcome",
-    "fraction",
+    "success",
     "waypoints_reached",
     "steps",
     "state_digest",

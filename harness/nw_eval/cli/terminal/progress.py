@@ -59,7 +59,7 @@ class RunProgress:
         self._done = 0
         self._fresh = 0
         self._errors = 0
-        self._fractions: list[float] = []
+        self._successes: list[float] = []
         self._began = self._said = time.perf_counter()
 
     def __enter__(self) -> Self:
@@ -113,8 +113,8 @@ class RunProgress:
         """Show one more finished trial."""
         self._done += 1
         self._fresh += 1
-        if row.fraction is not None:
-            self._fractions.append(row.fraction)
+        if row.success is not None:
+            self._successes.append(row.success)
         else:
             self._errors += 1
             self.message(f"trial {row.trial_id}: {row.error_type}: {row.error_text}")
@@ -129,7 +129,7 @@ class RunProgress:
 
     def _note(self) -> str:
         minutes = max(time.perf_counter() - self._began, 1e-9) / 60.0
-        success = sum(self._fractions) / len(self._fractions) if self._fractions else 0.0
+        success = sum(self._successes) / len(self._successes) if self._successes else 0.0
         note = f"{self._fresh / minutes:.0f} a minute, success so far {success:.2f}"
         return f"{note}, {self._errors} errors" if self._errors else note
 

@@ -1,8 +1,7 @@
-"""The robot's messages of one control step: transforms, joints, trunk pose.
+"""The robot's messages of one control step: transforms, joints, the trunk's pose and twist.
 
-The messages are built once and filled again, because building them anew costs more than a
-physics step. Their numbers are rounded to single precision: they are for viewing, the exact ones
-are in `/nw/state`, and the zero bits that this leaves compress well.
+Their numbers are rounded to single precision: they are for viewing, the exact ones are in
+`/nw/state`, and the zero bits that this leaves compress well.
 """
 
 from __future__ import annotations
@@ -14,59 +13,69 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from numpy.typing import NDArray
 
 from nw_eval.rollout.mcap.entities import WORLD
-from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.rollout.mcap.form import BLANK_TIME, Form, blank_double
+from nw_eval.rollout.mcap.messages import Command, Twist
 
 BodyPoses = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
-
-class BodyMessages:
-    """Templates for `/tf`, `/robot/joints` and `/robot/odom`."""
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        self._transforms = FrameTransforms()
-        self._frames: tuple[str, ...] = ()
-        self._joints = JointStates()
-        for name in joints:
-            self._joints.joints.add(name=name)
-        self._odom = PoseInFrame(frame_id=WORLD)
-
-    def transforms(self, time_ns: int, poses: BodyPoses) -> Any:
-        """Return frames in the world: name to position (3) m and quaternion wxyz."""
-        if tuple(poses) != self._frames:
-            self._frames = tuple(poses)
-            del self._transforms.transforms[:]
-            for name in self._frames:
-                self._transforms.transforms.add(parent_frame_id=WORLD, child_frame_id=name)
-        when = stamp(time_ns)
-        # All frames at once: rounding them one by one costs more than filling them in.
-        positions = np.array([position for position, _ in poses.values()], np.float32).tolist()
-        quats = np.array([quat for _, quat in poses.values()], np.float32).tolist()
-        rows = zip(self._transforms.transforms, positions, quats, strict=True)
-        for message, position, quat in rows:
-            message.timestamp.CopyFrom(when)
-            _fill(message.translation, message.rotation, position, quat)
-        return self._transforms
-
-    def joints(
-        self, time_ns: int, position: np.ndarray, velocity: np.ndarray, torque: np.ndarray
-    ) -> Any:
-        """Return joint angles (12) rad, velocities (12) rad/s and torques (12) N m."""
-        self._joints.timestamp.CopyFrom(stamp(time_ns))
-        rows = np.stack([position, velocity, torque], axis=1).astype(np.float32).tolist()
-        for message, (angle, speed, effort) in zip(self._joints.joints, rows, strict=True):
-            message.position, message.velocity, message.effort = angle, speed, effort
-        return self._joints
-
-    def odom(self, time_ns: int, position: np.ndarray, quat: np.ndarray) -> Any:
-        """Return the trunk's pose in the world: (3) m, quaternion wxyz."""
-        self._odom.timestamp.CopyFrom(stamp(time_ns))
-        rounded = (np.asarray(part, np.float32).tolist() for part in (position, quat))
-        _fill(self._odom.pose.position, self._odom.pose.orientation, *rounded)
-        return self._odom
+HEADING = "heading"
+"""The frame of commands: the trunk's origin, level, turned by the trunk's yaw only."""
 
 
-def _fill(vector: Any, rotation: Any, position: list[float], quat: list[float]) -> None:
-    vector.x, vector.y, vector.z = position
-    rotation.w, rotation.x, rotation.y, rotation.z = quat
+def transforms_form(frames: Sequence[str]) -> Form:
+    """Return the form of `/tf`: for each frame x y z (m) and quaternion w x y z in the world."""
+    message = FrameTransforms()
+    for number, name in enumerate(frames):
+        added = message.transforms.add(
+            timestamp=BLANK_TIME, parent_frame_id=WORLD, child_frame_id=name
+        )
+        _blank(added.translation, "xyz", 7 * number)
+        _blank(added.rotation, "wxyz", 7 * number + 3)
+    return Form.of_doubles(message, 7 * len(frames))
+
+
+def joints_form(names: Sequence[str]) -> Form:
+    """Return the form of `/robot/joints`: for each joint rad, rad/s and N m."""
+    message = JointStates(timestamp=BLANK_TIME)
+    for number, name in enumerate(names):
+        joint = message.joints.add(name=name)
+        joint.position = blank_double(3 * number)
+        joint.velocity = blank_double(3 * number + 1)
+        joint.effort = blank_double(3 * number + 2)
+    return Form.of_doubles(message, 3 * len(names))
+
+
+def odom_form() -> Form:
+    """Return the form of `/robot/odom`: x y z (m) and quaternion w x y z in the world."""
+    message = PoseInFrame(timestamp=BLANK_TIME, frame_id=WORLD)
+    _blank(message.pose.position, "xyz", 0)
+    _blank(message.pose.orientation, "wxyz", 3)
+    return Form.of_doubles(message, 7)
+
+
+def twist_form(trunk: str) -> Form:
+    """Return the form of `/robot/twist`: velocity (m/s), angular velocity (rad/s) in the trunk."""
+    message = Twist(timestamp=BLANK_TIME, frame_id=trunk)
+    _blank(message.linear, "xyz", 0)
+    _blank(message.angular, "xyz", 3)
+    return Form.of_doubles(message, 6)
+
+
+def command_form() -> Form:
+    """Return the form of `/robot/command`: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
+    message = Command(timestamp=BLANK_TIME, frame_id=HEADING)
+    _blank(message, ("forward", "left", "yaw_rate", "heading_error"), 0)
+    return Form.of_doubles(message, 4)
+
+
+def rounded(*parts: Any) -> NDArray[np.float64]:
+    """Return numbers in a row, of single precision and in the places of double ones."""
+    return np.concatenate(parts, axis=None).astype(np.float32).astype("<f8")
+
+
+def _blank(message: Any, fields: Sequence[str], first: int) -> None:
+    for number, field in enumerate(fields, start=first):
+        setattr(message, field, blank_double(number))

@@ -4,38 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import register_schema
-
 from nw_eval import __version__
-
-# Small chunks leave much to recover of a log whose process was killed.
-CHUNK_BYTES = 512 * 1024
+from nw_eval.rollout.mcap.writer import McapWriter
 
 Images = Literal["keep", "decide", "drop"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Entry:
-    """One message, serialised."""
-
-    topic: str
-    time_ns: int
-    kind: type[Any]  # the protobuf class
-    data: bytes
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Image:
-    """An image's message that is made if images are kept."""
-
-    topic: str
-    time_ns: int
-    make: Callable[[], Any]
+_Entry = tuple[str, int, type[Any], bytes]
+"""Topic, time in ns, protobuf class and content of a message."""
+_Image = tuple[str, int, Callable[[], Any]]
+"""Topic and time of an image, and what makes its message if images are kept."""
 
 
 class McapFile:
@@ -58,10 +39,7 @@ class McapFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
         self._stream: IO[bytes] = self.partial.open("wb")
-        self._writer = Writer(
-            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-        )
-        self._writer.start(profile="", library=f"nw-eval/{__version__}")
+        self._writer = McapWriter(self._stream, library=f"nw-eval/{__version__}")
 
     @property
     def takes_images(self) -> bool:
@@ -70,28 +48,40 @@ class McapFile:
 
     def add(self, topic: str, time_ns: int, message: Any) -> None:
         """Append one message as it is now; times must not decrease."""
-        self._take(_serialised(topic, time_ns, message))
+        data = message.SerializeToString(deterministic=True)
+        self.add_bytes(topic, time_ns, type(message), data)
+
+    def add_bytes(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
+        """Append a message of one kind that is serialised already."""
+        if self._images == "decide":
+            self._pending.append((topic, time_ns, kind, data))
+        else:
+            self._write(topic, time_ns, kind, data)
 
     def add_image(self, topic: str, time_ns: int, make: Callable[[], Any]) -> None:
         """Append the message that `make` returns, called only if images are kept."""
-        if self.takes_images:
-            self._take(_Image(topic=topic, time_ns=time_ns, make=make))
+        if self._images == "decide":
+            self._pending.append((topic, time_ns, make))
+        elif self._images == "keep":
+            self.add(topic, time_ns, make())
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a record of texts by name."""
-        self._writer.add_metadata(name, values)
+        self._writer.metadata(name, values)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; it carries no time of day."""
-        self._writer.add_attachment(0, 0, name, media_type, data)
+        self._writer.attachment(name, media_type, data)
 
     def settle(self, *, keep_images: bool) -> None:
         """Write the messages that waited, with or without the images among them."""
-        for entry in self._pending:
-            if keep_images or isinstance(entry, _Entry):
-                self._write(entry)
-        self._pending.clear()
         self._images = "keep" if keep_images else "drop"
+        for entry in self._pending:
+            if len(entry) == 4:
+                self._write(*entry)
+            else:
+                self.add_image(*entry)
+        self._pending.clear()
 
     def close(self) -> int:
         """Finish the file, move it into place and return its size in bytes."""
@@ -108,28 +98,8 @@ class McapFile:
         with suppress(OSError):
             self.partial.unlink(missing_ok=True)
 
-    def _take(self, entry: _Entry | _Image) -> None:
-        if self._images == "decide":
-            self._pending.append(entry)
-        else:
-            self._write(entry)
-
-    def _write(self, entry: _Entry | _Image) -> None:
-        if isinstance(entry, _Image):
-            entry = _serialised(entry.topic, entry.time_ns, entry.make())
-        channel = self._channels.get(entry.topic)
+    def _write(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
+        channel = self._channels.get(topic)
         if channel is None:
-            schema = register_schema(self._writer, entry.kind)
-            channel = self._writer.register_channel(entry.topic, "protobuf", schema)
-            self._channels[entry.topic] = channel
-        self._writer.add_message(
-            channel_id=channel,
-            log_time=entry.time_ns,
-            publish_time=entry.time_ns,
-            data=entry.data,
-        )
-
-
-def _serialised(topic: str, time_ns: int, message: Any) -> _Entry:
-    data = message.SerializeToString(deterministic=True)
-    return _Entry(topic=topic, time_ns=time_ns, kind=type(message), data=data)
+            channel = self._channels[topic] = self._writer.channel(topic, kind)
+        self._writer.message(channel, time_ns, data)

@@ -1,4 +1,4 @@
-"""The protobuf messages that Foxglove has no schema for: policy steps, restartable states, events.
+"""The protobuf messages that Foxglove has no schema for: what a policy saw and said, and states.
 
 Built from a table at import, so that no generated file and no protoc are needed. Field numbers are
 a promise to every log ever written: append, never renumber.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from foxglove_schemas_protobuf import Vector3_pb2
 from google.protobuf import descriptor_pool, timestamp_pb2
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.message_factory import GetMessageClass
@@ -16,6 +17,7 @@ _Field = FieldDescriptorProto
 _TYPES = {
     "bytes": _Field.TYPE_BYTES,
     "double": _Field.TYPE_DOUBLE,
+    "float": _Field.TYPE_FLOAT,
     "string": _Field.TYPE_STRING,
     "uint32": _Field.TYPE_UINT32,
     "int32": _Field.TYPE_INT32,
@@ -23,7 +25,7 @@ _TYPES = {
 
 # (name, type); a type in brackets is repeated, one with a dot is a message.
 _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
-    # What the policy saw, said, and what was applied (which lags by the action delay).
+    # What the policy said, and what was applied (which lags by the action delay).
     "PolicyStep": (
         ("timestamp", "google.protobuf.Timestamp"),
         ("step", "uint32"),
@@ -45,6 +47,29 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("policy", "bytes"),  # Policy.state()
         ("parts", "[nw.Part]"),  # trail, termination, delay queue, sensors, digests, by name
     ),
+    # Numbers that the policy was given, by the terms of the card where it has some.
+    "Observation": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("shape", "[uint32]"),
+        ("terms", "[nw.Term]"),  # all values in a row are the observation, last axis fastest
+    ),
+    "Term": (("name", "string"), ("values", "[float]")),
+    # Velocity of the trunk's origin, m/s, and angular velocity, rad/s.
+    "Twist": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("frame_id", "string"),
+        ("linear", "foxglove.Vector3"),
+        ("angular", "foxglove.Vector3"),
+    ),
+    # What the card's `command` asks for; the frame is the trunk's, level.
+    "Command": (
+        ("timestamp", "google.protobuf.Timestamp"),
+        ("frame_id", "string"),
+        ("forward", "double"),  # m/s
+        ("left", "double"),  # m/s
+        ("yaw_rate", "double"),  # rad/s
+        ("heading_error", "double"),  # rad from the heading to the next waypoint, to the left
+    ),
     "Event": (
         ("timestamp", "google.protobuf.Timestamp"),
         ("step", "uint32"),
@@ -58,7 +83,7 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
 
 def _file() -> FileDescriptorProto:
     file = FileDescriptorProto(name="nw/messages.proto", package="nw", syntax="proto3")
-    file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+    file.dependency.extend([timestamp_pb2.DESCRIPTOR.name, Vector3_pb2.DESCRIPTOR.name])
     for name, fields in _MESSAGES.items():
         message = file.message_type.add(name=name)
         for number, (field, written) in enumerate(fields, start=1):
@@ -85,3 +110,7 @@ PolicyStep: Any = _BUILT["PolicyStep"]
 Part: Any = _BUILT["Part"]
 SimState: Any = _BUILT["SimState"]
 Event: Any = _BUILT["Event"]
+Observation: Any = _BUILT["Observation"]
+Term: Any = _BUILT["Term"]
+Twist: Any = _BUILT["Twist"]
+Command: Any = _BUILT["Command"]

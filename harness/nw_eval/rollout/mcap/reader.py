@@ -5,7 +5,6 @@ from __future__ import annotations
 import stat
 import struct
 from contextlib import contextmanager
-from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,16 +13,26 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
-from PIL import Image as PillowImage
 from zstandard import ZstdError
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.rollout.mcap.messages import Event, PolicyStep, SimState
+from nw_eval.rollout.mcap.images import image_of
+from nw_eval.rollout.mcap.messages import (
+    Command,
+    Event,
+    Observation,
+    PolicyStep,
+    SimState,
+    Twist,
+)
+from nw_eval.rollout.mcap.numbers import values_of
 from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, attached, logged, texts
 
 if TYPE_CHECKING:
@@ -34,21 +43,25 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 _WRITTEN: tuple[Any, ...] = (
     CameraCalibration,
+    Command,
     CompressedImage,
     Event,
     FrameTransforms,
     JointStates,
     Log,
+    Observation,
+    PointCloud,
     PolicyStep,
     PoseInFrame,
+    RawImage,
     SceneUpdate,
     SimState,
+    Twist,
 )
 _KINDS: dict[str, Any] = {kind.DESCRIPTOR.full_name: kind for kind in _WRITTEN}
 """What logs hold, by name. A log's own schemas are for other programs; here nobody builds them."""
 
 _MOST_KEPT = 256 * 2**20  # bytes of texts, attachments or states that are returned at once
-_MOST_PIXELS = 4096 * 4096
 # What a damaged file may cause in the libraries that read it.
 _DAMAGE = (
     ArithmeticError,
@@ -115,11 +128,25 @@ class LogReader:
         return tuple(found)
 
     def frames(self, camera: str = "ego") -> Iterator[tuple[float, np.ndarray]]:
-        """Yield (time in s, image (H, W, 3) uint8) of a camera; none if they were not kept."""
+        """Yield (time in s, image) of a camera's pictures; none if they were not kept.
+
+        Images are (H, W, 3) uint8 photographs, (H, W) uint8 of grey or classes, or (H, W) float32:
+        metres, 0 where there are none, or the numbers that the policy was given.
+
+        Args:
+            camera: what stands behind `/camera/`, such as `ego` or `ego/depth`.
+        """
         for _, time_ns, message in self.messages(f"/camera/{camera}"):
             with self._damage_is_told():
-                frame = _picture(message.data)
+                frame = image_of(message)
             yield time_ns * 1e-9, frame
+
+    def observations(self, name: str) -> Iterator[tuple[float, np.ndarray]]:
+        """Yield (time in s, float32 array) of an observation that is no picture, when new."""
+        for _, time_ns, message in self.messages(f"/observation/{name}"):
+            with self._damage_is_told():
+                values = values_of(message)
+            yield time_ns * 1e-9, values
 
     def poses(self) -> Iterator[tuple[float, Mapping[str, Pose]]]:
         """Yield (time in s, frame name to position (3,) m and quaternion wxyz in the world)."""
@@ -166,17 +193,6 @@ def _decoded(message: LoggedMessage) -> Any:
     if len(message.data) > MOST_MESSAGE:
         raise ValueError(f"a message has over {MOST_MESSAGE // 2**20} MiB")
     return kind.FromString(message.data)
-
-
-def _picture(data: bytes) -> np.ndarray:
-    """Return a JPEG's pixels, (H, W, 3) uint8."""
-    try:
-        with PillowImage.open(BytesIO(data), formats=("JPEG",)) as image:
-            if image.width * image.height > _MOST_PIXELS:
-                raise ValueError(f"a picture has {image.width} x {image.height} pixels")
-            return np.asarray(image.convert("RGB"))
-    except (OSError, PillowImage.DecompressionBombError) as error:
-        raise ValueError(f"a picture is damaged: {clean(error, at_most=100)}") from None
 
 
 def _bound(size: int) -> None:

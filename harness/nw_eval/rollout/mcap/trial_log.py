@@ -1,23 +1,13 @@
-"""What one trial writes down, topic by topic.
+"""What one trial writes down, topic by topic: see the table in docs/results.md and `topics`.
 
-    /tf                  foxglove.FrameTransforms    every control step: bodies and cameras
-    /robot/joints        foxglove.JointStates        every control step
-    /robot/odom          foxglove.PoseInFrame        every control step
-    /scene               foxglove.SceneUpdate        at the start, and when a waypoint is reached
-    /camera/<name>       foxglove.CompressedImage    at the camera's rate
-    /camera/<name>/calib foxglove.CameraCalibration  once
-    /nw/policy           nw.PolicyStep               every control step
-    /nw/state            nw.SimState                 10 Hz (2 Hz with images), at waypoints and
-                                                     first contacts, and at the end
-    /nw/event, /log      nw.Event, foxglove.Log      when something happens
-
-Log time is simulated time. A log that cannot be written costs the log, never the trial.
+Log time is simulated time. A message says all that its topic shows: a viewer whose time is moved
+looks at the latest one only. A log that cannot be written costs the log, never the trial.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec
 
@@ -28,11 +18,28 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.job import Record
-from nw_eval.rollout.mcap.body import BodyMessages, BodyPoses
-from nw_eval.rollout.mcap.entities import place_entities, robot_entities, waypoint_entity
+from nw_eval.rollout.mcap.body import (
+    BodyPoses,
+    command_form,
+    joints_form,
+    odom_form,
+    rounded,
+    transforms_form,
+    twist_form,
+)
+from nw_eval.rollout.mcap.clouds import path_cloud, place_cloud, robot_clouds, trail_cloud
+from nw_eval.rollout.mcap.entities import (
+    place_update,
+    robot_entities,
+    trail_entity,
+    waypoints_update,
+)
 from nw_eval.rollout.mcap.file import Images, McapFile
+from nw_eval.rollout.mcap.form import Form
+from nw_eval.rollout.mcap.images import Form as PixelForm
 from nw_eval.rollout.mcap.images import calibration_message, image_message
 from nw_eval.rollout.mcap.messages import Event, PolicyStep
+from nw_eval.rollout.mcap.numbers import observation_form, observation_message
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
 from nw_eval.scenes.mesh import TriangleMesh
 
@@ -67,7 +74,10 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
-        self._bodies = BodyMessages(joints)
+        self._joints = tuple(joints)
+        self._forms: dict[str, Form] = {}  # by topic
+        self._place: tuple[np.ndarray, np.ndarray] | None = None  # start (3,) and trail (K, 3)
+        self._walked: list[list[float]] = []
         self._file: McapFile | None = None
         if path is not None:
             try:
@@ -109,24 +119,33 @@ class TrialLog:
         *,
         robot: RobotSpec,
         mesh: TriangleMesh,
+        start: Sequence[float],
         trail: np.ndarray,
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
     ) -> None:
-        """Write what does not change: the trial, the place, the robot, the trail (K, 3)."""
+        """Write what does not change: the trial, the place, the robot, the trail (K, 3).
+
+        Args:
+            robot: in whose bodies' frames its parts stand.
+            mesh: of the place.
+            start: ground under the robot, (3,) m.
+            trail: waypoints, (K, 3) m.
+            metadata: records of texts by name.
+            attachments: name and text of each.
+        """
         for name, values in metadata.items():
             self._out.add_metadata(name, dict(values))
         for name, text in attachments:
             self._out.attach(name, "text/plain", text.encode())
-        update = SceneUpdate()
-        update.entities.extend(place_entities(mesh))
-        update.entities.extend(robot_entities(robot))
-        update.entities.extend(
-            waypoint_entity(k, position, reached=False) for k, position in enumerate(trail)
-        )
-        for entity in update.entities:
-            entity.timestamp.CopyFrom(stamp(0))
-        self._out.add("/scene", 0, update)
+        self._place = np.asarray(start), trail
+        moving = SceneUpdate(entities=[*robot_entities(robot), trail_entity(start, trail)])
+        scene = place_update(mesh) + moving.SerializeToString(deterministic=True)
+        self._out.add_bytes("/scene", 0, SceneUpdate, scene)
+        self._out.add("/points/place", 0, place_cloud(mesh))
+        for body, cloud in robot_clouds(robot).items():
+            self._out.add(f"/points/robot/{body}", 0, cloud)
+        self._waypoints(0, 0)
 
     @_costs_only_the_log
     def body(
@@ -136,12 +155,37 @@ class TrialLog:
         frames: BodyPoses,
         trunk: str,
         joints: tuple[np.ndarray, np.ndarray, np.ndarray],
+        twist: tuple[np.ndarray, np.ndarray],
     ) -> None:
-        """Write where the robot is: frames in the world; angles, velocities, torques (12)."""
+        """Write where the robot is and how it moves.
+
+        Args:
+            time: simulated, s.
+            frames: position (3,) m and quaternion wxyz in the world, by name.
+            trunk: the name of the trunk's frame.
+            joints: angles (12) rad, velocities (12) rad/s, torques (12) N m.
+            twist: of the trunk in its own frame: velocity (3,) m/s, angular velocity (3,) rad/s.
+        """
         when = nanoseconds(time)
-        self._out.add("/tf", when, self._bodies.transforms(when, frames))
-        self._out.add("/robot/joints", when, self._bodies.joints(when, *joints))
-        self._out.add("/robot/odom", when, self._bodies.odom(when, *frames[trunk]))
+        poses = [part for pose in frames.values() for part in pose]
+        self._fill("/tf", when, rounded(*poses), lambda: transforms_form(tuple(frames)))
+        row = rounded(np.stack(joints, axis=1))
+        self._fill("/robot/joints", when, row, lambda: joints_form(self._joints))
+        self._fill("/robot/odom", when, rounded(*frames[trunk]), odom_form)
+        self._fill("/robot/twist", when, rounded(*twist), lambda: twist_form(trunk))
+
+    @_costs_only_the_log
+    def command(self, time: float, numbers: Sequence[float]) -> None:
+        """Write what is asked for: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
+        self._fill("/robot/command", nanoseconds(time), rounded(numbers), command_form)
+
+    @_costs_only_the_log
+    def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
+        """Remember where the trunk is, (3,) m, and write the way so far if it is to be shown."""
+        self._walked.append(position.tolist())
+        if is_shown:
+            when = nanoseconds(time)
+            self._out.add("/robot/path", when, path_cloud(when, self._walked))
 
     @_costs_only_the_log
     def policy(
@@ -176,41 +220,64 @@ class TrialLog:
         self._out.add("/nw/state", when, message)
 
     @_costs_only_the_log
-    def calibration(
-        self, time: float, camera: str, *, width: int, height: int, fovy: float
+    def numbers(
+        self, time: float, name: str, array: np.ndarray, *, terms: Sequence[tuple[str, int]]
     ) -> None:
-        """Write a camera's calibration: size in pixels, vertical field of view in rad."""
-        when = nanoseconds(time)
-        message = calibration_message(
-            when, camera_frame(camera), width=width, height=height, fovy=fovy
-        )
-        self._out.add(f"/camera/{camera}/calib", when, message)
+        """Write an observation of the policy's, with name and size of its parts."""
+        topic, values = f"/observation/{name}", array.astype("<f4", copy=False)
+        make = partial(observation_form, array.shape, terms)
+        self._fill(topic, nanoseconds(time), values, make)
 
     @_costs_only_the_log
-    def frame(self, time: float, camera: str, rgb: np.ndarray) -> None:
-        """Write a frame that is there, (H, W, 3) uint8.
+    def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:
+        """Write an observation that is as large as an image, where images are kept."""
+        when = nanoseconds(time)
+        message = partial(observation_message, when, name, array)
+        self._out.add_image(f"/observation/{name}", when, message)
+
+    @_costs_only_the_log
+    def calibration(
+        self,
+        time: float,
+        topic: str,
+        *,
+        mount: str,
+        size: tuple[int, int],
+        focal: tuple[float, float],
+        center: tuple[float, float],
+    ) -> None:
+        """Write the calibration of a topic's pictures, all in pixels; `mount` is the camera."""
+        when = nanoseconds(time)
+        message = calibration_message(
+            when, camera_frame(mount), size=size, focal=focal, center=center
+        )
+        self._out.add(f"{topic}/calib", when, message)
+
+    @_costs_only_the_log
+    def picture(
+        self, time: float, topic: str, image: np.ndarray, *, mount: str, form: PixelForm
+    ) -> None:
+        """Write a picture that is there; see `images.Form` for its shape and type.
 
         It is compressed at once: a trial's raw frames may not fit the memory.
         """
         when = nanoseconds(time)
-        message = image_message(when, camera_frame(camera), rgb)
-        self._out.add_image(f"/camera/{camera}", when, lambda: message)
+        message = image_message(when, camera_frame(mount), image, form)
+        self._out.add_image(topic, when, lambda: message)
 
     @_costs_only_the_log
-    def later_frame(self, time: float, camera: str, make: Callable[[], np.ndarray]) -> None:
-        """Write the frame that `make` returns, (H, W, 3) uint8; it runs only if images are kept."""
+    def later_picture(
+        self, time: float, topic: str, make: Callable[[], np.ndarray], *, mount: str
+    ) -> None:
+        """Write the photo that `make` returns, (H, W, 3) uint8; it runs only if images are kept."""
         when = nanoseconds(time)
-        self._out.add_image(
-            f"/camera/{camera}", when, lambda: image_message(when, camera_frame(camera), make())
-        )
+        frame = camera_frame(mount)
+        self._out.add_image(topic, when, lambda: image_message(when, frame, make()))
 
     @_costs_only_the_log
-    def waypoint(self, time: float, number: int, position: Sequence[float]) -> None:
-        """Colour a waypoint as reached."""
-        when = nanoseconds(time)
-        entity = waypoint_entity(number, position, reached=True)
-        entity.timestamp.CopyFrom(stamp(when))
-        self._out.add("/scene", when, SceneUpdate(entities=[entity]))
+    def waypoints(self, time: float, *, reached: int) -> None:
+        """Colour the waypoints that are reached, and the trail as far as the last of them."""
+        self._waypoints(nanoseconds(time), reached)
 
     @_costs_only_the_log
     def event(
@@ -241,6 +308,19 @@ class TrialLog:
         self._out.add_metadata("nw.verdict", dict(verdict))
         self.bytes = self._out.close()
         self._file = None
+
+    def _waypoints(self, when: int, reached: int) -> None:
+        assert self._place is not None, "start comes first"
+        start, trail = self._place
+        self._out.add("/waypoints", when, waypoints_update(when, trail, reached=reached))
+        self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
+
+    def _fill(self, topic: str, when: int, numbers: np.ndarray, make: Callable[[], Form]) -> None:
+        """Write a message of the form that the topic's first one had."""
+        form = self._forms.get(topic)
+        if form is None:
+            form = self._forms[topic] = make()
+        self._out.add_bytes(topic, when, form.kind, form.filled(when, numbers))
 
 
 def camera_frame(camera: str) -> str:

@@ -1,0 +1,232 @@
+"""Writes the records of an MCAP file (https://mcap.dev/spec): chunks of messages, then their index.
+
+The mcap package knows the records. Its own writer spends more on one message than a control step
+of physics costs, and a log has ten messages in each; here a message is one `pack` and one list.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import IO, Any
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap_protobuf.schema import build_file_descriptor_set
+
+# Small chunks leave much to recover of a log whose process was killed.
+CHUNK_BYTES = 512 * 1024
+
+_MAGIC = b"\x89MCAP0\r\n"
+# Opcode, length; channel, sequence, log time, publish time. The data follow.
+_MESSAGE = struct.Struct("<BQHIQQ")
+_AFTER_LENGTH = _MESSAGE.size - 9
+_INDEX = struct.Struct("<BQHI")  # opcode, length; channel, bytes of the pairs that follow
+_FOOTER = struct.Struct("<BQQQ")  # what the summary's checksum covers of the footer
+
+
+class McapWriter:
+    """Writes to a stream that its caller owns. Every method raises what the stream raises."""
+
+    def __init__(self, stream: IO[bytes], *, library: str) -> None:
+        self._stream = stream
+        self._compressor = zstandard.ZstdCompressor()
+        self._schemas: dict[str, Schema] = {}
+        self._channels: list[Channel] = []
+        self._counts: dict[int, int] = {}
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._parts: list[bytes] = []  # of the chunk in the making
+        self._size = 0  # bytes of them
+        self._index = _new_index()
+        stream.write(_MAGIC)
+        self._put(Header(profile="", library=library))
+
+    def channel(self, topic: str, kind: type[Any]) -> int:
+        """Begin a topic of one kind of protobuf message; return its number."""
+        name = kind.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            number = len(self._schemas) + 1
+            self._schemas[name] = Schema(
+                id=number, name=name, encoding="protobuf", data=_descriptors(kind)
+            )
+            self._add(_record(self._schemas[name]))
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding="protobuf",
+            metadata={},
+            schema_id=self._schemas[name].id,
+        )
+        self._channels.append(channel)
+        self._add(_record(channel))
+        return channel.id
+
+    def message(self, channel: int, time_ns: int, data: bytes) -> None:
+        """Append a message; times must not decrease."""
+        self._index[channel] += (time_ns, self._size)
+        length = _AFTER_LENGTH + len(data)
+        self._add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns) + data)
+        if self._size > CHUNK_BYTES:
+            self._end_chunk()
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a record of texts by name."""
+        place, length = self._put(Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(MetadataIndex(offset=place, length=length, name=name))
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Add a file; it carries no time of day."""
+        attachment = Attachment(
+            create_time=0, log_time=0, name=name, media_type=media_type, data=data
+        )
+        place, length = self._put(attachment)
+        self._attachments.append(
+            AttachmentIndex(
+                offset=place,
+                length=length,
+                log_time=0,
+                create_time=0,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+
+    def finish(self) -> None:
+        """Write what is left, and the summary by which readers find everything."""
+        self._end_chunk()
+        self._put(DataEnd(data_section_crc=0))
+        start = self._stream.tell()
+        groups: tuple[tuple[Opcode, Iterable[McapRecord]], ...] = (
+            (Opcode.SCHEMA, self._schemas.values()),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        )
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            group = b"".join(map(_record, records))
+            offsets += _record(
+                SummaryOffset(
+                    group_opcode=opcode,
+                    group_start=start + len(summary),
+                    group_length=len(group),
+                )
+            )
+            summary += group
+        offset_start = start + len(summary)
+        summary += offsets
+        footer = _FOOTER.pack(Opcode.FOOTER, 20, start, offset_start)
+        self._stream.write(summary)
+        self._put(
+            Footer(
+                summary_start=start,
+                summary_offset_start=offset_start,
+                summary_crc=zlib.crc32(footer, zlib.crc32(summary)),
+            )
+        )
+        self._stream.write(_MAGIC)
+
+    def _add(self, part: bytes) -> None:
+        self._parts.append(part)
+        self._size += len(part)
+
+    def _end_chunk(self) -> None:
+        if not self._index:
+            return  # Channels without messages would be a chunk without times.
+        data = b"".join(self._parts)
+        packed = self._compressor.compress(data)
+        first = min(pairs[0] for pairs in self._index.values())
+        last = max(pairs[-2] for pairs in self._index.values())
+        place, length = self._put(
+            Chunk(
+                compression="zstd",
+                data=packed,
+                message_start_time=first,
+                message_end_time=last,
+                uncompressed_crc=zlib.crc32(data),
+                uncompressed_size=len(data),
+            )
+        )
+        begin = self._stream.tell()
+        places: dict[int, int] = {}
+        for channel, pairs in self._index.items():
+            places[channel] = self._stream.tell()
+            size = 8 * len(pairs)
+            self._stream.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+            self._stream.write(struct.pack(f"<{len(pairs)}Q", *pairs))
+            self._counts[channel] = self._counts.get(channel, 0) + len(pairs) // 2
+        self._chunks.append(
+            ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=place,
+                compression="zstd",
+                compressed_size=len(packed),
+                message_start_time=first,
+                message_end_time=last,
+                message_index_length=self._stream.tell() - begin,
+                message_index_offsets=places,
+                uncompressed_size=len(data),
+            )
+        )
+        self._parts, self._size, self._index = [], 0, _new_index()
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+    def _put(self, record: McapRecord) -> tuple[int, int]:
+        """Write a record that is in no chunk; return its place and length in bytes."""
+        place, data = self._stream.tell(), _record(record)
+        self._stream.write(data)
+        return place, len(data)
+
+
+def _new_index() -> defaultdict[int, list[int]]:
+    """Return an empty index of a chunk's messages: by channel time, place, time, place, ..."""
+    return defaultdict(list)
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+@cache
+def _descriptors(kind: type[Any]) -> bytes:
+    """Return the schema of a message with all that it is made of; the same in every log."""
+    return build_file_descriptor_set(kind).SerializeToString(deterministic=True)
