@@ -15,6 +15,7 @@ import numpy as np
 from nw_eval.policies import Card
 from nw_eval.policies.card import ConstantCommand, TrailFollower
 from nw_eval.policies.observations import ProprioObservation
+from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.rollout.probe.recording import Recorder
 
 _FOLLOWS = 0.6
@@ -168,7 +169,14 @@ def follow(
     for (velocity, is_own), same in groupby(tried, key=lambda one: (one.velocity, one.is_own)):
         constant = ConstantCommand(source="constant", velocity=velocity)
         commanded = card if is_own else card.model_copy(update={"command": constant})
-        made = stage.record(commanded, seconds=_SECONDS, level=level)
+        try:
+            made = stage.record(commanded, seconds=_SECONDS, level=level)
+        except PolicyFailedError as error:
+            if error.kind not in {"action", "diverged"}:
+                raise
+            # It ran away, as some do once the robot lies on its back.
+            yield from (Followed(motion=one, ratio=0.0, fell=False, stumbled=True) for one in same)
+            continue
         settled = made.velocity[round(_SETTLED / made.period) :]
         reached = settled.mean(axis=0) if len(settled) else np.zeros(3)
         for motion in same:

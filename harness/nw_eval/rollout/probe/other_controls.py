@@ -22,7 +22,7 @@ _POSES = {
     "legged_gym": (0.1, 0.8, 1.0, -1.5),
     "MuJoCo Playground": (-0.1, 0.9, 0.9, -1.8),
     "MuJoCo Menagerie": (0.0, 0.9, 0.9, -1.8),
-    "Unitree's examples": (0.0, 0.67, 0.67, -1.3),
+    "Unitree": (0.0, 0.67, 0.67, -1.3),
 }
 """Hips outwards, front thighs, rear thighs and calves, rad."""
 _FACTORS = (2.0, 0.5, 4.0, 0.25)
@@ -35,9 +35,7 @@ def other_controls(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     yield from _meanings(card)
     yield from _poses(card, robot)
     yield from _gains(card, robot)
-    for rate in _RATES:
-        if rate != card.control.rate:
-            yield f"a rate of {rate} Hz", _with(card, rate=rate)
+    yield from _rates(card)
     for steps in _DELAYS:
         if steps != card.control.delay_steps:
             yield f"actions delayed by {steps}", _with(card, delay_steps=steps)
@@ -61,7 +59,7 @@ def _poses(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
         right = {"FR_hip": -hip, "RR_hip": -hip}
         pose = joint_values(by_kind | right, names)
         if not np.array_equal(pose, own):
-            words = f"the default pose of {whose}"
+            words = f"{whose}'s default pose"
             yield words, _with(card, default_pose=per_joint(names, pose.tolist()))
 
 
@@ -75,13 +73,27 @@ def _gains(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
         yield "the robot's own gains", _with(card, **own)
     for which in (("kp", "kd"), ("kp",), ("kd",)):
         for factor in _FACTORS:
-            new = {
-                key: per_joint(names, (motors[key][order] * factor).tolist()) for key in which
-            }
+            new = {key: per_joint(names, (motors[key][order] * factor).tolist()) for key in which}
             words = [f"{key} {flow(value)}" for key, value in new.items()]
             yield listed(words), _with(card, **new)
     doubled = per_joint(names, (motors["torque_limits"][order] * 2.0).tolist())
     yield "torque limits doubled", _with(card, torque_limits=doubled)
+
+
+def _rates(card: Card) -> Iterator[tuple[str, Card]]:
+    own = card.control.rate
+    for rate in _RATES:
+        if rate == own:
+            continue
+        # What was sampled whenever the policy acts still is.
+        observations = {
+            name: observation.model_copy(update={"rate": rate})
+            if observation.rate == own
+            else observation
+            for name, observation in card.observations.items()
+        }
+        other = _with(card, rate=rate).model_copy(update={"observations": observations})
+        yield f"a rate of {rate} Hz", other
 
 
 def _robots(card: Card) -> Iterator[tuple[str, Card]]:

@@ -29,12 +29,11 @@ _LEGGED_GYM: dict[str, Scale] = {
     "command": [2.0, 2.0, 0.25],
 }
 """Its scales, which many stacks took over, and many others did not."""
-_OTHER = {"lin_vel": "ang_vel", "ang_vel": "lin_vel"}
 _VELOCITIES: dict[str, type[AngularVelocity | LinearVelocity]] = {
-    "lin_vel": AngularVelocity,
-    "ang_vel": LinearVelocity,
+    "ang_vel": AngularVelocity,
+    "lin_vel": LinearVelocity,
 }
-"""What may stand in place of a term."""
+_OTHER = {"lin_vel": "ang_vel", "ang_vel": "lin_vel"}
 _SIGNED = {"gravity", "ang_vel", "delta_yaw"}
 
 
@@ -93,19 +92,22 @@ def framed_terms(card: Card) -> Iterator[tuple[str, Card]]:
 
 def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
     """Yield cards with the angular velocity in the linear one's place, or the other way round."""
-    names = {term.term for term in _terms(card)}
+    known = {term.term for term in _terms(card)}
     for name, observation in card.observations.items():
         if not isinstance(observation, ProprioObservation) or observation.terms is None:
             continue
+        names = [term.term for term in observation.terms]
         for place, term in enumerate(observation.terms):
-            made = _VELOCITIES.get(term.term)
-            if made is None or (other := _OTHER[term.term]) in names:
+            if term.term not in _VELOCITIES or (other := _OTHER[term.term]) in known:
                 continue
             shared = term.model_dump(include={"scale", "offset", "clip"}, exclude_defaults=True)
             terms = list(observation.terms)
-            terms[place] = made.model_validate({"term": other, **shared})
+            terms[place] = _VELOCITIES[other].model_validate({"term": other, **shared})
             changed = observation.model_copy(update={"terms": terms})
-            words = f"`{other}` in place of `{term.term}` in `{name}`"
+            which = ""
+            if names.count(term.term) > 1:
+                which = "the second " if term.term in names[:place] else "the first "
+            words = f"`{other}` in place of {which}`{term.term}` in `{name}`"
             yield words, _with_observations(card, {name: changed})
 
 

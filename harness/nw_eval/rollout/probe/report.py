@@ -31,10 +31,15 @@ from nw_eval.sensors import check_bundle
 
 FLAT = "flat/carpet_room"
 SECONDS = 1.0
+BEYOND = (
+    "beyond this check: poses, gains, torque limits, rates and delays that are not the training's, "
+    "and with which it walks all the same"
+)
+"""What no second on the flat can show, said where no fault is found."""
 _TIME_LIMIT = 600.0  # s of wall time
 _BUDGET = 360.0
-"""Seconds of simulation for commands and other cards. Measured on two policies under 52 cards:
-10 to 154, which took up to 7 s."""
+"""Seconds of simulation for commands and other cards. Measured on six policies under XX cards:
+10 to XX, which took up to XX s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +122,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         "",
         *command_table(followed),
         *(f"{finding.kind}: {finding.text}" for finding in findings),
+        *([BEYOND] if scene == FLAT and not faults else []),
         "no fault found" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
     ]
     return ProbeReport(text="\n".join(lines), passed=not faults)

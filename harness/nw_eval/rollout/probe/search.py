@@ -27,8 +27,8 @@ _CLEARLY = 0.1
 """Fall of the deviation that shows that a card is better. Of right cards with half or twice a gain
 it moves by less."""
 _SLIGHTLY = 0.03
-"""Fall of the deviation with which an unlikelier change counts for more than a likelier one."""
-_ENOUGH = 0.08  # Deviation below which no card is clearly better. Of right cards: 0.07 to 0.23.
+"""Fall of the deviation from which on a card is better, and a likelier one counts for less."""
+_ENOUGH = 0.1  # Deviation below which no card is clearly better. Of right cards: 0.07 to 0.23.
 _LOST = 0.9  # Deviation of a policy that stumbles, stands, or does something else.
 
 
@@ -56,8 +56,7 @@ class Attempt:
     def figures(self) -> str:
         """The share of each command that is reached, and was."""
         return ", ".join(
-            f"{now.motion.words} {now.ratio:z.2f}{' and fell' if now.fell else ''} (was "
-            f"{was.ratio:z.2f}{', fell' if was.fell else ''})"
+            f"{now.motion.words} {_share(now)} (was {_share(was)})"
             for now, was in zip(self.followed, self.written, strict=True)
         )
 
@@ -81,7 +80,7 @@ def attempts(
     """
     order = sorted(range(len(written)), key=lambda place: _weight(written[place]))
     tried = [written[place].motion for place in order]
-    limit, best = deviation(written), None
+    limit, best = deviation(written) - _SLIGHTLY, None
     for changes in (hypotheses, double_hypotheses) if thorough else (scale_hypotheses,):
         for hypothesis in changes(card, robot):
             try:
@@ -100,9 +99,15 @@ def attempts(
             return
 
 
-def _weight(one: Followed) -> tuple[bool, float]:
-    """Return what comes first: what trials command, and of that, what is missed most."""
-    return not (one.motion.is_used or one.motion.is_own), -one.error
+def _share(one: Followed) -> str:
+    ending = " and fell" if one.fell else " and stumbled" if one.stumbled else ""
+    return f"{one.ratio:z.2f}{ending}"
+
+
+def _weight(one: Followed) -> tuple[bool, bool, float]:
+    """Return what comes first: what is missed, that trials command, and by most."""
+    is_used = one.motion.is_used or one.motion.is_own
+    return not (one.is_missed or one.stumbled), not is_used, -one.error
 
 
 def _below(

@@ -14,7 +14,7 @@ from nw_eval.policies.observations import AnyObservation, ProprioObservation
 
 
 def changed_lines(old: Card, new: Card) -> list[str]:
-    """Return what is written differently: robot, `control` and proprioceptive observations.
+    """Return what is written differently: robot, `control` and observations.
 
     Each line is the place of a key, and its new value in YAML; of `terms`, the entry that
     changes, or all of them in another order.
@@ -32,11 +32,9 @@ def changed_lines(old: Card, new: Card) -> list[str]:
 
 
 def _observation_lines(place: str, old: AnyObservation, new: AnyObservation) -> list[str]:
-    if old == new or not (
-        isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)
-    ):
-        return []
-    lines: list[str] = []
+    lines = [] if new.rate == old.rate else [f"{place}.rate: {new.rate}"]
+    if not (isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)):
+        return lines
     if old.layout != new.layout:
         lines.append(f"{place}.terms: {flow(new.terms)}  # in place of `layout: {old.layout}`")
     elif [term.term for term in old.frame_terms] != [term.term for term in new.frame_terms]:
