@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Literal
+
 from nw_eval.policies import Card
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.probe.budget import Metered, SpentError
 from nw_eval.rollout.probe.findings import Finding, command_findings
-from nw_eval.rollout.probe.following import Followed, follow, motions, own_way
+from nw_eval.rollout.probe.following import (
+    Followed,
+    Motion,
+    finds_its_way,
+    follow,
+    motions,
+    own_way,
+)
 from nw_eval.rollout.probe.hypotheses import TRIED
 from nw_eval.rollout.probe.recording import Recording
 from nw_eval.rollout.probe.search import Attempt, attempts
@@ -28,43 +38,56 @@ def compare(
             improve, and no more; these are not tried on a policy that sees images, each of which
             would be rendered again.
     """
-    stumbles = recording.stumbles
-    if stumbles and recording.sees_images:
-        return [], []
-    tried = [*own_way(card), *motions(card)] if stumbles else motions(card)
+    tried = _tried(card, recording)
     written: list[Followed] = []
-    best: Attempt | None = None
-    is_searched, is_bad = False, stumbles
-    cut: list[Finding] = []
     try:
         for one in follow(stage, card, tried):
-            written.append(one)
-            is_bad = is_bad or one.is_missed
-        is_weak = is_bad or any(one.is_weak for one in written)
-        is_searched = bool(written) and is_weak and not recording.sees_images
-        if is_searched:
-            for attempt in attempts(stage, card, robot, written, thorough=is_bad):
-                best = attempt
+            written.append(one)  # noqa: PERF402 - what was before a cut is kept.
     except SpentError:
-        text = f"cut off after {stage.spent:.0f} s of simulation: "
-        if len(written) < len(tried):
-            cut = [Finding(kind="fault", text=f"{text}not every command was tried")]
-        else:
-            cut = [Finding(kind="note", text=f"{text}not every other card was tried")]
-    followed = [] if stumbles else written
-    found = command_findings(followed)
+        return written, [*command_findings(written), _cut(stage, "fault", "every command")]
+    found = [] if recording.stumbles else command_findings(written)
+    if not recording.sees_images:
+        found += _others(stage, card, robot, written, stumbles=recording.stumbles)
+    return ([] if recording.stumbles else written), found
+
+
+def _tried(card: Card, recording: Recording) -> list[Motion]:
+    """Return what is commanded; a policy that sees no command is let go on its way."""
+    commanded = motions(card)
+    if recording.stumbles:
+        return [] if recording.sees_images else [*own_way(card), *commanded]
+    if commanded or recording.sees_images or not finds_its_way(card):
+        return commanded
+    return own_way(card)
+
+
+def _others(
+    stage: Metered, card: Card, robot: RobotSpec, written: Sequence[Followed], *, stumbles: bool
+) -> list[Finding]:
+    """Return the other card that helps most, or that none does."""
+    is_bad = stumbles or any(one.is_missed or one.stumbled for one in written)
+    if not written or not (is_bad or any(one.is_weak for one in written)):
+        return []
+    best: Attempt | None = None
+    cut: list[Finding] = []
+    try:
+        for attempt in attempts(stage, card, robot, written, thorough=is_bad):
+            best = attempt
+    except SpentError:
+        cut = [_cut(stage, "note", "every other card")]
     if best is not None and best.helps:
-        found.append(_advice(best, card, stumbles=stumbles, is_bad=is_bad))
-    elif is_searched and is_bad and not cut:
-        nearest = "none comes nearer than the card as it is"
-        if best is not None:
-            nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
-        found.append(Finding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}"))
-    return followed, [*found, *cut]
+        is_fault = is_bad and best.mends
+        does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
+        text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
+        return [Finding(kind="fault" if is_fault else "note", text=text), *cut]
+    if cut or not is_bad:
+        return cut
+    nearest = "none comes nearer than the card as it is"
+    if best is not None:
+        nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
+    return [Finding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}")]
 
 
-def _advice(best: Attempt, card: Card, *, stumbles: bool, is_bad: bool) -> Finding:
-    is_fault = is_bad and best.mends
-    does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
-    text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
-    return Finding(kind="fault" if is_fault else "note", text=text)
+def _cut(stage: Metered, kind: Literal["fault", "note"], what: str) -> Finding:
+    text = f"cut off after {stage.spent:.0f} s of simulation: not {what} was tried"
+    return Finding(kind=kind, text=text)

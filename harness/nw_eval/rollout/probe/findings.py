@@ -162,14 +162,17 @@ def command_findings(followed: list[Followed]) -> list[Finding]:
     """Return which commands are missed; a fault where trials command it."""
     missed = [one for one in followed if one.is_missed]
     if stands_still(followed):
-        kind = "fault" if any(one.motion.is_used for one in missed) else "note"
-        return [Finding(kind=kind, text="`command`: it stands still, whatever is commanded")]
+        is_own = all(one.motion.is_own for one in followed)
+        kind = "fault" if is_own or any(one.motion.is_used for one in missed) else "note"
+        text = "it stands still" if is_own else "it stands still, whatever is commanded"
+        return [Finding(kind=kind, text=f"`command`: {text}")]
     found: list[Finding] = []
     for one in missed:
         direction, asked, reached = one.words
         text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:z.0%})"
         text += ", and it fell" if one.fell else ""
-        text += "; mind `control.scale` and the `scale` of `command`"
+        scales = "" if one.motion.is_own else " and the `scale` of `command`"
+        text += f"; mind `control.scale`{scales}"
         found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
     return found
 

@@ -99,14 +99,8 @@ def motions(card: Card) -> list[Motion]:
     A constant command is tried as it is. Beside it, and for all others: ahead at the card's speed;
     sideways and in turns, walking ahead with it.
     """
-    terms = {
-        term.term
-        for observation in card.observations.values()
-        if isinstance(observation, ProprioObservation)
-        for term in observation.frame_terms
-    }
     command = card.command
-    if "command" not in terms:
+    if "command" not in _terms(card):
         return []
     if isinstance(command, ConstantCommand):
         own = [
@@ -123,13 +117,27 @@ def motions(card: Card) -> list[Motion]:
 
 
 def own_way(card: Card) -> list[Motion]:
-    """Return what every policy does, commanded or not: it goes ahead at the card's speed."""
+    """Return what a policy does of itself, commanded or not: it goes ahead at the card's speed."""
     command = card.command
     speed = command.velocity[0] if isinstance(command, ConstantCommand) else command.speed
     if abs(speed) < _LEAST:
         return []
     words = "on its way"
     return [Motion(words=words, velocity=(speed, 0.0, 0.0), axis=0, is_used=False, is_own=True)]
+
+
+def finds_its_way(card: Card) -> bool:
+    """Whether a policy that sees no command sees where to go, or how fast."""
+    return not _terms(card).isdisjoint({"delta_yaw", "speed"})
+
+
+def _terms(card: Card) -> set[str]:
+    return {
+        term.term
+        for observation in card.observations.values()
+        if isinstance(observation, ProprioObservation)
+        for term in observation.frame_terms
+    }
 
 
 def _all_ways(speed: float, turning: float, *, is_used: bool) -> list[Motion]:

@@ -181,8 +181,8 @@ def command_table(followed: list[Followed]) -> list[str]:
     rows: list[tuple[str, ...]] = [("command", "asked", "reached", "share")]
     for one in followed:
         direction, asked, reached = one.words
-        fell = ", fell" if one.fell else ""
-        rows.append((direction, asked, reached + fell, f"{one.ratio:z.2f}"))
+        ending = ", fell" if one.fell else ", stumbled" if one.stumbled else ""
+        rows.append((direction, asked, reached + ending, f"{one.ratio:z.2f}"))
     return [*aligned(rows, right={3}), ""]
 
 
