@@ -23,7 +23,7 @@ _FOLLOWS = 0.6
 than the inverse. Measured on five policies: 0.63 to 1.08 of every command here; 0.45 to the left
 with half of the scale at the hips."""
 _WELL = 0.75
-"""The same share, above which no other card is worth a try. Three of the five reach all of that."""
+"""The same share, above which no other card is worth a try. Two of the five reach all of that."""
 
 _SECONDS = 2.0
 _SETTLED = 1.0  # s; until then it gets up to speed.

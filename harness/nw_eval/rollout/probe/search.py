@@ -23,11 +23,8 @@ from nw_eval.rollout.probe.hypotheses import (
 )
 from nw_eval.rollout.probe.recording import STUMBLES, Recorder
 
-_CLEARLY = 0.1
-"""Fall of the deviation that shows that a card is better. Of right cards with half or twice a gain
-it moves by less."""
-_SLIGHTLY = 0.03
-"""Fall of the deviation from which on a card is better, and a likelier one counts for less."""
+_CLEARLY = 0.1  # Fall of the deviation from which on another card is told.
+_SLIGHTLY = 0.03  # Fall from which on a card counts for more than a likelier one.
 _ENOUGH = 0.1  # Deviation below which no card is clearly better. Of right cards: 0.07 to 0.23.
 _LOST = 0.9  # Deviation of a policy that stumbles, stands, or does something else.
 
