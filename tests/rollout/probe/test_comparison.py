@@ -1,7 +1,9 @@
 """What is said of commands that a policy misses, and when the search for another card ends."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from nw_eval.robots import get_robot
@@ -155,3 +157,26 @@ def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
     assert stage.asked == 0
     assert findings == []
     assert compared(lambda card, _: obeys(card), tilt=0.5)[2].asked > 0
+
+
+@pytest.mark.parametrize(
+    ("reached", "acts", "said"),
+    [
+        (0.02, True, [("fault", "`command`: it stands still")]),
+        (0.3, True, [("note", "`command`: 0.8 m/s on its way, 0.30 m/s reached (38%)")]),
+        (0.9, True, []),
+        (0.02, False, []),
+    ],
+)
+def test_a_policy_without_commands_is_let_go_on_its_way(
+    uncommanded, walked, stage_on_which, reached, acts, said
+):
+    stage = stage_on_which(lambda *_: walked((reached, 0.0, 0.0)))
+    metered = Metered(stage, simulated=1000.0)
+    actions = np.outer(np.sin(np.arange(50.0)), np.full(12, acts))
+    followed, findings = compare(
+        metered, uncommanded, GO1, replace(walked(seconds=1.0), actions=actions)
+    )
+    assert [(one.kind, one.text.partition(";")[0]) for one in findings[:1]] == said
+    assert [one.motion.words for one in followed] == (["on its way"] if acts else [])
+    assert any("nothing tried helps" in one.text for one in findings) == bool(said)

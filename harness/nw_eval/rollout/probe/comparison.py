@@ -56,9 +56,9 @@ def _tried(card: Card, recording: Recording) -> list[Motion]:
     commanded = motions(card)
     if recording.stumbles:
         return [] if recording.sees_images else [*own_way(card), *commanded]
-    if commanded or recording.sees_images or not finds_its_way(card):
-        return commanded
-    return own_way(card)
+    acts = bool((recording.actions != recording.actions[:1]).any())
+    goes = acts and finds_its_way(card) and not recording.sees_images
+    return own_way(card) if goes and not commanded else commanded
 
 
 def _others(
