@@ -66,6 +66,14 @@ def test_the_best_is_told_by_how_much_it_helps(
     assert best.figures.startswith(f"ahead {shares[0]:.2f} (was 0.30), to the left {shares[1]:.2f}")
 
 
+@pytest.mark.parametrize(("before", "helps"), [(0.59, True), (0.61, False)])
+def test_a_command_that_is_missed_no_longer_helps_by_itself(
+    commanded, tried, with_halved_hips, before, helps
+):
+    (best,) = tried(commanded, with_halved_hips((0.68, 1.0, 1.0), (before, 0.95, 0.95)))
+    assert (best.helps, best.mends) == (helps, helps)
+
+
 def test_a_card_that_is_no_better_is_not_told(commanded, obeys, tried):
     assert tried(commanded, lambda card, _: obeys(card, (0.3, 0.3, 0.3))) == []
     assert tried(commanded, lambda card, _: obeys(card, outcome="fell")) == []

@@ -32,10 +32,10 @@ from nw_eval.sensors import check_bundle
 FLAT = "flat/carpet_room"
 SECONDS = 1.0
 BEYOND = (
-    "beyond this check: poses, gains, torque limits, rates and delays that are not the training's, "
-    "and with which it walks all the same"
+    "beyond this check: a robot, pose, scale, frame, gain, torque limit, rate or delay that is not "
+    "the training's, but with which it walks all the same"
 )
-"""What no second on the flat can show, said where no fault is found."""
+"""What no second on the flat can show; said where no fault is found."""
 _TIME_LIMIT = 600.0  # s of wall time
 _BUDGET = 360.0
 """Seconds of simulation for commands and other cards. Measured on six policies under 140 cards:

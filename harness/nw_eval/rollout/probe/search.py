@@ -41,13 +41,15 @@ class Attempt:
 
     @property
     def helps(self) -> bool:
-        """Whether the policy follows clearly better than under the card as it is written."""
-        return deviation(self.followed) <= deviation(self.written) - _CLEARLY
+        """Whether the policy does clearly better, or no longer misses what it missed."""
+        gain = deviation(self.written) - deviation(self.followed)
+        no_longer = _does_all(self.followed) and not _does_all(self.written)
+        return gain >= (_SLIGHTLY if no_longer else _CLEARLY)
 
     @property
     def mends(self) -> bool:
         """Whether it helps, and the policy then does all that one does under its own card."""
-        return self.helps and not any(one.is_missed or one.stumbled for one in self.followed)
+        return self.helps and _does_all(self.followed)
 
     @property
     def figures(self) -> str:
@@ -94,6 +96,10 @@ def attempts(
                     return
         if best is not None and best.mends:
             return
+
+
+def _does_all(followed: Sequence[Followed]) -> bool:
+    return not any(one.is_missed or one.stumbled for one in followed)
 
 
 def _share(one: Followed) -> str:
