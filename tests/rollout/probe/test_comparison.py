@@ -1,12 +1,15 @@
 """What is said of commands that a policy misses, and when the search for another card ends."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from nw_eval.robots import get_robot
 from nw_eval.rollout.probe.budget import Metered
 from nw_eval.rollout.probe.comparison import compare
+from nw_eval.rollout.probe.hypotheses import TRIED
 
 GO1 = get_robot("go1")
 
@@ -39,9 +42,47 @@ def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obey
     assert [kind for kind, _ in findings] == ["note"] * 3
     assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
     assert findings[2][1] == (
-        "nothing tried helps: orders, signs and scales of joints, history, "
-        "scales, signs and order of terms"
+        f"nothing tried helps: {TRIED}; none comes nearer than the card as it is"
     )
+
+
+def test_where_nothing_helps_the_best_figures_are_told(compared, obeys):
+    def walk(card, _):
+        return obeys(card, (1.0, 0.45 if halved_hips(card) else 0.4, 1.0))
+
+    _, findings, _ = compared(walk)
+    assert findings[-1][0] == "note"
+    assert findings[-1][1].endswith(
+        "; the nearest, with the scale of the hips halved: ahead 1.00 (was 1.00), "
+        "to the left 0.45 (was 0.40), to the right 0.45 (was 0.40), "
+        "turning left 1.00 (was 1.00), turning right 1.00 (was 1.00)"
+    )
+
+
+def test_a_card_that_helps_and_mends_not_everything_is_shown_with_its_figures(compared, obeys):
+    def walk(card, _):
+        return obeys(card, (0.9 if halved_hips(card) else 0.1, 0.5, 1.0))
+
+    _, findings, _ = compared(walk)
+    assert not any("nothing tried helps" in text for _, text in findings)
+    kind, text = findings[-1]
+    assert kind == "note"
+    assert text.startswith("it follows better with the scale of the hips halved; if so trained")
+    assert "\n    control.scale: {hip: 0.25, thigh: 0.5, calf: 0.5}\n" in text
+    assert "\n  then reached: ahead 0.90 (was 0.10), to the left 0.50 (was 0.50)," in text
+
+
+def test_a_policy_that_follows_weakly_is_told_a_better_scale_and_no_fault(compared, obeys):
+    def walk(card, _):
+        share = 0.95 if halved_hips(card) else 0.7
+        return obeys(card, (share, 1.0, share))
+
+    _, findings, stage = compared(walk)
+    assert [kind for kind, _ in findings] == ["note"]
+    assert findings[0][1].startswith("it follows better with the scale of the hips halved; if so")
+    assert stage.asked < 20
+    _, findings, _ = compared(lambda card, _: obeys(card, (0.7, 1.0, 0.7)))
+    assert findings == []
 
 
 def test_a_policy_that_stands_still_is_told_so_once(compared, obeys):
@@ -116,3 +157,26 @@ def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
     assert stage.asked == 0
     assert findings == []
     assert compared(lambda card, _: obeys(card), tilt=0.5)[2].asked > 0
+
+
+@pytest.mark.parametrize(
+    ("reached", "acts", "said"),
+    [
+        (0.02, True, [("fault", "`command`: it stands still")]),
+        (0.3, True, [("note", "`command`: 0.8 m/s on its way, 0.30 m/s reached (38%)")]),
+        (0.9, True, []),
+        (0.02, False, []),
+    ],
+)
+def test_a_policy_without_commands_is_let_go_on_its_way(
+    uncommanded, walked, stage_on_which, reached, acts, said
+):
+    stage = stage_on_which(lambda *_: walked((reached, 0.0, 0.0)))
+    metered = Metered(stage, simulated=1000.0)
+    actions = np.outer(np.sin(np.arange(50.0)), np.full(12, acts))
+    followed, findings = compare(
+        metered, uncommanded, GO1, replace(walked(seconds=1.0), actions=actions)
+    )
+    assert [(one.kind, one.text.partition(";")[0]) for one in findings[:1]] == said
+    assert [one.motion.words for one in followed] == (["on its way"] if acts else [])
+    assert any("nothing tried helps" in one.text for one in findings) == bool(said)

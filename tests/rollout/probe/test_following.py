@@ -1,11 +1,21 @@
 """What a policy is commanded, and what counts as doing it."""
 
+import math
+
 import numpy as np
 import pytest
 
 from nw_eval.policies import Card
+from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.rollout.probe.findings import command_findings
-from nw_eval.rollout.probe.following import Followed, Motion, deviation, follow, motions
+from nw_eval.rollout.probe.following import (
+    Followed,
+    Motion,
+    deviation,
+    follow,
+    motions,
+    own_way,
+)
 
 AHEAD = Motion(words="ahead", velocity=(0.8, 0.0, 0.0), axis=0, is_used=True)
 RIGHT = Motion(words="to the right", velocity=(0.8, -0.5, 0.0), axis=1, is_used=False)
@@ -37,9 +47,41 @@ def test_a_command_is_missed_below_six_tenths_above_the_inverse_and_by_a_fall(
     assert followed(ratio, fell=fell).is_missed is is_missed
 
 
-def test_the_worst_command_counts_and_a_fall_counts_as_a_whole_command_more():
-    assert deviation([followed(0.9), followed(1.25)]) == pytest.approx(0.25)
-    assert deviation([followed(0.9, fell=True), followed(0.2)]) == pytest.approx(1.1)
+@pytest.mark.parametrize(
+    ("ratio", "ending", "error"),
+    [
+        (0.9, {}, 0.1),
+        (1.25, {}, 0.25),
+        (-3.0, {}, 1.0),
+        (3.0, {}, 1.0),
+        (0.9, {"fell": True}, 1.0),
+        (0.9, {"stumbled": True}, 1.0),
+    ],
+)
+def test_an_error_is_a_share_of_the_command_and_all_of_it_for_who_stumbles(ratio, ending, error):
+    one = Followed(motion=AHEAD, ratio=ratio, **{"fell": False} | ending)
+    assert one.error == pytest.approx(error)
+
+
+def test_commands_that_are_missed_count_for_more_than_in_their_mean():
+    assert deviation([followed(0.9), followed(1.3)]) == pytest.approx(math.sqrt(0.05))
+    assert deviation([followed(1.0)] * 3 + [followed(0.0)]) == pytest.approx(0.5)
+
+
+def test_who_sees_no_command_is_measured_on_its_own_way(commanded, uncommanded, obeys):
+    (way,) = own_way(uncommanded)
+    assert (way.words, way.velocity) == ("on its way", (0.8, 0.0, 0.0))
+    assert own_way(with_command(commanded, source="constant", velocity=(0.0, 0.3, 0.0))) == []
+    seen = []
+
+    class Watched:
+        def record(self, card, *, seconds, level=math.inf):  # noqa: ARG002 - it walks level.
+            seen.append(card.command.source)
+            return obeys(card, (0.9, 1.0, 1.0), seconds=seconds)
+
+    (one,) = follow(Watched(), uncommanded, [way])
+    assert one.ratio == pytest.approx(0.9)
+    assert seen == ["waypoint"]
 
 
 def test_the_second_second_is_compared_with_the_command(commanded, walked, stage_on_which):
@@ -133,3 +175,17 @@ def test_nothing_is_judged_that_is_less_than_a_tenth(commanded, changes, used):
     assert len(tried) == 5
     assert all(motion.asked >= 0.1 for motion in tried)
     assert [motion.words for motion in tried if motion.is_used] == used
+
+
+@pytest.mark.parametrize("kind", ["action", "diverged", "exception"])
+def test_only_who_runs_away_under_a_command_stumbles(commanded, stage_on_which, kind):
+    def walk(*_):
+        raise PolicyFailedError("a target of 4e+06", kind=kind)
+
+    stage = stage_on_which(walk)
+    if kind == "exception":
+        with pytest.raises(PolicyFailedError):
+            list(follow(stage, commanded, [AHEAD]))
+        return
+    (one,) = follow(stage, commanded, [AHEAD])
+    assert (one.ratio, one.fell, one.stumbled) == (0.0, False, True)

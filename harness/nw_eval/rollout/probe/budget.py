@@ -30,7 +30,7 @@ class Metered:
         self._deadline = deadline
 
     def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
-        """Run the checkpoint under a card of the same robot, while it leans less than `level`.
+        """Run the checkpoint under a card, while it leans less than `level`.
 
         Raises:
             SpentError: the budget is used up.

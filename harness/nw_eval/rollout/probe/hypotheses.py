@@ -5,24 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
 from nw_eval.policies import Card, JointControl
 from nw_eval.policies.joints import joint_order, short_name
 from nw_eval.policies.observations import ProprioObservation
-from nw_eval.robots import RobotSpec
+from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.probe.joint_signs import scaled_cards, turned_cards
+from nw_eval.rollout.probe.other_controls import other_controls
 from nw_eval.rollout.probe.other_terms import (
     absolute_terms,
+    framed_terms,
+    moved_terms,
+    other_velocities,
     scaled_terms,
     swapped_terms,
     turned_terms,
 )
 from nw_eval.rollout.probe.written import changed_lines
 
-TRIED = "orders, signs and scales of joints, history, scales, signs and order of terms"
-"""What `hypotheses` changes, in words."""
+TRIED = (
+    "orders, signs and scales of joints, history, scales, signs, frames and order of terms, "
+    "meaning, rate and delay of actions, poses, gains, the other robots, orders with scales"
+)
+"""What is changed, in words."""
 
 _LEGS = (
     ("FR", "FL", "RR", "RL"),
@@ -47,22 +55,43 @@ class Hypothesis:
 
 
 def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
-    """Yield the changes that are worth a try, likely ones first.
-
-    A robot that cannot take its default pose was trained in no stack, so none of them has a
-    default pose outside the ranges of the joints.
-    """
-    for words, changed in (
+    """Yield the changes of one thing that are worth a try, likely ones first."""
+    yield from _possible(
         *scaled_terms(card),
         *_orders(card, robot),
-        *_histories(card),
+        *_histories(card, "order"),
         *turned_terms(card),
         *scaled_cards(card, robot),
         *turned_cards(card, robot),
         *absolute_terms(card),
         *swapped_terms(card),
-    ):
-        if _can_stand(changed, robot):
+        *moved_terms(card),
+        *framed_terms(card),
+        *other_velocities(card),
+        *other_controls(card, robot),
+        *_histories(card, "by"),
+    )
+
+
+def scale_hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
+    """Yield other scales of the action only: what a policy that follows, but weakly, may miss."""
+    yield from _possible(*scaled_cards(card, robot))
+
+
+def double_hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
+    """Yield changes of two things that newcomers from one stack to another forget together."""
+    for order, ordered in _orders(card, robot):
+        scaled = scaled_terms(ordered, some=False)
+        yield from _possible(*((f"{order}, and {scales}", both) for scales, both in scaled))
+
+
+def _possible(*changes: tuple[str, Card]) -> Iterator[Hypothesis]:
+    """Yield those with which the robot can stand.
+
+    A robot that cannot take its default pose was trained in no stack.
+    """
+    for words, changed in changes:
+        if _can_stand(changed, get_robot(changed.robot)):
             yield Hypothesis(words=words, card=changed)
 
 
@@ -88,20 +117,20 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
         yield words, card.model_copy(update={"control": control})
 
 
-def _histories(card: Card) -> Iterator[tuple[str, Card]]:
+def _histories(card: Card, key: Literal["order", "by"]) -> Iterator[tuple[str, Card]]:
     for name, observation in card.observations.items():
         if not isinstance(observation, ProprioObservation):
             continue
         history = observation.history
         if history is None or history.steps == 1:
             continue
-        changes = {"order": "oldest_first" if history.order == "newest_first" else "newest_first"}
-        if observation.select is None:
-            changes["by"] = "term" if history.by == "step" else "step"
-        for key, value in changes.items():
-            other = observation.model_copy(
-                update={"history": history.model_copy(update={key: value})}
-            )
-            observations = {**card.observations, name: other}
-            words = f"`{name}` with {key}: {value}"
-            yield words, card.model_copy(update={"observations": observations})
+        if key == "by" and observation.select is not None:
+            continue
+        one, other = {"order": ("oldest_first", "newest_first"), "by": ("step", "term")}[key]
+        value = other if getattr(history, key) == one else one
+        changed = observation.model_copy(
+            update={"history": history.model_copy(update={key: value})}
+        )
+        observations = {**card.observations, name: changed}
+        words = f"`{name}` with {key}: {value}"
+        yield words, card.model_copy(update={"observations": observations})

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Card, JointControl
-from nw_eval.policies.joints import short_name
 from nw_eval.policies.observations import AnyObservation, ProprioObservation
 from nw_eval.policies.terms import AnyTerm, JointPosition, JointVelocity
 from nw_eval.robots import RobotSpec
+from nw_eval.rollout.probe.motors import joint_names
 from nw_eval.rollout.probe.written import listed, per_joint
 
 _Place = Literal["targets", "observations", "default pose"]
@@ -68,14 +68,14 @@ def _factors(
     card: Card, robot: RobotSpec, patterns: Sequence[str], factor: float
 ) -> NDArray[np.float64]:
     """Return (12,) in the policy's order: `factor` for joints that a pattern names, else 1."""
-    named = [any(fnmatchcase(name, p) for p in patterns) for name in _names(card, robot)]
+    named = [any(fnmatchcase(name, p) for p in patterns) for name in joint_names(card, robot)]
     return np.where(named, factor, 1.0)
 
 
 def _times(
     card: Card, robot: RobotSpec, factors: NDArray[np.float64], places: Sequence[_Place]
 ) -> Card:
-    joints, names = JointControl.from_card(card, robot), _names(card, robot)
+    joints, names = JointControl.from_card(card, robot), joint_names(card, robot)
     control: dict[str, Any] = {}
     if "targets" in places:
         control["scale"] = per_joint(names, (joints.scale * factors).tolist())
@@ -102,7 +102,3 @@ def _term(term: AnyTerm, factors: NDArray[np.float64]) -> AnyTerm:
         return term
     scale: list[float] = (np.broadcast_to(term.scale, factors.shape) * factors).tolist()
     return term.model_copy(update={"scale": scale[0] if len(set(scale)) == 1 else scale})
-
-
-def _names(card: Card, robot: RobotSpec) -> list[str]:
-    return [short_name(robot.joints[i]) for i in JointControl.from_card(card, robot).order]

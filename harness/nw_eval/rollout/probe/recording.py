@@ -95,7 +95,7 @@ class Recorder(Protocol):
     """What records a checkpoint under one card after another."""
 
     def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
-        """Run the checkpoint under a card of the same robot, while it leans less than `level`."""
+        """Run the checkpoint under a card, while it leans less than `level`."""
         ...
 
 
@@ -115,14 +115,14 @@ class Stage:
         self._library = ThisBundle(bundle)
 
     def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
-        """Run the checkpoint under a card of the same robot, while it leans less than `level`.
+        """Run the checkpoint under a card, while it leans less than `level`.
 
         Raises:
             NwEvalError: it cannot be run.
         """
         self._library.with_card(card)
         return record(
-            self.bundle,
+            replace(self.bundle, card=card),
             scene=self._scene,
             seconds=seconds,
             level=level,

@@ -32,10 +32,15 @@ from nw_eval.sensors import check_bundle
 
 FLAT = "flat/carpet_room"
 SECONDS = 1.0
+BEYOND = (
+    "beyond this check: a robot, pose, scale, frame, gain, torque limit, rate or delay that is not "
+    "the training's, but with which it walks all the same"
+)
+"""What no second on the flat can show; said where no fault is found."""
 _TIME_LIMIT = 600.0  # s of wall time
-_BUDGET = 240.0
-"""Seconds of simulation for commands and other cards. Measured on two policies under 52 cards:
-10 to 154, which took up to 7 s."""
+_BUDGET = 360.0
+"""Seconds of simulation for commands and other cards. Measured on six policies under 140 cards:
+2 to 186, which took up to 13 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +125,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         "",
         *command_table(followed),
         *(f"{finding.kind}: {finding.text}" for finding in findings),
+        *([BEYOND] if scene == FLAT and not faults else []),
         "no fault found" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
     ]
     return ProbeReport(text="\n".join(lines), passed=not faults)
@@ -184,8 +190,8 @@ def command_table(followed: list[Followed]) -> list[str]:
     rows: list[tuple[str, ...]] = [("command", "asked", "reached", "share")]
     for one in followed:
         direction, asked, reached = one.words
-        fell = ", fell" if one.fell else ""
-        rows.append((direction, asked, reached + fell, f"{one.ratio:z.2f}"))
+        ending = ", fell" if one.fell else ", stumbled" if one.stumbled else ""
+        rows.append((direction, asked, reached + ending, f"{one.ratio:z.2f}"))
     return [*aligned(rows, right={3}), ""]
 
 

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies import Card, JointControl, actuator_values, load_bundle, load_card
+from nw_eval.policies import Card, JointControl, load_bundle, load_card
 from nw_eval.policies.bundle import Weights
 from nw_eval.policies.card_networks import Inputs, input_parts
 from nw_eval.policies.joints import short_name
 from nw_eval.policies.observations import AnyObservation
 from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.rollout.probe.motors import motor_values
 from nw_eval.rollout.probe.parts import parts_of
 from nw_eval.rollout.probe.report import aligned
 from nw_eval.rollout.probe.written import flow, settings
@@ -132,13 +133,7 @@ def _made_of(prefix: str, inputs: Inputs) -> list[str]:
 def _actions(card: Card, robot: RobotSpec) -> list[str]:
     control = card.control
     joints = JointControl.from_card(card, robot)
-    motors = actuator_values(card, robot) or {
-        "kp": np.full(len(robot.joints), robot.kp),
-        "kd": np.full(len(robot.joints), robot.joint_damping),
-        "torque_limits": np.array(robot.torque_limits),
-        "armature": np.full(len(robot.joints), robot.armature),
-        "friction_loss": np.full(len(robot.joints), robot.friction_loss),
-    }
+    motors = motor_values(card, robot)
     rows: list[tuple[str, ...]] = [
         ("joint", "default", "scale", "kp", "kd", "torque limit", "armature", "friction loss")
     ]

@@ -14,13 +14,14 @@ from nw_eval.policies.observations import AnyObservation, ProprioObservation
 
 
 def changed_lines(old: Card, new: Card) -> list[str]:
-    """Return what is written differently in `control` and in proprioceptive observations.
+    """Return what is written differently: robot, `control` and observations.
 
     Each line is the place of a key, and its new value in YAML; of `terms`, the entry that
     changes, or all of them in another order.
     """
     fields = type(new.control).model_fields
-    lines = [
+    lines = [] if new.robot == old.robot else [f"robot: {new.robot}"]
+    lines += [
         f"control.{key}: {flow(value)}"
         for key in fields
         if (value := getattr(new.control, key)) != getattr(old.control, key)
@@ -31,11 +32,9 @@ def changed_lines(old: Card, new: Card) -> list[str]:
 
 
 def _observation_lines(place: str, old: AnyObservation, new: AnyObservation) -> list[str]:
-    if old == new or not (
-        isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)
-    ):
-        return []
-    lines: list[str] = []
+    lines = [] if new.rate == old.rate else [f"{place}.rate: {new.rate}"]
+    if not (isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)):
+        return lines
     if old.layout != new.layout:
         lines.append(f"{place}.terms: {flow(new.terms)}  # in place of `layout: {old.layout}`")
     elif [term.term for term in old.frame_terms] != [term.term for term in new.frame_terms]:
@@ -55,15 +54,17 @@ def flow(value: Any) -> str:
         return flow({"term": fields.pop("term"), **fields} if "term" in fields else fields)
     if isinstance(value, dict):
         items = cast("dict[str, Any]", value).items()
-        return "{" + ", ".join(f"{key}: {flow(item)}" for key, item in items) + "}"
+        return "{" + ", ".join(f"{flow(key)}: {flow(item)}" for key, item in items) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(flow(item) for item in cast("Sequence[Any]", value)) + "]"
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     if isinstance(value, float):
         return f"{value:z.9g}"
-    # Unquoted, some readers of YAML take a range such as 6:8 for a number of base 60.
-    return json.dumps(value) if ":" in str(value) else str(value)
+    # Unquoted, some readers of YAML take a range such as 6:8 for a number of base 60, and the sign
+    # that a pattern such as ?L_hip begins with for one of their own.
+    text = str(value)
+    return json.dumps(text) if ":" in text or text.startswith(("?", "*")) else text
 
 
 def settings(model: BaseModel, *, but: Collection[str] = ()) -> list[str]:
