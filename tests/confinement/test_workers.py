@@ -15,8 +15,9 @@ import torch
 
 from nw_eval.cache import cache_dir
 from nw_eval.confinement import child_environment, offered
-from nw_eval.engine import Plan, plan_jobs, run_trials
 from nw_eval.engine.output import LARGEST, WorkerOutput
+from nw_eval.engine.plan import Plan, plan_jobs
+from nw_eval.engine.run import run_trials
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from nw_eval.engine.order import in_order
+from nw_eval.engine.order import in_order, next_place
 from nw_eval.suite.trials import Trial
 
 
@@ -45,3 +45,38 @@ def test_rounds_and_suites_meet_the_scenes_in_different_orders():
 def test_more_trials_per_scene_leave_the_earlier_ones_where_they_were():
     few, many = in_order(trials(count=2)), in_order(trials(count=6))
     assert many[: len(few)] == few
+
+
+def test_workers_share_the_scenes_out_and_meet_them_in_rounds():
+    waiting = list(in_order(trials(scenes=6, count=4)))
+    own, met = [set(), set()], Counter()
+    loads = 0
+    while waiting:
+        # One worker is twice as fast as the other.
+        for scenes in (own[0], own[0], own[1]):
+            trial = waiting.pop(next_place(waiting, own=scenes, taken=own[0] | own[1]))
+            loads += trial.scene not in scenes
+            scenes.add(trial.scene)
+            met[trial.scene] += 1
+            assert max(met.values()) - min(met[f"hurdles/{k}"] for k in range(6)) <= 1
+    # Each scene once, and again where the fast one helps out; it would be 12 without a choice.
+    assert loads < 12
+    assert set(met.values()) == {4}
+
+
+def test_a_lone_worker_takes_trials_in_their_order():
+    waiting, own, taken = list(in_order(trials())), set(), []
+    while waiting:
+        taken.append(waiting.pop(next_place(waiting, own=own, taken=own)))
+        own.add(taken[-1].scene)
+    assert [trial.index for trial in taken] == [trial.index for trial in in_order(trials())]
+
+
+def test_two_workers_of_one_speed_load_each_scene_once():
+    waiting = list(in_order(trials(scenes=6, count=4)))
+    own = [set(), set()]
+    while waiting:
+        for scenes in own:
+            scenes.add(waiting.pop(next_place(waiting, own=scenes, taken=own[0] | own[1])).scene)
+    assert len(own[0]) == len(own[1]) == 3
+    assert not own[0] & own[1]

@@ -53,7 +53,7 @@ def test_a_result_becomes_a_row_with_its_stages_and_its_log(job, tmp_path):
         waypoint_times=(2.5,),
         steps=200,
         sim_seconds=4.0,
-        wall=StageSeconds(physics=0.1, render=0.2, policy=0.3, log=0.4),
+        wall=StageSeconds(physics=0.1, render=0.2, policy=0.3, log=0.4, setup=0.05, sense=0.06),
         wall_seconds=1.5,
         mcap_bytes=77,
     )
@@ -61,6 +61,7 @@ def test_a_result_becomes_a_row_with_its_stages_and_its_log(job, tmp_path):
     assert (made.outcome, made.end_reason, made.fraction) == ("fell", "roll", 0.25)
     assert not made.completed
     assert (made.physics_s, made.render_s, made.policy_s, made.log_s) == (0.1, 0.2, 0.3, 0.4)
+    assert (made.setup_s, made.sense_s) == (0.05, 0.06)
     assert (made.mcap_path, made.mcap_bytes) == ("mcap/hurdles/x/t.mcap", 77)
     assert made.perturbation == (("friction", 0.6),)
     assert made.seed == job.trial.seed

@@ -10,10 +10,11 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.engine import Plan, plan_jobs, run_trials
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.output import WorkerOutput
+from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import worker_start
+from nw_eval.engine.run import run_trials
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder

@@ -194,6 +194,10 @@ def test_a_missing_card_is_one_line(tmp_path):
         ("  body: {sensor: proprio}", "needs `layout` or `terms`"),
         ("  body: {sensor: proprio, terms: [comand]}", "'comand' is not known"),
         ("  body: {sensor: proprio, terms: [command]}", "add `command: {source: trail_follower}`"),
+        (
+            "  body: {sensor: proprio, terms: [{term: last_output, clipped: true}]}",
+            "'body' feeds a clipped action back but the card clips none; add `clip` to `control`",
+        ),
         ("  dots: {sensor: scandts}", "did you mean 'scandots'?"),
         ("inputs: {obs: [obss]}", "unknown observation 'obss'; did you mean 'obs'?"),
         ("inputs: {obs: []}", "has no observations"),

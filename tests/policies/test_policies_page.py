@@ -44,6 +44,7 @@ from nw_eval.robots import get_robot
 from nw_eval.sensors import check_bundle, check_card
 from nw_eval.sensors.heights import grid
 
+NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()
 FILES = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 TERMS = [get_args(term.model_fields["term"].annotation)[0] for term in get_args(AnyTerm)]
@@ -218,8 +219,8 @@ def test_its_command_folds_the_weights_into_the_graph(tmp_path):
     onnx.save(
         model, tmp_path / "policy.onnx", save_as_external_data=True, location="policy.onnx.data"
     )
-    (code,) = re.findall(r"^    python -c '(.*)'$", PAGE, re.MULTILINE)
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    (words,) = re.findall(r"^    nw-eval (policies fold .*)$", PAGE, re.MULTILINE)
+    subprocess.run([*NW_EVAL, *words.split()], cwd=tmp_path, check=True)
     (tmp_path / "policy.onnx.data").unlink()
     (folded,) = onnx.load(tmp_path / "one.onnx").graph.initializer
     np.testing.assert_array_equal(numpy_helper.to_array(folded), weight)

@@ -93,7 +93,7 @@ def make_job(library):
             task=scene.task,
             index=index,
         )
-        digest = library.bundle(policy, None).checkpoint_sha256
+        digest = library.bundle(policy, settings.get("checkpoint")).checkpoint_digest
         defaults = {"robot": "go1", "duration": 2.0, "scene": SCENE, "record": "none"}
         return TrialJob(
             trial=trial, policy=policy, checkpoint_digest=digest, **{**defaults, **settings}

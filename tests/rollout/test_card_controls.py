@@ -10,6 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.probe.recording import record
@@ -100,6 +101,37 @@ def test_another_physics_rate_keeps_the_control_period(tmp_path):
     assert not np.array_equal(made.positions, usual.positions)
     # The same motion but for the error of integration.
     np.testing.assert_allclose(made.positions, usual.positions, atol=0.15)
+
+
+def doubling_policy(folder, term):
+    """A policy whose action is twice the last one that it sees, and 1 more."""
+    weight = np.vstack([2.0 * np.eye(12), np.ones((1, 12))]).astype(np.float32)
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["obs", "weight"], ["action"])],
+        "doubling",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 13])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [1, 12])],
+        [numpy_helper.from_array(weight, "weight")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    data = model.SerializeToString()
+    folder.mkdir()
+    (folder / "policy.onnx").write_bytes(data)
+    control = "action: joint_position_offset, scale: 0.0001, clip: 100"
+    card = CARD % (hashlib.sha256(data).hexdigest(), control)
+    terms = f"terms: [{term}, {{term: constant, values: [1]}}]"
+    (folder / "policy.yaml").write_text(card.replace("terms: [joint_vel], history: 2", terms))
+    return load_bundle(folder)
+
+
+def test_a_policy_that_meets_its_clipped_action_again_cannot_run_away(tmp_path):
+    kept = doubling_policy(tmp_path / "kept", "{term: last_output, clipped: true}")
+    made = record(kept, scene=SCENE, seconds=3.0)
+    assert made.actions[:9, 0].tolist() == [1, 3, 7, 15, 31, 63, 127, 201, 201]
+    assert made.actions.max() == 201
+    free = doubling_policy(tmp_path / "free", "last_output")
+    with pytest.raises(PolicyFailedError, match="inf"):
+        record(free, scene=SCENE, seconds=3.0)
 
 
 def test_held_actions_and_recurrent_state_survive_a_restore(tmp_path, make_job):

@@ -125,6 +125,29 @@ def test_ramps_have_no_lip_at_their_foot_nor_at_their_crest(name):
     assert steps.max() == pytest.approx(0.002 * steepest, rel=0.05)
 
 
+@pytest.mark.parametrize("name", ["ramps/one_ramp_plaza", "ramps/two_ramps_car_park_night"])
+def test_a_slope_of_the_grounds_own_grey_has_strips_across_from_foot_to_crest(name):
+    slopes = [patch for patch in get_scene(name).splat.place.patches if _is_slope(patch)]
+    assert len(slopes) == 2 * len(_BY_NAME[name].course.angles)
+    for slope in slopes:
+        length, width = (math.hypot(*edge) for edge in (slope.u, slope.v))
+        rects = [decal.rect for decal in slope.decals]
+        assert len(rects) >= 3
+        low, _, high, _ = np.transpose(rects)
+        # As far from one end as from the other, evenly between, and nearly as wide as the slope.
+        assert low[0] == pytest.approx(length - high[-1])
+        assert np.diff(low) == pytest.approx(low[1] - low[0])
+        assert 0.0 < low[0] < low[1] - low[0]
+        assert all(0.0 < right < 0.1 < width - 0.1 < left < width for _, right, _, left in rects)
+        assert all(decal.material != slope.material for decal in slope.decals)
+
+
+def _is_slope(patch):
+    """Whether a patch is the upper side of a board that rises or falls along the trail."""
+    upwards = patch.u[0] * patch.v[1] - patch.u[1] * patch.v[0]
+    return patch.kind == "obstacle" and upwards > 0.5 and abs(patch.u[2]) > 0.1
+
+
 @pytest.mark.parametrize("name", [n for n in _of("ramps/") if "board" in n])
 def test_boards_lean_inwards_from_alternate_sides(name):
     course, scene = _BY_NAME[name].course, get_scene(name)

@@ -36,9 +36,27 @@ def test_every_sensor_is_on_the_sheet(place, tmp_path):
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_a_scene_without_a_splat_says_so(place, tmp_path):
+def test_a_scene_without_a_splat_shows_what_needs_none(place, tmp_path):
+    scene = place(*BARS)
+    gallery.draw_gallery(scene, tmp_path / "bare.png")
+    gallery.draw_gallery(scene, tmp_path / "full.png", renderer=GreyWall())
+    bare, full = (np.asarray(PillowImage.open(tmp_path / f"{n}.png")) for n in ("bare", "full"))
+    assert bare.shape == full.shape
+    rows, columns = np.nonzero((bare != full).any(axis=-1))
+    # The three panels of splat_rgb differ, in the first row, and no other.
+    width, height = gallery.PANEL
+    assert columns.max() < 3 * (width + 8) + 8
+    assert rows.max() < 2 * height
+    assert (bare[rows, columns] > 200).mean() > 0.8
+
+
+def test_a_card_that_needs_images_of_a_splat_is_refused_a_scene_without_one(place, tmp_path):
+    (tmp_path / "policy.yaml").write_text(
+        "nw-policy: 1\nname: m\nrobot: go1\nadapter: zero\n"
+        "control: {action: joint_position_offset}\nobservations: {eye: {sensor: splat_rgb}}\n"
+    )
     with pytest.raises(SceneError, match="has no splat"):
-        gallery.draw_gallery(place(), tmp_path / "sensors.png")
+        gallery.draw_card(load_bundle(tmp_path), place(), tmp_path / "seen.png")
 
 
 def test_a_folder_that_is_not_there_is_made_or_told(place, tmp_path):

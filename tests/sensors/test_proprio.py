@@ -123,6 +123,18 @@ def test_a_term_is_clipped_then_scaled_then_shifted(world, read):
     assert read(world, terms(term)).tolist() == [2.5, -19.5, 1.0]
 
 
+@pytest.mark.parametrize("word", ["last_output", "applied_action"])
+def test_an_action_is_fed_back_as_it_was_said_or_within_the_limits_of_actions(
+    word, world, read, moment_of
+):
+    moment, control = moment_of(world, applied=130.0, output=-130.0), {"clip": [-3, 100]}
+    said, kept = {"last_output": (-130.0, -3.0), "applied_action": (130.0, 100.0)}[word]
+    raw = read(world, terms(word), moment=moment, control=control)
+    clipped = read(world, terms({"term": word, "clipped": True}), moment=moment, control=control)
+    assert set(raw) == {said}
+    assert set(clipped) == {kept}
+
+
 def test_an_observation_is_clipped_after_scaling(world, read):
     world.data.qvel[3:6] = [10.0, -10.0, 0.5]
     term = {"term": "ang_vel", "scale": 20.0}

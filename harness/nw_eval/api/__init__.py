@@ -11,6 +11,7 @@ from nw_eval.api.places import check_scenes, list_scenes, render_scenes, show_sc
 from nw_eval.api.plans import check, plan
 from nw_eval.api.policies import (
     check_policy,
+    fold_policy,
     init_policy,
     list_policies,
     serve_policy,
@@ -30,6 +31,7 @@ __all__ = [
     "check_policy",
     "check_scenes",
     "draw_sensors",
+    "fold_policy",
     "init_policy",
     "list_policies",
     "list_scenes",

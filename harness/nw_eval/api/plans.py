@@ -49,13 +49,15 @@ def plan(
         collision: how scan meshes collide: as compiled terrain, or by their own triangles.
 
     Raises:
-        UsageError: an option cannot be used, or there is no such suite.
+        UsageError: an option cannot be used, there is no such suite, or the policy needs images of
+            a scene that has no splat.
         SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
         PolicyError: only the policy cannot be used, and its own files are to blame.
     """
     from nw_eval import scenes as places
     from nw_eval.api.faults import Faults, open_policy, open_scenes
     from nw_eval.engine.plan import Plan
+    from nw_eval.engine.prepare import check_splats
     from nw_eval.suite import Suite, draft_of, draft_suite, expand, override
 
     draft = draft_of(suite) if isinstance(suite, Suite) else draft_suite(suite)
@@ -84,6 +86,7 @@ def plan(
             f"--scenes {asked} matches no scene of suite {told.name!r}",
             fix=nearest(asked.replace("*", ""), [scene.name for scene in found]),
         )
+    check_splats(bundle.card, chosen)
     return Plan(
         suite=told,
         bundle=bundle,

@@ -62,19 +62,24 @@ def check_policy(
     return Message(text=told.text, exit_code=0 if told.passed else UsageError.exit_code)
 
 
-def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Message:
+def init_policy(
+    checkpoint: Path, *, robot: str, out: Path | None = None, layout: str | None = None
+) -> Message:
     """Inspect a checkpoint without running it, and write a first card beside it.
 
     Args:
         checkpoint: any format that an adapter reads.
         robot: which robot the policy drives.
         out: the card to write; `policy.yaml` beside the checkpoint if None.
+        layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
-        PolicyError: the file cannot be read, could run code, or holds an unknown network.
+        PolicyError: the file cannot be read, could run code, holds an unknown network, or does not
+            fit `layout`.
         UsageError: there is a card already.
     """
     from nw_eval.policies.card_file import CARD_FILE
+    from nw_eval.policies.inspect.beside import files_beside
     from nw_eval.policies.inspect.draft import draft_of
     from nw_eval.rollout.access import inspecting_rules
     from nw_eval.rollout.isolated import call_isolated
@@ -90,10 +95,38 @@ def init_policy(checkpoint: Path, *, robot: str, out: Path | None = None) -> Mes
             checkpoint=str(checkpoint),
             robot=robot,
             folder=str(card.parent),
+            layout=layout,
         )
     )
+    if card.parent.resolve() == checkpoint.parent.resolve():
+        text += files_beside(checkpoint)
     write_text(card, text)
     return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
+
+
+def fold_policy(checkpoint: Path, *, out: Path) -> str:
+    """Write an ONNX graph and the weights in files beside it as one file, without running it.
+
+    Args:
+        checkpoint: the graph.
+        out: the file to write.
+
+    Raises:
+        PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
+        UsageError: `out` exists already, or cannot be written.
+    """
+    from nw_eval.policies.onnx_fold import fold
+    from nw_eval.rollout.access import folding_rules
+    from nw_eval.rollout.isolated import call_isolated
+
+    size = call_isolated(
+        fold,
+        subject=str(checkpoint),
+        rules=folding_rules(checkpoint, out),
+        checkpoint=str(checkpoint),
+        out=str(out),
+    )
+    return f"{out}: {int(size) / 1e6:.2f} MB, graph and weights"
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Self
 
 from nw_eval.confinement import child_environment
 from nw_eval.engine import worker
+from nw_eval.engine.order import next_place
 from nw_eval.engine.process import UnstartedError, WorkerProcess
 from nw_eval.errors import TrialError
 
@@ -117,7 +118,15 @@ class LocalWorkers:
                 fix="use fewer --workers",
             ) from error
         self._busy.append(new)
-        new.give(self._queue.popleft())
+        new.give(self._next(new))
+
+    def _next(self, each: WorkerProcess) -> TrialJob:
+        """Take a worker's next job from the queue."""
+        taken = {scene for other in self._busy for scene in other.scenes}
+        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
+        job = self._queue[place]
+        del self._queue[place]
+        return job
 
     def _look(self, each: WorkerProcess) -> Finished | None:
         """Return what a worker's job came to, if it did, and give the worker another one."""
@@ -143,7 +152,7 @@ class LocalWorkers:
         self._stillborn = 0
         is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
         if is_well and self._queue:
-            each.give(self._queue.popleft())
+            each.give(self._next(each))
         else:
             self._dismiss(each)
         return Finished(job=job, result=result)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from hashlib import sha256
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Container, Iterable
 
     from nw_eval.suite.trials import Trial
 
@@ -19,6 +20,27 @@ def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     short has met every scene about equally often.
     """
     return tuple(sorted(trials, key=lambda trial: (trial.index, _rank(trial))))
+
+
+def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Container[str]) -> int:
+    """Return the place, among waiting trials in order, of the one that a worker takes next.
+
+    It is of the first's round, so that scenes are met as equally as without choice: one in a scene
+    that the worker has loaded, or else one in a scene that nobody has, or else the first.
+
+    Args:
+        waiting: one trial or more.
+        own: scenes that the worker has loaded.
+        taken: scenes that any worker has.
+    """
+    trials = iter(waiting)
+    first = next(trials)
+    scenes = [first.scene]
+    scenes += [trial.scene for trial in takewhile(lambda t: t.index == first.index, trials)]
+    return min(
+        range(len(scenes)),
+        key=lambda place: 0 if scenes[place] in own else 1 + (scenes[place] in taken),
+    )
 
 
 def _rank(trial: Trial) -> bytes:

@@ -77,7 +77,7 @@ def plan_jobs(
             policy=str(bundle.card_path.resolve()),
             policy_name=bundle.name,
             checkpoint=None if plan.checkpoint is None else plan.checkpoint.resolve(),
-            checkpoint_digest=bundle.checkpoint_sha256,
+            checkpoint_digest=bundle.checkpoint_digest,
             allow_code=plan.allow_code,
             record=suite.record,
             mcap=folder.mcap(trial.scene, trial.id).resolve(),

@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.worker import WorkerStart
+from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.access import running_rules
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
@@ -25,8 +26,22 @@ _WORTH_SAYING = 3.0  # s
 
 def needs_splats(card: Card, record: Record) -> bool:
     """Return whether any trial may render: for the policy's eyes or for the log."""
-    sees = any(spec.sensor == "splat_rgb" for spec in card.observations.values())
-    return sees or record != "none"
+    return bool(_camera_images(card)) or record != "none"
+
+
+def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
+    """Refuse scenes without a splat to a policy that must see one.
+
+    Raises:
+        UsageError: naming the scenes, and what of the card cannot be made there.
+    """
+    names, without = _camera_images(card), [s.name for s in scenes if s.splat is None]
+    if names and without:
+        raise UsageError(
+            f"{', '.join(without)}: no splat, of which policy {card.name!r} needs images: "
+            f"{', '.join(f'`{name}`' for name in names)}",
+            fix="use a policy without splat_rgb, or add a splat file to the scene folder",
+        )
 
 
 def open_backend(render: Backend, listener: Listener) -> None:
@@ -76,6 +91,10 @@ def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
                 listener.scene(name, fraction)
 
             scene.splat_store(progress)
+
+
+def _camera_images(card: Card) -> list[str]:
+    return [name for name, spec in card.observations.items() if spec.sensor == "splat_rgb"]
 
 
 def worker_start(jobs: Sequence[TrialJob], folder: RunFolder) -> WorkerStart:

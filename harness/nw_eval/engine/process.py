@@ -73,6 +73,7 @@ class WorkerProcess:
             back.close()
         self.job: TrialJob | None = None
         self.jobs_done = 0
+        self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
         self._is_taken = False
         self._deadline = 0.0
         self._heard = b""
@@ -85,6 +86,7 @@ class WorkerProcess:
     def give(self, job: TrialJob) -> None:
         """Hand over a job to a process that has none."""
         self.job = job
+        self.scenes.add(job.trial.scene)
         self._is_taken = False
         self._deadline = monotonic() + _START_LIMIT
         with suppress(OSError):  # It has died; `look` says so.

@@ -58,6 +58,8 @@ def make_row(
         log_s=result.wall.log,
         wall_s=result.wall_seconds,
         contact_s=result.contact_s,
+        setup_s=result.wall.setup,
+        sense_s=result.wall.sense,
         coverage_min=result.coverage_min,
         coverage_mean=result.coverage_mean,
         state_digest=result.state_digest,

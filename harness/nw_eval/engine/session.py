@@ -170,7 +170,7 @@ def _info(
             name=bundle.name,
             adapter=bundle.card.adapter,
             card_digest=bundle.digest,
-            checkpoint_digest=bundle.checkpoint_sha256,
+            checkpoint_digest=bundle.checkpoint_digest,
             card=str(bundle.card_path.resolve()),
             origin="" if bundle.checkpoint is not None else bundle.origin,
             checkpoint="" if plan.checkpoint is None else str(plan.checkpoint.resolve()),

@@ -5,13 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import stat
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.policies.card import Card
 from nw_eval.policies.card_file import CARD_FILE, load_card
+from nw_eval.policies.checkpoint import Checkpoint
 from nw_eval.policies.code_digest import code_digest
 from nw_eval.policies.observations.plugins import is_code
 from nw_eval.shipped import available, shipped
@@ -24,6 +27,13 @@ NOTHING = hashlib.sha256(b"").hexdigest()
 
 _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
+
+
+class Weights(NamedTuple):
+    """A file whose digest has been verified."""
+
+    path: Path
+    sha256: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +49,10 @@ class Bundle:
     says, for a remote policy, and empty until it was asked; else `NOTHING`."""
     code_sha256: str = ""
     """`code_digest` of the card's folder, if the card imports code; else empty."""
+    networks: Mapping[str, Weights] = field(default_factory=dict[str, Weights])
+    """The files of the networks that feed the checkpoint, by name."""
+    network: str = ""
+    """Which network of its card this is the bundle of; empty for the policy itself."""
 
     @property
     def name(self) -> str:
@@ -51,6 +65,44 @@ class Bundle:
         return self.card_path.parent
 
     @property
+    def subject(self) -> str:
+        """What an error calls it."""
+        policy = f"policy {self.name!r}"
+        return f"network `{self.network}` of {policy}" if self.network else policy
+
+    @property
+    def where(self) -> str:
+        """Where an error says that a card is wrong."""
+        return f"{self.card_path}: networks.{self.network}" if self.network else str(self.card_path)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of weights."""
+        own = () if self.checkpoint is None else (self.checkpoint,)
+        return (*own, *(weights.path for weights in self.networks.values()))
+
+    @property
+    def checkpoint_digest(self) -> str:
+        """Hex digest of all weights: `checkpoint_sha256`; with networks, of it and theirs."""
+        if not self.networks:
+            return self.checkpoint_sha256
+        feeding = {name: weights.sha256 for name, weights in self.networks.items()}
+        text = json.dumps([self.checkpoint_sha256, feeding], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def of_network(self, name: str) -> Bundle:
+        """Return the bundle of one of the networks, as if it were the policy."""
+        weights = self.networks[name]
+        return replace(
+            self,
+            card=self.card.of_network(name),
+            checkpoint=weights.path,
+            checkpoint_sha256=weights.sha256,
+            networks={},
+            network=name,
+        )
+
+    @property
     def origin(self) -> str:
         """What the digests say, short and in words."""
         told: list[str] = []
@@ -58,8 +110,8 @@ class Bundle:
             told.append("the server gives no digest")
         elif self.card.adapter == "remote":
             told.append(f"served {self.checkpoint_sha256[:16]}")
-        elif self.checkpoint is not None:
-            told.append(self.checkpoint_sha256[:16])
+        elif self.files:
+            told.append(self.checkpoint_digest[:16])
         if self.code_sha256 == NOTHING:
             told.append("no code in the card's folder")
         elif self.code_sha256:
@@ -72,12 +124,18 @@ class Bundle:
         fields = self.card.model_dump(
             mode="json", by_alias=True, exclude={"title", "licence", "checkpoint"}
         )
+        for network in fields["networks"].values():
+            del network["checkpoint"]
+        if not fields["networks"]:
+            del fields["networks"]  # Cards have the digest that they had before there were any.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
         code = [self.code_sha256] if self.code_sha256 else []
-        text = json.dumps([fields, self.checkpoint_sha256, *code], sort_keys=True)
+        # Their order counts where a file takes its inputs in it. Other cards keep what they had.
+        is_sorted = not self.networks
+        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=is_sorted)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def read_checkpoint(self) -> bytes:
@@ -100,53 +158,66 @@ class Bundle:
 def load_bundle(
     name_or_path: str | Path, *, search: Path | None = None, checkpoint: Path | None = None
 ) -> Bundle:
-    """Find a bundle, read its card and verify its checkpoint.
+    """Find a bundle, read its card and verify its checkpoint and networks.
 
     Args:
         name_or_path: name of a shipped bundle or of one in the project's `policies/`, a folder
             with a `policy.yaml` (also relative to the shipped policies), or a card.
         search: the project folder, by default the working directory.
-        checkpoint: weights to use in place of those that the card names. They are the caller's
-            choice: their digest is computed and recorded, not compared with the card's. So are
-            those that a card without a digest names.
+        checkpoint: weights to use in place of those of the card's `checkpoint`. They are the
+            caller's choice: their digest is computed and recorded, not compared with the card's. So
+            are those that a card names without a digest.
 
     Raises:
-        PolicyError: there is no such bundle; the card has problems; the checkpoint is missing,
+        PolicyError: there is no such bundle; the card has problems; a file of weights is missing,
             too large, outside the card's folder, or has another digest than the card says; the
             code beside the card is too large or cannot be read.
     """
     card_path = find_card(name_or_path, search=search)
     card = load_card(card_path)
     code = code_digest(card_path.parent) if _imports_code(card) else ""
+    networks = {
+        name: _verified(card_path, network.checkpoint, network=name)
+        for name, network in card.networks.items()
+    }
     if card.checkpoint is None:
         if checkpoint is not None:
             raise PolicyError(
                 f"{card_path}: policy {card.name!r} has no weights, but --checkpoint gives some",
                 fix="drop --checkpoint",
             )
-        known = "" if card.adapter == "remote" else code or NOTHING
-        return Bundle(
-            card=card,
-            card_path=card_path,
-            checkpoint=None,
-            checkpoint_sha256=known,
-            code_sha256=code,
-        )
-    path = checkpoint if checkpoint is not None else _beside(card_path, card.checkpoint.file)
-    actual = hashlib.sha256(_read(path, card_path, card.checkpoint.source)).hexdigest()
-    wanted = card.checkpoint.sha256
-    if checkpoint is None and wanted is not None and actual != wanted:
-        raise PolicyError(
-            f"{path}: the checkpoint's SHA-256 is {actual}, the card says {wanted}",
-            fix="get the right file, or correct `checkpoint.sha256` if this one is meant",
-        )
+        weights = None
+    elif checkpoint is None:
+        weights = _verified(card_path, card.checkpoint)
+    else:
+        weights = _measured(checkpoint, card_path, card.checkpoint.source)
+    known = "" if card.adapter == "remote" else code or NOTHING
     return Bundle(
         card=card,
         card_path=card_path,
-        checkpoint=path,
-        checkpoint_sha256=actual,
+        checkpoint=None if weights is None else weights.path,
+        checkpoint_sha256=known if weights is None else weights.sha256,
         code_sha256=code,
+        networks=networks,
     )
+
+
+def _verified(card_path: Path, named: Checkpoint, *, network: str = "") -> Weights:
+    """Return the file of a policy, or of one of its networks; the one that the card means."""
+    key = f"networks.{network}.checkpoint" if network else "checkpoint"
+    weights = _measured(_beside(card_path, named.file), card_path, named.source, is_own=not network)
+    if named.sha256 is not None and weights.sha256 != named.sha256:
+        raise PolicyError(
+            f"{weights.path}: the checkpoint's SHA-256 is {weights.sha256}, the card says "
+            f"{named.sha256}",
+            fix=f"get the right file, or correct `{key}.sha256` if this one is meant",
+        )
+    return weights
+
+
+def _measured(path: Path, card_path: Path, source: str | None, *, is_own: bool = True) -> Weights:
+    data = _read(path, card_path, source, is_own=is_own)
+    return Weights(path, hashlib.sha256(data).hexdigest())
 
 
 def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
@@ -205,11 +276,11 @@ def _beside(card_path: Path, file: str) -> Path:
     except OutsideError as error:
         raise PolicyError(
             f"{card_path}: checkpoint {file!r} lies outside the card's folder: {error}",
-            fix="put the file itself inside, or use --checkpoint",
+            fix="put the file itself inside; only --checkpoint may lie elsewhere",
         ) from None
 
 
-def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
+def _read(path: Path, card_path: Path, source: str | None = None, *, is_own: bool = True) -> bytes:
     try:
         facts = path.stat()
         if not stat.S_ISREG(facts.st_mode):  # A device or a pipe may never end.
@@ -226,7 +297,7 @@ def _read(path: Path, card_path: Path, source: str | None = None) -> bytes:
         origin = f" (from {source})" if source else ""
         raise PolicyError(
             f"{path}: the checkpoint is missing",
-            fix=f"put it{origin} at {card_path.parent}, or give --checkpoint FILE",
+            fix=f"put it{origin} at {card_path.parent}" + (", or give --checkpoint FILE" * is_own),
         ) from None
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         raise PolicyError(

@@ -12,11 +12,13 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from nw_eval.errors import nearest
-from nw_eval.inside import OutsideError, checked
 from nw_eval.policies.action_filter import ButterworthFilter, LowPass
+from nw_eval.policies.card_networks import Inputs, Network, OutputKey, input_parts
+from nw_eval.policies.checkpoint import Checkpoint
 from nw_eval.policies.joints import PerJoint
 from nw_eval.policies.model import CONTROL_RATE, CardModel, Limits, Line
 from nw_eval.policies.observations import Observation, ProprioObservation
+from nw_eval.policies.terms import AppliedAction, LastOutput
 from nw_eval.policies.terms import Command as CommandTerm
 
 PHYSICS_RATE = 200
@@ -50,36 +52,6 @@ def _plain_name(name: str) -> str:
         message = f"{name[:70]!r} is no name for a policy"
         raise ValueError(f"{message}; use a-z, 0-9, '.', '_' and '-', at most 64 of them")
     return name
-
-
-def _plain_file(name: str) -> str:
-    try:
-        checked(name)
-    except OutsideError as error:
-        message = f"{name!r} leaves the card's folder: {error}"
-        raise ValueError(f"{message}; give a name inside it, or use --checkpoint") from None
-    return name
-
-
-def _sha256(digest: str) -> str:
-    if not re.fullmatch(r"[0-9a-fA-F]{64}", digest):
-        message = f"{digest[:20]!r} is no SHA-256, which has 64 hex digits, not {len(digest)}"
-        raise ValueError(f"{message}; `sha256sum FILE` prints it")
-    return digest.lower()
-
-
-Sha256 = Annotated[str, AfterValidator(_sha256)]
-
-
-class Checkpoint(CardModel):
-    """The file of weights, and the digest that it must have."""
-
-    file: Annotated[str, AfterValidator(_plain_file)]
-    """Path inside the card's folder."""
-    sha256: Sha256 | None = None
-    """Hex digest that the file must have; None = whatever lies there is taken, and recorded."""
-    source: Line | None = None
-    """Where people get the file if it does not lie beside the card."""
 
 
 class Control(CardModel):
@@ -223,12 +195,17 @@ class Card(CardModel):
     """What the policy is told to do."""
     observations: dict[str, Observation] = Field(default_factory=dict[str, Observation])
     """By name, in the order in which a checkpoint with one input takes them."""
-    inputs: dict[str, list[str]] | None = None
-    """For each input of the checkpoint, the observations that are joined to make it.
+    networks: dict[str, Network] = Field(default_factory=dict[str, Network], max_length=16)
+    """By name, files of their own that feed the checkpoint, or each other. What they give is named
+    in `inputs` as an observation is."""
+    inputs: Inputs | None = None
+    """For each input of the checkpoint, the observations and networks that are joined to make it;
+    or just their list, for a checkpoint with one input.
 
     None = the checkpoint has one input, made of all observations."""
-    output: str | None = None
-    """Which output of the checkpoint is the action; None = its only or first one."""
+    output: OutputKey | None = None
+    """Which output of the checkpoint is the action: its name, or its place (from 0) among those
+    that feed no recurrent state; None = its only or first one."""
     recurrent: dict[str, str] | None = None
     """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:
     h_out}`. None = the pairs that its names show. Only `onnx` needs to be told."""
@@ -259,8 +236,7 @@ class Card(CardModel):
             raise ValueError("`checkpoint` is missing; add `checkpoint: {file: ..., sha256: ...}`")
         if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
-        self._check_inputs()
-        self._check_command()
+        self._check_terms()
         self._check_rates()
         if self.recurrent and self.adapter != "onnx":
             message = f"`recurrent` is for adapter onnx; `{self.adapter}` keeps its state itself"
@@ -275,37 +251,33 @@ class Card(CardModel):
                     f"{self.control.rate} Hz; give a rate that divides it"
                 )
 
-    def _check_inputs(self) -> None:
-        used: list[str] = []
-        for name, parts in (self.inputs or {}).items():
-            if name in (self.recurrent or {}):
-                raise ValueError(f"inputs: {name!r} is in `recurrent` too; name it in one of them")
-            if not parts:
-                raise ValueError(f"inputs: {name!r} has no observations; name at least one")
-            for part in parts:
-                if part not in self.observations:
-                    hint = nearest(part, self.observations)
-                    raise ValueError(f"inputs: unknown observation {part!r}; {hint}")
-            used.extend(parts)
-        unused = [name for name in self.observations if self.inputs and name not in used]
-        if unused:
-            listed = ", ".join(unused)
-            raise ValueError(f"no input uses the observation {listed}; use it or remove it")
-
-    def _check_command(self) -> None:
-        if isinstance(self.command, WaypointCommand):
-            for name, observation in self.observations.items():
-                if isinstance(observation, ProprioObservation) and any(
-                    isinstance(term, CommandTerm) for term in observation.frame_terms
-                ):
-                    message = f"{name!r} has the term `command` but the card commands no velocity"
-                    raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+    def _check_terms(self) -> None:
+        """Refuse terms that need what the card does not say."""
+        for name, observation in self.observations.items():
+            if not isinstance(observation, ProprioObservation):
+                continue
+            terms = observation.frame_terms
+            if isinstance(self.command, WaypointCommand) and any(
+                isinstance(term, CommandTerm) for term in terms
+            ):
+                message = f"{name!r} has the term `command` but the card commands no velocity"
+                raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+            if self.control.clip is None and any(
+                isinstance(term, LastOutput | AppliedAction) and term.clipped for term in terms
+            ):
+                message = f"{name!r} feeds a clipped action back but the card clips none"
+                raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
-        """Return input names with the observations they are made of.
+        """Return input names with the observations and networks they are made of.
 
         The name is None where the card leaves it to the checkpoint, which has one input then.
         """
-        if self.inputs is None:
-            return ((None, tuple(self.observations)),)
-        return tuple((name, tuple(parts)) for name, parts in self.inputs.items())
+        return input_parts(list(self.observations) if self.inputs is None else self.inputs)
+
+    def of_network(self, name: str) -> Card:
+        """Return the card of one of the networks: of its file alone, as if that were the policy."""
+        network = self.networks[name]
+        alone = {"adapter", "checkpoint", "inputs", "recurrent"}
+        changed = {key: getattr(network, key) for key in alone}
+        return self.model_copy(update={**changed, "networks": {}, "options": {}, "output": None})

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies.card import Card
+from nw_eval.policies.card_inputs import input_problems
 from nw_eval.policies.card_joints import joint_problems
 from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
 
@@ -41,6 +42,8 @@ def load_card(path: Path) -> Card:
     except ValidationError as error:
         problems = validation_problems(error, file, Card, also=_ALSO_CALLED)
         raise PolicyError(problems) from None
-    if problems := joint_problems(card, file):
+    problems = [*joint_problems(card, file), *input_problems(card, file)]
+    if problems:
+        problems.sort(key=lambda problem: (problem.line, problem.column))
         raise PolicyError(problems)
     return card

@@ -37,6 +37,11 @@ def _describe(path: Path) -> tuple[str, str, str]:
     except PolicyError as error:
         return "?", "?", str(error).splitlines()[0]
     title = card.title
-    if card.checkpoint is not None and not (path.parent / card.checkpoint.file).is_file():
-        title += f" (weights: {card.checkpoint.source or 'not here'})"
+    if card.networks:
+        title += f" (fed by {', '.join(card.networks)})"
+    named = [network.checkpoint for network in card.networks.values()]
+    for checkpoint in named if card.checkpoint is None else (card.checkpoint, *named):
+        if not (path.parent / checkpoint.file).is_file():
+            title += f" (weights: {checkpoint.source or 'not here'})"
+            break
     return card.robot, card.adapter, title

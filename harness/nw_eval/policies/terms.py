@@ -117,13 +117,19 @@ class JointVelocity(_Term):
     term: Literal["joint_vel"]
 
 
-class AppliedAction(_Term):
+class _FedBack(_Term):
+    clipped: bool = False
+    """Whether it is fed back after `control.clip`, as legged_gym does; else as the network said it,
+    as extreme-parkour does."""
+
+
+class AppliedAction(_FedBack):
     """The raw action that the last control step applied: after the delay, before scaling (12)."""
 
     term: Literal["applied_action"]
 
 
-class LastOutput(_Term):
+class LastOutput(_FedBack):
     """The policy's own last raw output, which may still wait in the delay queue (12)."""
 
     term: Literal["last_output"]

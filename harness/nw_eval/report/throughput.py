@@ -20,7 +20,7 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True)
 class Throughput:
-    """Stages in the order of a control step, and the simulated time they made."""
+    """Stages in their order, those of a control step after `setup`, and the time they simulated."""
 
     stages: tuple[Stage, ...]
     sim_s: float
@@ -34,9 +34,11 @@ def throughput(rows: Sequence[Row]) -> Throughput:
     wall = sum(row.wall_s for row in run)
     sim = sum(row.sim_s for row in run)
     named = {
-        "physics": sum(row.physics_s for row in run),
+        "setup": sum(row.setup_s for row in run),
+        "sense": sum(row.sense_s for row in run),
         "render": sum(row.render_s for row in run),
         "policy": sum(row.policy_s for row in run),
+        "physics": sum(row.physics_s for row in run),
         "log": sum(row.log_s for row in run),
     }
     # Clocks that overlap by a rounding must not make a negative stage.

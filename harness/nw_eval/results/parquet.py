@@ -26,7 +26,7 @@ from nw_eval.results.row import Row, from_dict, rows_digest, to_dict
 SCHEMA_VERSION = "1"
 """Raised when a column changes its meaning; new columns may be added without."""
 
-_ADDED = frozenset({"contact_s"})
+_ADDED = frozenset({"contact_s", "sense_s", "setup_s"})
 """Columns that came later; in older files a row has what it has by default."""
 
 MOST_BYTES = 256 * 2**20
@@ -81,6 +81,8 @@ SCHEMA = pa.schema(
         pa.field("error_type", _WORD, nullable=False),
         pa.field("error_text", pa.string(), nullable=False),
         pa.field("contact_s", pa.float64(), nullable=False),
+        pa.field("setup_s", pa.float64(), nullable=False),
+        pa.field("sense_s", pa.float64(), nullable=False),
     ]
 )
 

@@ -28,6 +28,8 @@ MEASURED = frozenset(
         "physics_s",
         "policy_s",
         "render_s",
+        "sense_s",
+        "setup_s",
         "wall_s",
     }
 )
@@ -88,6 +90,8 @@ class Row:
     error_type: str = ""
     error_text: str = ""
     contact_s: float = 0.0  # Simulated time during which head or trunk collided.
+    setup_s: float = 0.0  # Scene, world and policy, before the first step.
+    sense_s: float = 0.0  # Observations that are no images.
 
     def __post_init__(self) -> None:
         fault = _mistyped(self)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cache import cache_dir
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.errors import StoreError
+from nw_eval.policies.safety import Limits
 from nw_eval.scenes.whereabouts import scene_paths
 
 if TYPE_CHECKING:
@@ -29,11 +30,21 @@ def inspecting_rules(checkpoint: Path) -> Rules:
     )
 
 
+def folding_rules(checkpoint: Path, out: Path) -> Rules:
+    """Return the rules of a process that writes a checkpoint and files beside it as one file."""
+    return Rules(
+        reads=(checkpoint.resolve().parent,),
+        writes=(out.resolve().parent,),
+        memory=memory_to_open(Limits().file_bytes),
+        seconds=OPENING_SECONDS,
+    )
+
+
 def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
     """Return the rules of a process that opens a bundle's checkpoint, and runs it once."""
     return Rules(
         reads=_files(bundle),
-        memory=memory_to_open(_size(bundle.checkpoint)),
+        memory=memory_to_open(_size(*bundle.files)),
         seconds=OPENING_SECONDS,
         off=why_off(allow_code=allow_code),
     )
@@ -68,7 +79,7 @@ def running_rules(
         ),
         writes=() if logs is None else (logs.resolve(),),
         network="all" if bundle.card.adapter == "remote" else "none",
-        memory=memory_to_run(_size(bundle.checkpoint), scenes=len(places)),
+        memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
         off=why_off(allow_code=allow_code, render=render),
     )
 
@@ -89,8 +100,7 @@ def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:
 
 
 def _files(bundle: Bundle) -> tuple[Path, ...]:
-    weights = () if bundle.checkpoint is None else (bundle.checkpoint.resolve(),)
-    return (bundle.folder.resolve(), *weights)
+    return (bundle.folder.resolve(), *(path.resolve() for path in bundle.files))
 
 
 def _cache() -> tuple[Path, ...]:
@@ -100,8 +110,8 @@ def _cache() -> tuple[Path, ...]:
         return ()
 
 
-def _size(checkpoint: Path | None) -> int:
+def _size(*files: Path) -> int:
     try:
-        return 0 if checkpoint is None else checkpoint.stat().st_size
+        return sum(path.stat().st_size for path in files)
     except OSError:  # It is gone; whoever reads it says so.
         return 0

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image as PillowImage
-from PIL import ImageDraw, ImageFont
 
 from nw_eval.cache import atomic_path
 from nw_eval.errors import StoreError
@@ -17,6 +13,7 @@ from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.third_person import Spectator
+from nw_eval.sensors.sheet import Cell, draw_sheet
 from nw_eval.sim import World
 from nw_eval.splat.render import open_renderer
 from nw_eval.splat.store import open_store
@@ -28,13 +25,10 @@ if TYPE_CHECKING:
     from nw_eval.rollout.replay import Recording
     from nw_eval.scenes import Scene
 
-Bytes = NDArray[np.uint8]
-
 _MOMENTS = 6
 _VIEW = (400, 225)
 _EGO = "ego"
 _ROBOT = "go1"
-_LABEL = 22  # pixels
 _SETTLING = 40  # control steps until a robot that was put down stands
 
 
@@ -52,9 +46,11 @@ def contact_sheet(recording: Recording) -> bytes:
         raise StoreError(f"{recording.path} has no recorded states", fix="run the trial again")
     chosen = np.unique(np.linspace(0, len(states) - 1, _MOMENTS).round().astype(int))
     width, height = _VIEW
-    columns: list[tuple[str, list[Bytes]]] = []
+    cells: list[Cell] = []
     with open_trial(recording.job, Library(), StageClock()) as trial:
-        spectator = Spectator(trial.scene, trial.renderer())
+        splat = None if trial.scene.splat is None else trial.renderer()
+        spectator = Spectator(trial.scene, splat)
+        drawn = _as_drawn(trial.scene)
         world, trail = trial.episode.world, trial.episode.progress.waypoints
         for index in chosen:
             trial.episode.restore(states[index])
@@ -64,8 +60,8 @@ def contact_sheet(recording: Recording) -> bytes:
                 spectator.beside(world, trail, width=width, height=height),
                 spectator.aboard(world, trail, _EGO, width=width, height=height),
             ]
-            columns.append((label, views))
-    return _drawn(columns, rows=2, across=len(columns) // 2 or 1)
+            cells.append(Cell(name=label, images=views))
+    return draw_sheet(cells, across=len(cells) // 2 or 1, title=_title(recording, drawn))
 
 
 def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) -> None:
@@ -75,10 +71,13 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
         StoreError: the picture cannot be written.
     """
     height = width * 9 // 16
-    cells: list[tuple[str, list[Bytes]]] = []
+    cells: list[Cell] = []
     robot = get_robot(_ROBOT)
     for scene in scenes:
-        spectator = Spectator(scene, open_renderer(open_store(scene.splat_store()), "cpu"))
+        splat = None
+        if scene.splat is not None:
+            splat = open_renderer(open_store(scene.splat_store()), "cpu")
+        spectator = Spectator(scene, splat)
         with World(robot, scene) as world:
             for _ in range(_SETTLING):
                 world.step(robot.default_pose)
@@ -86,8 +85,9 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
                 spectator.beside(world, scene.trail, width=width, height=height),
                 spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
             ]
-        cells.append((f"{scene.name}: {scene.title}", views))
-    write_picture(_drawn(cells, rows=2, across=max(1, round(len(cells) ** 0.5))), path)
+        caption = f"{scene.title}{_as_drawn(scene)}"
+        cells.append(Cell(name=scene.name, caption=caption, images=views))
+    write_picture(draw_sheet(cells, across=max(1, round(len(cells) ** 0.5))), path)
 
 
 def write_picture(picture: bytes, path: Path) -> None:
@@ -100,29 +100,15 @@ def write_picture(picture: bytes, path: Path) -> None:
         temporary.write_bytes(picture)
 
 
-def _drawn(cells: list[tuple[str, list[Bytes]]], *, rows: int, across: int) -> bytes:
-    """Return a PNG of cells in a grid: each has a label and `rows` views below one another."""
-    view_height, view_width, _ = cells[0][1][0].shape
-    cell_height = _LABEL + rows * view_height
-    down = -(-len(cells) // across)
-    sheet = PillowImage.new("RGB", (across * view_width, down * cell_height), "white")
-    for number, (label, views) in enumerate(cells):
-        x, y = number % across * view_width, number // across * cell_height
-        sheet.paste(_label(label, view_width), (x, y))
-        for row, view in enumerate(views):
-            sheet.paste(PillowImage.fromarray(view), (x, y + _LABEL + row * view_height))
-    with BytesIO() as file:
-        sheet.save(file, format="PNG", optimize=True)
-        return file.getvalue()
+def _as_drawn(scene: Scene) -> str:
+    return "" if scene.splat is not None else " (no splat: its mesh is drawn)"
 
 
-def _label(text: str, width: int) -> PillowImage.Image:
-    """Return a strip of text, cut off with an ellipsis where it does not fit."""
-    strip = PillowImage.new("RGB", (width, _LABEL), "white")
-    font = ImageFont.load_default(size=_LABEL - 8)
-    room, cut = width - 12, text
-    while cut and font.getlength(cut if cut == text else f"{cut}...") > room:
-        cut = cut[:-1]
-    shown = text if cut == text else f"{cut}..."
-    ImageDraw.Draw(strip).text((6, 3), shown, fill="black", font=font)
-    return strip
+def _title(recording: Recording, drawn: str) -> str:
+    """Return which trial this was and how it ended."""
+    said, job = recording.verdict, recording.job
+    end = said.get("outcome") or said.get("error_type") or "no outcome"
+    reason = said.get("end_reason") or said.get("error_text")
+    end = f"{end} ({reason})" if reason else end
+    trial = f"{job.trial.scene}, trial {job.trial.index:03d}"
+    return f"{trial} of {job.policy_name or job.policy}: {end}{drawn}"

@@ -136,10 +136,10 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
 
 def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
     """Refuse a scene or checkpoint that is not what the trial's identity and row say."""
-    if bundle.card.adapter != "remote" and bundle.checkpoint_sha256 != job.checkpoint_digest:
+    if bundle.card.adapter != "remote" and bundle.checkpoint_digest != job.checkpoint_digest:
         kind = "checkpoint" if bundle.checkpoint is not None else "code"
         raise PolicyError(
-            f"the {kind} of {job.policy!r} is {bundle.checkpoint_sha256[:12]}, the trial was "
+            f"the {kind} of {job.policy!r} is {bundle.checkpoint_digest[:12]}, the trial was "
             f"planned with {job.checkpoint_digest[:12]}",
             fix="name the bundle or the --checkpoint that it was planned with",
         )

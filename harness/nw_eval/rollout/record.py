@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import platform
+from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,12 +37,15 @@ _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_
 
 def provenance() -> dict[str, str]:
     """Return versions and architecture, without importing anything heavy."""
-    found = {"nw-eval": __version__, "architecture": platform.machine()}
+    return {"nw-eval": __version__, "architecture": platform.machine(), **_versions()}
+
+
+@cache  # Finding six packages takes some ms, which every trial would wait for.
+def _versions() -> dict[str, str]:
+    found: dict[str, str] = {}
     for name in _LIBRARIES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 

@@ -1,23 +1,27 @@
-"""The view of somebody who stands beside: the splat, with robot and cones in it."""
+"""The view of somebody who stands beside: the place, with robot and cones in it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from nw_eval.rollout.contact_shadow import ContactShadow
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.cones import Cones
+from nw_eval.sensors.insert import insert
+from nw_eval.sensors.mesh_picture import MeshPicture
 from nw_eval.sensors.overlay import draw, ray_directions
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.composite import composite
 from nw_eval.splat.pixels import Pixels
 
 if TYPE_CHECKING:
     from nw_eval.scenes import Scene
     from nw_eval.sim import World
+    from nw_eval.splat.image import Image
     from nw_eval.splat.render import Renderer
 
 Bytes = NDArray[np.uint8]
@@ -33,12 +37,18 @@ _SHORT_OF_WALLS = 0.85
 
 
 class Spectator:
-    """Takes third-person pictures of one scene; owns nothing that must be closed."""
+    """Takes third-person pictures of one scene; owns nothing that must be closed.
 
-    def __init__(self, scene: Scene, renderer: Renderer, *, rays: RayScene | None = None) -> None:
+    Args:
+        scene: what is seen.
+        renderer: of its splat; None draws its mesh.
+    """
+
+    def __init__(self, scene: Scene, renderer: Renderer | None) -> None:
         self._scene = scene
-        self._renderer = renderer
-        self._rays = RayScene(scene.mesh()) if rays is None else rays
+        self._rays = RayScene(scene.mesh())
+        drawn = MeshPicture(self._rays, scene.T_world_splat)
+        self._renderer = drawn if renderer is None else renderer
 
     def beside(self, world: World, trail: NDArray[np.float64], *, width: int, height: int) -> Bytes:
         """Return the robot from behind its right shoulder, (height, width, 3)."""
@@ -87,18 +97,40 @@ class Spectator:
             fovy=fovy,
             T_world_camera=T,
         )
+        directions = ray_directions(camera, Pixels())
         overlay = draw(
-            ray_directions(camera, Pixels()),
+            directions,
             T_world_camera,
             cones=Cones(trail),
             robot=world,
+            static=self._rays,
             is_aboard=is_aboard,
         )
-        image = composite(
-            self._renderer.render(camera), overlay.rgb, overlay.depth, overlay.coverage
+        image = self._shadowed(self._renderer.render(camera), directions, T_world_camera, world)
+        image = insert(
+            image,
+            overlay,
+            directions=directions,
+            T_world_camera=T_world_camera,
+            static=self._rays,
         )
         large = PillowImage.fromarray(image.bytes())
         return np.asarray(large.resize((width, height), PillowImage.Resampling.BOX))
+
+    def _shadowed(
+        self,
+        image: Image,
+        directions: NDArray[np.float64],
+        T_world_camera: NDArray[np.float64],
+        world: World,
+    ) -> Image:
+        """Return the picture with the robot's contact shadow on the ground."""
+        rays = directions.reshape(-1, 3) @ T_world_camera[:3, :3].T
+        origin = T_world_camera[:3, 3]
+        distance, _ = self._rays.cast(np.broadcast_to(origin, rays.shape), rays)
+        points = origin + np.where(np.isfinite(distance), distance, 1e6)[:, np.newaxis] * rays
+        factors = ContactShadow(world, self._rays).factors(points).reshape(image.alpha.shape)
+        return replace(image, rgb=image.rgb * factors[..., np.newaxis].astype(np.float32))
 
     def _in_front_of_walls(
         self, near: NDArray[np.float64], far: NDArray[np.float64]

@@ -105,6 +105,7 @@ class Humps:
         material: of the boards.
         body: of the blocks under the decks.
         top: of the decks; the boards' material where not given.
+        treads: of strips across the slopes; none where not given.
     """
 
     angles: tuple[float, ...]
@@ -117,6 +118,7 @@ class Humps:
     material: str = "plywood"
     body: str = "timber/brown"
     top: str | None = None
+    treads: str | None = None
 
     @property
     def floor(self) -> float:
@@ -138,14 +140,18 @@ class Humps:
             y = (self._shift(index) - self.width / 2, self._shift(index) + self.width / 2)
             crest, brink = start + run, start + run + deck
             texture = (2.1 * index, 0.0)
-            pitched_board(stage, (start, crest), (0.0, height), y, self.material, texture=texture)
+            pitched_board(
+                stage, (start, crest), (0.0, height), y, self.material, treads=self.treads,
+                texture=texture,
+            )  # fmt: skip
             stage.box(
                 (crest, brink), y, (0.0, height), self.body, top=self.top or self.material,
                 kind="obstacle", fine=0.7, texture=texture,
             )  # fmt: skip
             pitched_board(
-                stage, (brink, brink + run), (height, 0.0), y, self.material, texture=texture
-            )
+                stage, (brink, brink + run), (height, 0.0), y, self.material, treads=self.treads,
+                texture=texture,
+            )  # fmt: skip
 
     def _humps(self) -> tuple[tuple[float, float, float, float], ...]:
         """Return where each hump starts, the run of its slopes, its deck's length and height."""

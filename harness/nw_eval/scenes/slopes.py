@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.scenes.places.parts import Pair
+from nw_eval.scenes.places.parts import Decal, Pair
 from nw_eval.scenes.places.stage import ALL_FACES, Stage
 
 THICKNESS = 0.04
 """Of a board, metres."""
 
+# Of the strips that keep shoes from slipping: from one to the next, width, to the sides; metres.
+_TREAD_EVERY, _TREAD, _TREAD_MARGIN = 0.24, 0.06, 0.05
+
 
 def pitched_board(
-    stage: Stage, x: Pair, z: Pair, y: Pair, material: str, *, texture: Pair = (0.0, 0.0)
+    stage: Stage,
+    x: Pair,
+    z: Pair,
+    y: Pair,
+    material: str,
+    *,
+    treads: str | None = None,
+    texture: Pair = (0.0, 0.0),
 ) -> None:
     """Lay a board whose upper surface runs from one height to another along the trail.
 
@@ -22,6 +32,7 @@ def pitched_board(
         z: the heights there.
         y: from and to.
         material: of all its faces.
+        treads: material of strips across it, which show that it slants; None for none.
         texture: so that equal boards differ.
     """
     run, rise = x[1] - x[0], z[1] - z[0]
@@ -39,8 +50,27 @@ def pitched_board(
         kind="obstacle",
         faces=ALL_FACES,
         fine=0.7,
+        decals=None if treads is None else {"+z": _treads(length, y[1] - y[0], treads)},
         texture=texture,
     )
+
+
+def _treads(length: float, width: float, material: str) -> list[Decal]:
+    """Return strips across a board, as far from its lower as from its upper end."""
+    count = int((length - _TREAD) / _TREAD_EVERY)
+    first = (length - (count - 1) * _TREAD_EVERY - _TREAD) / 2
+    return [
+        Decal(
+            rect=(
+                first + number * _TREAD_EVERY,
+                _TREAD_MARGIN,
+                first + number * _TREAD_EVERY + _TREAD,
+                width - _TREAD_MARGIN,
+            ),
+            material=material,
+        )
+        for number in range(count)
+    ]
 
 
 def rolled_board(

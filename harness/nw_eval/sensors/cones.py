@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.cone import cone_mesh
+from nw_eval.scenes.cone import BASE, HEIGHT, cone_mesh
 from nw_eval.scenes.mesh import TriangleMesh, merge
 from nw_eval.scenes.rays import RayScene
 
 # Share of the light that reaches a face from everywhere; the rest comes from above.
 _AMBIENT = 0.5
+_BOUND = 1.05 * math.hypot(BASE / math.sqrt(2.0), HEIGHT / 2)
+"""Radius of a sphere around a cone's middle that holds all of it, m."""
 
 
 class Cones:
@@ -31,6 +35,7 @@ class Cones:
                 ]
             )
         )
+        self._middles = waypoints + np.array([0.0, 0.0, HEIGHT / 2])
         corners = cone.mesh.triangles
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1)
@@ -42,15 +47,34 @@ class Cones:
         self, origin: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Return distance (N,) m, inf for a miss, and colour (N, 3) along rays from one point."""
-        origins = np.broadcast_to(origin, directions.shape)
-        distance, face = self._rays.cast(origins, directions)
-        return distance, self._colour[face]
+        near = self._near(origin, directions)
+        distance = np.full(len(directions), np.inf)
+        colour = np.zeros((len(directions), 3), dtype=np.float32)
+        rays = directions[near]
+        distance[near], face = self._rays.cast(np.broadcast_to(origin, rays.shape), rays)
+        colour[near] = self._colour[face]
+        return distance, colour
 
     def distance(
         self, origin: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return only the distances of `cast`."""
-        return self._rays.distance(np.broadcast_to(origin, directions.shape), directions)
+        near = self._near(origin, directions)
+        distance = np.full(len(directions), np.inf)
+        rays = directions[near]
+        distance[near] = self._rays.distance(np.broadcast_to(origin, rays.shape), rays)
+        return distance
+
+    def _near(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.intp]:
+        """Return which rays come as near to a cone as its bounding sphere: few of a picture's."""
+        way = self._middles - origin
+        apart = np.linalg.norm(way, axis=1)
+        # Within the sphere of one, every ray is.
+        least = np.sqrt(np.maximum(1.0 - (_BOUND / apart) ** 2, 0.0))
+        least[apart <= _BOUND] = -np.inf
+        return np.flatnonzero((directions @ (way / apart[:, np.newaxis]).T > least).any(axis=1))
 
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:

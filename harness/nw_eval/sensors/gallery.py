@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from nw_eval.sensors import pictures
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.pictures import Bytes
 from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sensors.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sim import Protocol, TrailProgress, World
 
 if TYPE_CHECKING:
@@ -27,19 +27,10 @@ PANEL = (400, 225)
 """Width and height of a picture, pixels."""
 
 _ACROSS = 4
-_LABEL, _CAPTION, _GAP = 20, 17, 8  # pixels
+_BLANK = 232  # of a panel without a picture
 _SETTLING = 50  # control steps in which the robot comes to stand
 _BEFORE = 1.1  # m from the first waypoint to where it stands
 _MARGIN = 0.3  # m that it may stand behind its spawn
-
-
-@dataclass(frozen=True, kw_only=True)
-class Panel:
-    """A picture with a name and a line about it."""
-
-    name: str
-    caption: str
-    image: Bytes
 
 
 _WIDE = {"width": PANEL[0], "height": PANEL[1]}
@@ -78,14 +69,20 @@ def draw_gallery(
     """Draw what a robot's sensors make of one moment in a scene, as a PNG.
 
     Args:
-        scene: with a splat.
+        scene: where; without a splat its camera images are left out, and the sheet says so.
         path: of the PNG.
         robot: its name.
         renderer: of the scene's splat; opened if None.
 
     Raises:
-        SceneError: the scene has no splat. StoreError: the picture cannot be written.
+        SceneError: the splat cannot be made. StoreError: the picture cannot be written.
     """
+    has_splat = scene.splat is not None or renderer is not None
+    shown = {
+        name: observation
+        for name, observation in _OBSERVATIONS.items()
+        if has_splat or observation["sensor"] != "splat_rgb"
+    }
     card = Card.model_validate(
         {
             "nw-policy": 1,
@@ -93,11 +90,11 @@ def draw_gallery(
             "robot": robot,
             "adapter": "zero",
             "control": {"action": "joint_position_offset"},
-            "observations": _OBSERVATIONS,
+            "observations": shown,
         }
     )
     _, seen = _observe(card, scene, "strict", renderer=renderer)
-    write_sheet(_panels(seen), path)
+    _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one moment")
 
 
 def draw_card(
@@ -126,7 +123,7 @@ def draw_card(
     code_from = bundle.folder if allow_code else None
     sensors, seen = _observe(bundle.card, scene, protocol, code_from=code_from)
     told: list[str] = []
-    panels: list[Panel] = []
+    cells: list[Cell] = []
     for name, sample in seen.items():
         kind = bundle.card.observations[name]
         form = f"{' x '.join(map(str, sample.shape))} {sample.dtype}"
@@ -137,36 +134,22 @@ def draw_card(
         if image is not None:
             wrapped = "".join(f" > {wrap.wrapper}" for wrap in kind.wrap)
             caption = f"{kind.sensor}{wrapped}: {form}"
-            panels.append(Panel(name=name, caption=caption, image=pictures.enlarged(image, PANEL)))
-    if panels:
-        write_sheet(panels, path)
+            large = pictures.enlarged(image, PANEL)
+            cells.append(Cell(name=name, caption=caption, images=[large]))
+    if cells:
+        _write(cells, path, f"{scene.name}: what {bundle.card.name} sees")
     return "\n".join(told)
 
 
-def write_sheet(panels: Sequence[Panel], path: Path) -> None:
+def _write(cells: Sequence[Cell], path: Path, title: str) -> None:
     """Write panels in rows of four as a PNG.
 
     Raises:
         StoreError: it cannot be written.
     """
-    from PIL import Image as PillowImage
-    from PIL import ImageDraw, ImageFont
-
-    width, height = PANEL
-    across = min(_ACROSS, len(panels))
-    down = -(-len(panels) // across)
-    cell_width, cell_height = width + _GAP, height + _LABEL + _CAPTION + _GAP
-    sheet = PillowImage.new("RGB", (across * cell_width + _GAP, down * cell_height + _GAP), "white")
-    pen = ImageDraw.Draw(sheet)
-    large, small = ImageFont.load_default(size=14), ImageFont.load_default(size=11)
-    for number, panel in enumerate(panels):
-        x = _GAP + number % across * cell_width
-        y = _GAP + number // across * cell_height
-        pen.text((x + 1, y), panel.name, fill=(20, 24, 30), font=large)
-        sheet.paste(PillowImage.fromarray(panel.image), (x, y + _LABEL))
-        pen.text((x + 1, y + _LABEL + height + 2), panel.caption, fill=(96, 102, 112), font=small)
+    picture = draw_sheet(cells, across=_ACROSS, title=title)
     with atomic_path(path) as temporary:
-        sheet.save(temporary, format="PNG", optimize=True)
+        temporary.write_bytes(picture)
 
 
 def _observe(
@@ -193,8 +176,8 @@ def _observe(
             world.step(robot.default_pose)
         given = None if renderer is None else lambda _scene: renderer
         sensors = build_sensors(card, world, renderer=given, code_from=code_from)
-        for number, sensor in enumerate(sensors.values()):
-            sensor.reset(number)
+        for sensor in sensors.values():
+            sensor.reset(0)
         moment = Moment(
             world=world,
             progress=TrailProgress(scene.trail, protocol),
@@ -205,7 +188,7 @@ def _observe(
         return sensors, {name: sensor.read(moment) for name, sensor in sensors.items()}
 
 
-def _panels(seen: dict[str, NDArray[Any]]) -> list[Panel]:
+def _panels(seen: dict[str, NDArray[Any]]) -> list[Cell]:
     grid = _OBSERVATIONS["map"]
     third = (PANEL[0] // 3, PANEL[1])
     numbers = [
@@ -214,11 +197,14 @@ def _panels(seen: dict[str, NDArray[Any]]) -> list[Panel]:
         pictures.bars(seen["body"], (PANEL[0] - 2 * third[0], PANEL[1])),
     ]
     shown = {
-        "splat_rgb": ("the place as a camera sees it", seen["photo"]),
-        "splat_rgb, cones and robot": ("what no splat holds, blended in by depth", seen["objects"]),
+        "splat_rgb": ("the place as a camera sees it", _photo(seen, "photo")),
+        "splat_rgb, cones and robot": (
+            "what no splat holds, hidden by geometry and lit as the place is",
+            _photo(seen, "objects"),
+        ),
         "splat_rgb, published": (
             "80 x 45 from 2 x 2 blocks of 1280 x 720",
-            pictures.enlarged(seen["small"], PANEL),
+            _photo(seen, "small"),
         ),
         "semantics": ("ground, obstacle, structure, clutter, cone, robot", seen["classes"]),
         "depth, metres": ("along the optical axis, 0 to 8 m", _depth(seen["metres"], 8.0)),
@@ -246,8 +232,19 @@ def _panels(seen: dict[str, NDArray[Any]]) -> list[Panel]:
         ),
     }
     return [
-        Panel(name=name, caption=caption, image=image) for name, (caption, image) in shown.items()
+        Cell(name=name, caption=caption, images=[image]) for name, (caption, image) in shown.items()
     ]
+
+
+def _photo(seen: dict[str, NDArray[Any]], name: str) -> Bytes:
+    """Return a camera's image, or a panel that says why there is none."""
+    if name in seen:
+        return pictures.enlarged(seen[name], PANEL)
+    strip = np.asarray(text_strip("no splat, so no camera images", PANEL[0] - 80, size=14))
+    paper = np.full((PANEL[1], PANEL[0], 3), _BLANK, dtype=np.uint8)
+    top = (PANEL[1] - len(strip)) // 2
+    paper[top : top + len(strip), 80:] = np.minimum(strip, _BLANK)
+    return paper
 
 
 def _depth(values: NDArray[Any], high: float, colours: str = "turbo") -> Bytes:

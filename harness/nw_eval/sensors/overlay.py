@@ -46,24 +46,31 @@ def draw(
     *,
     cones: Cones | None,
     robot: World | None,
+    static: RayScene | None = None,
     is_aboard: bool = True,
     pitch: tuple[float, float] | None = None,
 ) -> Overlay:
     """Cast one ray for each pixel and keep the nearest object; nine where an object ends.
+
+    An object ends where the scene's geometry hides it, too: that is exact, as a splat's depth is
+    not. Beside the ground, one is mistaken for the other otherwise.
 
     Args:
         directions: (H, W, 3) from `ray_directions`.
         T_world_camera: (4, 4), a rotation and metres.
         cones: drawn unless None.
         robot: the world whose robot is drawn.
+        static: the scene's geometry, which hides objects; None = nothing does.
         is_aboard: the robot carries the camera, so its trunk is left out.
         pitch: 1 / fx and 1 / fy of the camera, for soft edges; None = hard ones.
     """
 
     def shoot(rays: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Return depth along the axis (N,), inf = nothing, and colour (N, 3)."""
-        turned = rays @ T_world_camera[:3, :3].T
-        distance, colour = _nearest(turned, T_world_camera[:3, 3], cones, robot, is_aboard)
+        turned, origin = rays @ T_world_camera[:3, :3].T, T_world_camera[:3, 3]
+        distance, colour = _nearest(turned, origin, cones, robot, is_aboard)
+        if static is not None:
+            distance[_hidden(static, origin, turned, distance)] = np.inf
         return distance * rays[:, 2], colour
 
     shape = directions.shape[:2]
@@ -111,6 +118,18 @@ def _nearest(
     return distance, colour
 
 
+def _hidden(
+    static: RayScene,
+    origin: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    distance: NDArray[np.float64],
+) -> NDArray[np.intp]:
+    """Return which of the rays that met an object at `distance` (N,) meet the scene before it."""
+    met = np.flatnonzero(np.isfinite(distance))  # Few pixels: only they are asked about.
+    before = static.distance(np.broadcast_to(origin, (len(met), 3)), rays[met]) < distance[met]
+    return met[before]
+
+
 def _edges(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) that lie beside a pixel on the other side of an outline."""
     edge = np.zeros_like(inside)
@@ -147,9 +166,9 @@ def cone_mask(
     origin = T_world_camera[:3, 3]
     distance, colour = cones.cast(origin, rays)
     mask = np.isfinite(distance)
-    hit = np.flatnonzero(mask)  # Few pixels: only they are asked about.
-    hidden = static.distance(np.broadcast_to(origin, (len(hit), 3)), rays[hit]) < distance[hit]
-    hidden |= robot.ray_robot(origin, rays[hit], exclude="trunk").distance < distance[hit]
+    mask[_hidden(static, origin, rays, distance)] = False
+    hit = np.flatnonzero(mask)
+    hidden = robot.ray_robot(origin, rays[hit], exclude="trunk").distance < distance[hit]
     mask[hit[hidden]] = False
     shape = directions.shape[:2]
     return colour.reshape(*shape, 3), mask.reshape(shape)

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from nw_eval.policies.observations import SplatRgbObservation
 from nw_eval.robots import CameraMount, RobotSpec
 from nw_eval.sensors.cones import TrailCones
+from nw_eval.sensors.insert import insert
 from nw_eval.sensors.overlay import cone_mask, draw, ray_directions
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.splat_image import average_blocks
 from nw_eval.sensors.view import require_camera
 from nw_eval.splat.camera import Camera
-from nw_eval.splat.composite import composite, paste
+from nw_eval.splat.composite import paste
 from nw_eval.splat.pixels import Pixels
 from nw_eval.splat.render import Renderer
 
@@ -99,9 +100,16 @@ class SplatRgb:
                 T_world_camera,
                 cones=self._cones.on(trail) if self._observation.cones else None,
                 robot=moment.world if self._observation.robot else None,
+                static=self._rays(),
                 pitch=self._pitch,
             )
-            image = composite(image, overlay.rgb, overlay.depth, overlay.coverage)
+            image = insert(
+                image,
+                overlay,
+                directions=self._directions,
+                T_world_camera=T_world_camera,
+                static=self._rays(),
+            )
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
     def memory(self) -> dict[str, NDArray[Any]]:

@@ -40,7 +40,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
     Args:
         term: from the card.
         command: the card's, for commanded speeds.
-        control: joint order and default pose.
+        control: joint order, default pose and limits of actions.
     """
     pose, order = control.default_pose, _index(control.order)
     match term:
@@ -68,9 +68,9 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.JointVelocity():
             return lambda moment: moment.world.joint_velocities[order]
         case terms.AppliedAction():
-            return lambda moment: moment.applied_action
+            return _fed_back(lambda moment: moment.applied_action, term, control)
         case terms.LastOutput():
-            return _last_output(term)
+            return _fed_back(_last_output(term), term, control)
         case terms.FootContacts():
             return _foot_contacts(term)
         case terms.GaitClock():
@@ -129,6 +129,16 @@ def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
         return outputs[term.ago] if term.ago < len(outputs) else np.zeros_like(outputs[0])
 
     return read
+
+
+def _fed_back(
+    read: Callable[[Moment], Array],
+    term: terms.AppliedAction | terms.LastOutput,
+    control: JointControl,
+) -> Reader:
+    if not term.clipped:
+        return read
+    return lambda moment: read(moment).clip(control.low, control.high)
 
 
 def _foot_contacts(term: terms.FootContacts) -> Reader:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import nn
 
+from nw_eval import api
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.card_file import load_card
@@ -154,11 +155,11 @@ def test_a_policy_is_named_after_its_folder_where_its_file_has_no_name(
 
 def test_the_order_of_joints_of_those_who_may_have_trained_it_is_offered(onnx_file, drafted):
     text, card, _ = drafted(onnx_file({"obs": [1, 45]}))
-    assert card.control.joints[:3] == ["FR_hip", "FR_thigh", "FR_calf"]
     # Isaac Gym takes the legs by their names; Isaac Lab takes all first joints, then all second.
-    assert "# HIMLoco, rl_sar: [FL_hip, FL_thigh, FL_calf, FR_hip," in text
-    assert "# Isaac Lab without linear velocity: [FL_hip, FR_hip, RL_hip, RR_hip, FL_thigh," in text
-    text, _, _ = drafted(onnx_file({"obs": [1, 53]}))
+    assert card.control.joints[:4] == ["FL_hip", "FL_thigh", "FL_calf", "FR_hip"]
+    assert "#     joints: [FL_hip, FR_hip, RL_hip, RR_hip, FL_thigh," in text
+    text, card, _ = drafted(onnx_file({"obs": [1, 53]}))
+    assert card.control.joints[:3] == ["FR_hip", "FR_thigh", "FR_calf"]
     assert "[FL_hip" not in text
 
 
@@ -188,6 +189,10 @@ def test_a_scripted_module_gets_as_many_inputs_as_its_code_has(traced, tmp_path)
     card = load_card(tmp_path / "policy.yaml")
     assert card.inputs == {"obs": ["obs"], "hist": ["hist"]}
     assert card.observations["hist"].history.steps == 6
+    # Six frames are HIMLoco's, so the frame beside them is laid out as its are.
+    firsts = {seen.frame_terms[0].term for seen in card.observations.values()}
+    assert firsts == {"command"}
+    assert card.control.clip == (-100, 100)
     assert "CHECK: its size is not in the file" in write_card_draft(facts, GO1)
 
 
@@ -236,6 +241,30 @@ def test_code_that_does_not_say_its_inputs_is_admitted(tmp_path):
     assert "CHECK: the file does not say how many inputs it takes" in write_card_draft(facts, GO1)
 
 
+class Convolution(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.actor = nn.Conv1d(1, 12, 48)
+
+    def forward(self, obs: torch.Tensor):
+        return self.actor(obs[:, None])[:, :, 0]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_network_without_linear_layers_is_said_to_tell_no_size(tmp_path):
+    torch.jit.save(torch.jit.script(Convolution()), tmp_path / "p.pt")
+    text = write_card_draft(inspect_checkpoint(tmp_path / "p.pt"), GO1)
+    assert "it has no linear layer that would tell, so 48 is assumed" in text
+    assert "[]" not in text
+
+
+@pytest.mark.parametrize("shape", [[1, 3, 45, 80], [1, 58, 87]])
+def test_how_often_a_camera_looks_is_for_the_author_to_check(shape, onnx_file, drafted):
+    text, card, _ = drafted(onnx_file({"obs": [1, 53], "camera": shape}))
+    assert card.observations["camera"].rate == 10
+    assert "    rate: 10  # CHECK: images a second of the training" in text
+
+
 def test_a_pickled_module_is_to_be_exported(tmp_path):
     torch.save(nn.Linear(45, 12), tmp_path / "module.pt")
     old = {"_use_new_zipfile_serialization": False}  # As torch saved before 1.6.
@@ -245,3 +274,29 @@ def test_a_pickled_module_is_to_be_exported(tmp_path):
             inspect_checkpoint(tmp_path / name)
         assert "export the policy as ONNX or with torch.export" in str(raised.value)
         assert "save the plain state dict" not in str(raised.value)
+
+
+def test_files_beside_a_checkpoint_are_named_as_what_may_feed_it(onnx_file):
+    path = onnx_file({"obs": [1, 45]}, name="run/body.onnx")
+    encoder = path.with_name("Encoder v2.jit")
+    encoder.write_bytes(b"any")
+    path.with_name("notes.txt").write_text("no network")
+    path.with_name("away.pt").symlink_to(path)
+    card = path.with_name("policy.yaml")
+    api.init_policy(path, robot="go1")
+    load_bundle(card)
+    assert "notes" not in card.read_text()
+    assert "away" not in card.read_text()
+    lines = re.sub(r"^# (?=networks:|  )", "", card.read_text(), flags=re.MULTILINE)
+    (observed,) = load_bundle(card).card.observations
+    card.write_text(lines.replace("inputs: []", f"inputs: [{observed}]") + "inputs: [encoder_v2]\n")
+    bundle = load_bundle(card)
+    assert bundle.networks["encoder_v2"].path.samefile(encoder)
+    assert bundle.card.networks["encoder_v2"].adapter == "torchscript"
+
+
+def test_a_draft_elsewhere_says_nothing_of_what_lies_beside_the_checkpoint(onnx_file, tmp_path):
+    path = onnx_file({"obs": [1, 45]}, name="run/body.onnx")
+    path.with_name("encoder.pt").write_bytes(b"any")
+    api.init_policy(path, robot="go1", out=tmp_path / "other.yaml")
+    assert "networks" not in (tmp_path / "other.yaml").read_text()

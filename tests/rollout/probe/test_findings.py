@@ -30,6 +30,26 @@ def test_bytes_that_go_into_an_input_of_floats_are_noted(walked, uncommanded):
     assert bytes_of(walked, uncommanded, "uint8", "float32") == [("note", text)]
 
 
+def test_bytes_that_go_into_a_network_of_floats_are_noted_too(walked, uncommanded):
+    plain = uncommanded.model_dump(by_alias=True)
+    plain["observations"] = {"rgb": {"sensor": "splat_rgb"}}
+    checkpoint = {"file": "encoder.onnx"}
+    encoder = {"adapter": "onnx", "checkpoint": checkpoint, "inputs": ["rgb"]}
+    card = Card.model_validate(plain | {"networks": {"encoder": encoder}, "inputs": ["encoder"]})
+    specs = [
+        (InputSpec(name="image", shape=(1, 45, 80, 3), dtype=np.dtype("float32")),),
+        (InputSpec(name="latent", shape=(1, 8), dtype=np.dtype("float32")),),
+    ]
+    made = replace(
+        walked(),
+        observations={"rgb": np.zeros((100, 45, 80, 3), np.uint8)},
+        fed_inputs={"encoder": specs[0]},
+        inputs=specs[1],
+    )
+    (finding,) = input_findings(card, [], made)
+    assert "`rgb` gives bytes 0..255 to a float32 input" in finding.text
+
+
 @pytest.mark.parametrize(
     ("given", "wanted"), [("uint8", "uint8"), ("float32", "float32"), ("uint8", None)]
 )

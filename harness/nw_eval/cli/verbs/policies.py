@@ -81,13 +81,32 @@ class Init:
     """The robot that the policy drives: go1 or go2."""
     out: Path | None = None
     """The card to write; `policy.yaml` beside the checkpoint when absent."""
+    layout: str | None = None
+    """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
+    The card names those that fit."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out)
+        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
         print(told.text)
         return told.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fold:
+    """Write an ONNX graph whose weights lie in a second file as one file, without running it."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """The ONNX file; what it names lies beside it."""
+    out: Path
+    """The file to write."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(api.fold_policy(self.checkpoint, out=self.out))
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,13 +146,14 @@ class Serve:
 
 @dataclass(frozen=True, kw_only=True)
 class Policies:
-    """List policies, show their cards, check them in physics, draft a card, or serve a policy."""
+    """List policies, show and check their cards, draft one, fold a checkpoint, serve a policy."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Init, tyro.conf.subcommand("init")]
+        | Annotated[Fold, tyro.conf.subcommand("fold")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
     )
 

@@ -56,7 +56,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Render:
-    """Draw scenes from the robot's eye and from outside, one contact sheet for all."""
+    """Draw scenes from the robot's eye and from outside on one sheet; by mesh without a splat."""
 
     patterns: tyro.conf.Positional[tuple[str, ...]] = ()
     """Names or globs; every built-in scene when absent."""

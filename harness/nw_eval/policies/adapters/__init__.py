@@ -8,16 +8,26 @@ from nw_eval.robots import get_robot
 
 
 def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
-    """Load a bundle's checkpoint. Loading runs no code that the checkpoint contains.
+    """Load a bundle's checkpoint, and its networks. Loading runs no code that they contain.
 
     Args:
         bundle: from `load_bundle`.
         allow_code: whether `python:` adapters may import the user's code.
 
     Raises:
-        PolicyError: the file is not what the card's adapter reads, or its inputs and outputs do
-            not fit the card.
+        PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
+            fit the card.
     """
+    policy = _open_checkpoint(bundle, allow_code=allow_code)
+    if not bundle.card.networks:
+        return policy
+    from nw_eval.policies.adapters.fed_policy import FedPolicy
+
+    return FedPolicy(bundle, policy)
+
+
+def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
+    """Open a bundle's own checkpoint, without the networks that feed it."""
     joints = len(get_robot(bundle.card.robot).joints)
     match bundle.card.adapter:
         case "onnx":

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from nw_eval.arrays import pack
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
+from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.network import Wanted, place_of
 from nw_eval.policies.onnx_session import open_session
-from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.policy import InputSpec, Observation
 from nw_eval.policies.recurrence import state_pairs
 from nw_eval.policies.safety import check_onnx
 
@@ -32,7 +34,7 @@ _DTYPES: dict[str, Any] = {
 }
 
 
-class OnnxPolicy:
+class OnnxNetwork:
     """An ONNX graph, with the recurrent state that it passes from step to step.
 
     The graph is loaded from bytes that were verified, without external data files and without
@@ -40,9 +42,14 @@ class OnnxPolicy:
     and `h_out`, or what the card's `recurrent` says) begin a trial as zeros.
     """
 
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+        """Open the graph of a card, or of one of its networks.
+
+        Raises:
+            PolicyError: it cannot be used, or has other inputs and outputs than the card says.
+        """
         self._name = bundle.name
-        self._joints = joints
+        self._subject = bundle.subject
         session = _open(bundle)
         self._session: ort.InferenceSession | None = session
         specs = tuple(_spec(bundle, node) for node in session.get_inputs())
@@ -54,10 +61,18 @@ class OnnxPolicy:
         try:
             self._assemble = InputAssembler(bundle.card, self.inputs)
         except PolicyError as error:
-            raise PolicyError(f"{bundle.card_path}: {clean(error)}") from None
+            raise PolicyError(f"{bundle.where}: {clean(error)}") from None
         feeding = [self._fed_by[spec.name] for spec in self._recurrent]
-        actions = [node for node in outputs if node.name not in feeding]
-        self._outputs = [_output(bundle, actions, joints), *feeding]
+        given = [node for node in outputs if node.name not in feeding]
+        names = [str(node.name) for node in given]
+        if not names:
+            raise PolicyError(
+                f"{bundle.where}: every output of the checkpoint feeds an input, none is an action",
+                fix="say on the card which ones do: `recurrent: {input: output}`",
+            )
+        places = [place_of(one, names, bundle) for one in wanted]
+        self.wanted = tuple((names[place], tuple(given[place].shape)) for place in places)
+        self._asked = [*dict.fromkeys([*(name for name, _ in self.wanted), *feeding])]
         self.reset(0)
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
@@ -67,21 +82,20 @@ class OnnxPolicy:
             for spec in self._recurrent
         }
 
-    def act(self, observation: Observation) -> Action:
+    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
         """Run the graph once."""
         if self._session is None:
-            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        feeds = self._assemble(observation)
+            raise TrialError(f"{self._subject} is closed", fix="open it again")
+        feeds = self._assemble(given)
         feeds.update(self._memory)
         try:
-            raw, *states = self._session.run(self._outputs, feeds)
+            values = self._session.run(self._asked, feeds)
         except Exception as error:
-            raise TrialError(
-                f"policy {self._name!r} failed: {clean(error, at_most=200)}"
-            ) from error
-        for spec, state in zip(self._recurrent, states, strict=True):
-            self._memory[spec.name] = np.asarray(state)
-        return checked_action(raw, joints=self._joints, policy=self._name)
+            raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
+        made = {name: np.asarray(value) for name, value in zip(self._asked, values, strict=True)}
+        for spec in self._recurrent:
+            self._memory[spec.name] = made[self._fed_by[spec.name]]
+        return tuple(made[name] for name, _ in self.wanted)
 
     def state(self) -> bytes:
         """Return the recurrent state."""
@@ -104,6 +118,22 @@ class OnnxPolicy:
         self._session = None
 
 
+class OnnxPolicy(ActingNetwork):
+    """An ONNX graph, one of whose outputs is the action."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        network = OnnxNetwork(bundle, [bundle.card.output])
+        ((name, shape),) = network.wanted
+        size = shape[-1] if shape else None
+        if isinstance(size, int) and size != joints:
+            raise PolicyError(
+                f"{bundle.card_path}: output {clean(name, at_most=100)!r} of the checkpoint has "
+                f"{size} numbers, the robot {bundle.card.robot!r} has {joints} joints",
+                fix="name the action with `output`, or the right robot with `robot`",
+            )
+        super().__init__(network, joints=joints, policy=bundle.name)
+
+
 def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict[str, str]:
     """Return the inputs that an output feeds: those that the card says, or the names show.
 
@@ -116,19 +146,19 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     }
     said = bundle.card.recurrent
     if said is None:
-        observed = bundle.card.inputs or {}
+        observed = {name for name, _ in bundle.card.input_parts()}
         pairs = state_pairs(inputs, targets)
         return {source: target for source, target in pairs.items() if source not in observed}
     for source, target in said.items():
         for kind, name, known in (("input", source, inputs), ("output", target, targets)):
             if name not in known:
                 raise PolicyError(
-                    f"{bundle.card_path}: recurrent: the checkpoint has no {kind} {name!r}",
+                    f"{bundle.where}: recurrent: the checkpoint has no {kind} {name!r}",
                     fix=clean(nearest(name, known)),
                 )
         if len(inputs[source]) != len(targets[target]):
             raise PolicyError(
-                f"{bundle.card_path}: recurrent: input {source!r} has shape {inputs[source]}, "
+                f"{bundle.where}: recurrent: input {source!r} has shape {inputs[source]}, "
                 f"output {target!r} {targets[target]}",
                 fix="name the output that is the input's next value",
             )
@@ -155,27 +185,3 @@ def _spec(bundle: Bundle, node: Any) -> InputSpec:
         )
     shape = tuple(size if isinstance(size, int) else None for size in node.shape)
     return InputSpec(name=node.name, shape=shape, dtype=np.dtype(_DTYPES[node.type]))
-
-
-def _output(bundle: Bundle, nodes: Any, joints: int) -> str:
-    by_name = {node.name: node for node in nodes}
-    wanted = bundle.card.output
-    if wanted is not None and wanted not in by_name:
-        raise PolicyError(
-            f"{bundle.card_path}: the checkpoint has no output {wanted!r}",
-            fix=clean(nearest(wanted, by_name)),
-        )
-    if not nodes:
-        raise PolicyError(
-            f"{bundle.card_path}: every output of the checkpoint feeds an input, none is an action",
-            fix="say on the card which ones do: `recurrent: {input: output}`",
-        )
-    node = by_name[wanted] if wanted is not None else nodes[0]
-    size = node.shape[-1] if node.shape else None
-    if isinstance(size, int) and size != joints:
-        raise PolicyError(
-            f"{bundle.card_path}: output {clean(node.name, at_most=100)!r} of the checkpoint has "
-            f"{size} numbers, the robot {bundle.card.robot!r} has {joints} joints",
-            fix="name the action with `output`, or the right robot with `robot`",
-        )
-    return str(node.name)

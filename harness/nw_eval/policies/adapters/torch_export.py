@@ -13,23 +13,32 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nw_eval.errors import PolicyError, nearest
+from nw_eval.errors import PolicyError
+from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.network import Wanted, place_of
 from nw_eval.policies.networks.exported import ExportedGraph
-from nw_eval.policies.networks.policy import NetworkPolicy
+from nw_eval.policies.networks.policy import TorchNetwork
 from nw_eval.policies.options import NoOptions, read_options
 from nw_eval.policies.policy import InputSpec
 
 
-class TorchExportPolicy(NetworkPolicy):
+class TorchExportNetwork(TorchNetwork):
     """A graph whose inputs are named as the arguments of the module's `forward`."""
 
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+        """Open the graph of a card, or of one of its networks.
+
+        Raises:
+            PolicyError: it cannot be used, or has other inputs and outputs than the card says.
+        """
         read_options(bundle, NoOptions)
         where = str(bundle.checkpoint)
         torch.set_num_threads(1)
         self._graph = ExportedGraph(bundle.read_checkpoint(), where)
-        self._output = self._action_output(bundle, joints)
+        self._places = [place_of(one, self._graph.outputs, bundle) for one in wanted]
+        names, shapes = self._graph.outputs, self._graph.output_shapes
+        self.wanted = tuple((names[place], shapes[place]) for place in self._places)
         inputs = tuple(
             InputSpec(
                 name=spec.name,
@@ -38,12 +47,12 @@ class TorchExportPolicy(NetworkPolicy):
             )
             for spec in self._graph.inputs
         )
-        super().__init__(bundle, inputs, joints=joints)
+        super().__init__(bundle, inputs)
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def outputs(self, given: dict[str, Tensor]) -> list[Tensor]:
         """Run the graph once."""
         outputs = self._graph.run([given[spec.name] for spec in self._graph.inputs])
-        return outputs[self._output]
+        return [outputs[place] for place in self._places]
 
     def forget(self) -> None:
         """Begin with the state that the file was saved with."""
@@ -57,20 +66,17 @@ class TorchExportPolicy(NetworkPolicy):
         """Go back to a `memory`."""
         self._graph.restore({name: torch.from_numpy(array) for name, array in memory.items()})
 
-    def _action_output(self, bundle: Bundle, joints: int) -> int:
-        """Return which output is the action."""
-        names, wanted = self._graph.outputs, bundle.card.output
-        if wanted is not None and wanted not in names:
-            raise PolicyError(
-                f"{bundle.card_path}: the checkpoint has no output {wanted!r}",
-                fix=nearest(wanted, names),
-            )
-        index = names.index(wanted) if wanted is not None else 0
-        shape = self._graph.output_shapes[index]
+
+class TorchExportPolicy(ActingNetwork):
+    """A graph, one of whose outputs is the action."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        network = TorchExportNetwork(bundle, [bundle.card.output])
+        ((name, shape),) = network.wanted
         if int(np.prod(shape)) != joints:
             raise PolicyError(
-                f"{bundle.card_path}: output {names[index]!r} of the checkpoint has shape {shape}, "
+                f"{bundle.card_path}: output {name!r} of the checkpoint has shape {shape}, "
                 f"the robot {bundle.card.robot!r} has {joints} joints",
                 fix="name the action with `output`, or the right robot with `robot`",
             )
-        return index
+        super().__init__(network, joints=joints, policy=bundle.name)

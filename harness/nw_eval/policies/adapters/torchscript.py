@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
 import torch
+from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
+from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.adapters.script_state import (
     read_state,
     same,
@@ -19,13 +22,14 @@ from nw_eval.policies.adapters.script_state import (
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
-from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.network import Wanted
+from nw_eval.policies.policy import InputSpec, Observation
 from nw_eval.policies.safety import check_torchscript
 from nw_eval.policies.safety.compiled import check_compiled
 
 
-class TorchScriptPolicy:
-    """A scripted or traced module that takes observations and returns an action.
+class TorchScriptNetwork:
+    """A scripted or traced module that takes tensors and returns one, or a tuple of them.
 
     Buffers, and whatever else its code writes to, are its recurrent state, as rsl_rl exports it:
     a trial begins with what the file holds of them.
@@ -38,9 +42,15 @@ class TorchScriptPolicy:
     inputs: tuple[InputSpec, ...] = ()
     """TorchScript files do not declare shapes."""
 
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+        """Open the module of a card, or of one of its networks.
+
+        Raises:
+            PolicyError: it cannot be used, or an output is wanted by a name.
+        """
         self._name = bundle.name
-        self._joints = joints
+        self._subject = bundle.subject
+        self._places = [_place(one, bundle) for one in wanted]
         # More threads change the order of sums, and with it the last bits of an action.
         torch.set_num_threads(1)
         self._module: Any = _open(bundle)
@@ -53,23 +63,31 @@ class TorchScriptPolicy:
         if self._module is not None:
             write_state(self._module, self._slots, self._first)
 
-    def act(self, observation: Observation) -> Action:
+    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
         """Run the module once."""
         if self._module is None:
-            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        tensors = [torch.from_numpy(array) for array in self._assemble(observation).values()]
+            raise TrialError(f"{self._subject} is closed", fix="open it again")
+        tensors = [torch.from_numpy(array) for array in self._assemble(given).values()]
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)
         except (RuntimeError, torch.jit.Error) as error:
             reason = clean(str(error).strip().splitlines()[-1])
             fix = "export it in float32: module.float()" if "dtype" in reason else None
-            raise TrialError(f"policy {self._name!r} failed: {reason}", fix=fix) from error
-        if isinstance(raw, tuple | list):
-            raw = raw[0]
-        if not isinstance(raw, torch.Tensor):
-            raise TrialError(f"policy {self._name!r} returned a {type(raw).__name__}, no tensor")
-        return checked_action(raw.numpy(), joints=self._joints, policy=self._name)
+            raise TrialError(f"{self._subject} failed: {reason}", fix=fix) from error
+        outputs = raw if isinstance(raw, tuple | list) else [raw]
+        return tuple(self._picked(outputs, place) for place in self._places)
+
+    def _picked(self, outputs: Sequence[Any], place: int) -> NDArray[Any]:
+        if place >= len(outputs):
+            raise TrialError(
+                f"{self._subject} returned {len(outputs)} tensors, none at place {place}",
+                fix="places count from 0: correct `output` on the card",
+            )
+        if not isinstance(outputs[place], torch.Tensor):
+            kind = type(outputs[place]).__name__
+            raise TrialError(f"{self._subject} returned a {kind}, no tensor")
+        return outputs[place].numpy()
 
     def state(self) -> bytes:
         """Return the state where it differs from the file's, as bytes."""
@@ -96,6 +114,23 @@ class TorchScriptPolicy:
     def close(self) -> None:
         """Free the module."""
         self._module = None
+
+
+class TorchScriptPolicy(ActingNetwork):
+    """A module, one of whose outputs is the action."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        network = TorchScriptNetwork(bundle, [bundle.card.output])
+        super().__init__(network, joints=joints, policy=bundle.name)
+
+
+def _place(wanted: str | int | None, bundle: Bundle) -> int:
+    if isinstance(wanted, str):
+        raise PolicyError(
+            f"{bundle.where}: output {wanted!r}: the outputs of a TorchScript file have no names",
+            fix="give its place among what `forward` returns, counted from 0",
+        )
+    return wanted or 0
 
 
 def _open(bundle: Bundle) -> Any:

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 
 from nw_eval.policies.inspect.exporter import ExportedTerm
 from nw_eval.policies.inspect.facts import ArrayFacts, CheckpointFacts
-from nw_eval.policies.inspect.guesses import SCANS, frames_of, is_scan
+from nw_eval.policies.inspect.frames import frames_of
+from nw_eval.policies.inspect.guessed import Likely, guessed_parts
+from nw_eval.policies.inspect.guesses import SCANS, is_scan
 from nw_eval.policies.inspect.script import ScriptInput
-from nw_eval.policies.inspect.text import CHECK, key
-from nw_eval.policies.inspect.vectors import Part, guessed_parts, named_parts, zeros
+from nw_eval.policies.inspect.text import CHECK, RATE_LINE, key
+from nw_eval.policies.inspect.vectors import Part, named_parts, zeros
 
 _IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
 
@@ -44,7 +46,11 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     first = re.compile(r"(^|\.)(0\.)?weight(_ih_l0)?$")
     sizes = [tensor.shape[1] for tensor in layers if first.search(tensor.name)]
     known = [size for size in sizes if frames_of(size)]
-    said = f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
+    said = (
+        f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
+        if layers
+        else "it has no linear layer that would tell, so 48 is assumed"
+    )
     if len(facts.script) > 1:
         return tuple(_argument(argument, min(known, default=48), said) for argument in facts.script)
     direct = facts.script[0].size if facts.script else None
@@ -59,12 +65,13 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     return (Wanted(array=array, said=said),)
 
 
-def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
+def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> tuple[Part, ...]:
     """Return the observations that make an input together, in their order.
 
     Args:
         wanted: the input.
         terms: what the exporter says that it is made of; empty where it does not.
+        likely: layouts that are taken before others.
     """
     array, name = wanted.array, key(wanted.array.name)
     batch, shape = _batch(array.shape), _without_batch(array.shape)
@@ -72,9 +79,9 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
         lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)
         return (Part(name=name, lines=tuple(lines)),)
     if len(shape) == 2:
-        return (_rows(wanted, shape, terms),)
+        return (_rows(wanted, shape, terms, likely),)
     size = shape[0] or 0 if shape else 0
-    parts = _row(name, size, wanted, terms)
+    parts = _row(name, size, wanted, terms, likely)
     if batch > 1:
         note = (
             f"{CHECK} the checkpoint wants a batch of {batch}: export it with batch 1 or a free "
@@ -84,19 +91,26 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
     return parts if wanted.known else (_noted(parts[0], f"{CHECK} its size is not in the file"),)
 
 
-def _row(name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
+def _row(
+    name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely
+) -> tuple[Part, ...]:
+    said = wanted.said
     if terms and not is_scan(wanted.array.name):
-        return named_parts(name, size, terms)
-    return guessed_parts(name, size, wanted.said)
+        if parts := named_parts(name, size, terms):
+            return parts
+        said = f"the file names no terms of its {size} numbers"
+    return guessed_parts(name, size, said, likely)
 
 
-def _rows(wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm]) -> Part:
+def _rows(
+    wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm], likely: Likely
+) -> Part:
     """Return an observation of frames that stand on an axis of their own."""
     name, (steps, size) = key(wanted.array.name), (n or 0 for n in shape)
     last = not terms and bool(frames_of(steps)) and not frames_of(size)
     steps, size = (size, steps) if last else (steps, size)
     # Here the frames of a term are rows, whatever the exporter calls their history.
-    parts = _row(name, size, wanted, [replace(term, history=1) for term in terms])
+    parts = _row(name, size, wanted, [replace(term, history=1) for term in terms], likely)
     part = parts[0]
     if len(parts) > 1:
         lines = ("sensor: proprio", *zeros(size, "frames with a scan, which no card can make"))
@@ -109,7 +123,8 @@ def _rows(wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedT
     wrap = f"wrap: [{{wrapper: stack, steps: {steps}{axis}}}]"
     if not terms or any(term.history != steps for term in terms):
         wrap += f"  {CHECK} the oldest frame comes first"
-    return replace(part, lines=(*part.lines, wrap))
+    ways = {name: (*lines, wrap) for name, lines in part.ways.items()}
+    return replace(part, lines=(*part.lines, wrap), ways=ways)
 
 
 def _argument(argument: ScriptInput, frame: int, said: str) -> Wanted:
@@ -155,6 +170,7 @@ def _image(array: ArrayFacts, shape: tuple[int | None, ...]) -> list[str]:
         f"camera: ego  {CHECK} a camera of the robot",
         f"width: {width or 80}",
         f"height: {height or 45}",
+        RATE_LINE,
         f"axes: {'chw' if chw else 'hwc'}",
     ]
     if stack:
@@ -170,4 +186,5 @@ def _depth(shape: tuple[int | None, ...]) -> list[str]:
         f"camera: ego  {CHECK} a camera of the robot, and its near and far",
         f"width: {shape[1] or 80}",
         f"height: {shape[0] or 45}",
+        RATE_LINE,
     ]

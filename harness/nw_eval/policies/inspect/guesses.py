@@ -6,26 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-_LEGS = ("FL", "FR", "RL", "RR")
-_KINDS = ("hip", "thigh", "calf")
-LEG_BY_LEG = tuple(f"{leg}_{kind}" for leg in _LEGS for kind in _KINDS)
-"""Joints of Unitree's robots in Isaac Gym, which sorts their names."""
-TYPE_BY_TYPE = tuple(f"{leg}_{kind}" for kind in _KINDS for leg in _LEGS)
-"""The same in Isaac Lab: hips of all legs first."""
-_VELOCITY_SCALES = "[2.0, 2.0, 0.25]"
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameGuess:
-    """Terms of one frame, as a card writes them, and who lays them out so."""
-
-    source: str
-    terms: tuple[str, ...]
-    size: int
-    layout: str | None = None
-    """A published layout that stands for the terms."""
-    joints: tuple[str, ...] = ()
-    """The order of joints there; empty where it is the robots' own."""
+from nw_eval.policies.inspect.frames import Frame, frames_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,55 +31,6 @@ SCANS: tuple[ScanGuess, ...] = (
     ScanGuess(source=ISAAC_LAB, x=17, y=11),
     PARKOUR,
     ScanGuess(source=ISAAC_LAB, x=21, y=11),
-)
-
-
-FRAMES: tuple[FrameGuess, ...] = (
-    FrameGuess(source="extreme-parkour, LucidSim", terms=(), size=53, layout="parkour53"),
-    FrameGuess(
-        source="MuJoCo Playground, mjlab",
-        terms=("lin_vel", "ang_vel", "gravity", "joint_pos", "joint_vel", "last_output", "command"),
-        size=48,
-    ),
-    FrameGuess(
-        source="legged_gym",
-        joints=LEG_BY_LEG,
-        terms=(
-            "{term: lin_vel, scale: 2.0}",
-            "{term: ang_vel, scale: 0.25}",
-            "gravity",
-            f"{{term: command, scale: {_VELOCITY_SCALES}}}",
-            "joint_pos",
-            "{term: joint_vel, scale: 0.05}",
-            "last_output",
-        ),
-        size=48,
-    ),
-    FrameGuess(
-        source="Isaac Lab",
-        joints=TYPE_BY_TYPE,
-        terms=("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
-        size=48,
-    ),
-    FrameGuess(
-        source="HIMLoco, rl_sar",
-        joints=LEG_BY_LEG,
-        terms=(
-            f"{{term: command, scale: {_VELOCITY_SCALES}}}",
-            "{term: ang_vel, scale: 0.25}",
-            "gravity",
-            "joint_pos",
-            "{term: joint_vel, scale: 0.05}",
-            "last_output",
-        ),
-        size=45,
-    ),
-    FrameGuess(
-        source="Isaac Lab without linear velocity",
-        joints=TYPE_BY_TYPE,
-        terms=("ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
-        size=45,
-    ),
 )
 
 TERM_OF: dict[str, tuple[str, int]] = {
@@ -146,16 +78,7 @@ def scan_of(size: int) -> ScanGuess | None:
     return ScanGuess(source="a guess", x=x, y=y)
 
 
-def frames_of(size: int) -> tuple[tuple[FrameGuess, int], ...]:
-    """Return known frames that make a vector of `size` numbers, with how many of them it takes.
-
-    Fewer frames come first; among those, the order of `FRAMES`.
-    """
-    fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
-    return tuple(sorted((fit for fit in fits if 1 <= fit[1] <= 20), key=lambda fit: fit[1]))
-
-
-def frames_before_a_scan(size: int) -> tuple[tuple[tuple[FrameGuess, int], ...], ScanGuess | None]:
+def frames_before_a_scan(size: int) -> tuple[tuple[tuple[Frame, int], ...], ScanGuess | None]:
     """Return known frames that make `size` numbers together with a known grid after them.
 
     Frames of those who measure the grid come first.

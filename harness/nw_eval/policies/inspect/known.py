@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.policies.inspect.facts import CheckpointFacts
-from nw_eval.policies.inspect.text import CHECK
+from nw_eval.policies.inspect.text import CHECK, RATE_LINE
 from nw_eval.policies.inspect.vectors import zeros_note
 
 _LUCIDSIM = """\
@@ -90,6 +90,7 @@ def _act(facts: CheckpointFacts) -> list[str]:
             "    camera: ego",
             "    width: 320  # CHECK: the size of the training images",
             "    height: 180",
+            f"    {RATE_LINE}",
             "    axes: chw",
             "    dtype: float32",
             "    mean: 0  # CHECK: (byte - mean) / std",

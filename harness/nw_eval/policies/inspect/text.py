@@ -11,6 +11,8 @@ from nw_eval.clean import clean
 CHECK = "# CHECK:"
 """Begins every comment that the author of a card must act upon."""
 
+RATE_LINE = f"rate: 10  {CHECK} images a second of the training; 50 = one for each action"
+"""Of a camera whose rate no file tells."""
 
 _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 """What YAML reads as something else than a word."""

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 
 from nw_eval.policies.inspect.exporter import ExportedTerm
-from nw_eval.policies.inspect.guesses import (
-    PARKOUR,
-    SCANS,
-    TERM_OF,
-    FrameGuess,
-    frames_before_a_scan,
-    frames_of,
-    is_scan,
-    scan_of,
-)
+from nw_eval.policies.inspect.frames import Frame
+from nw_eval.policies.inspect.guesses import PARKOUR, SCANS, TERM_OF, is_scan, scan_of
 from nw_eval.policies.inspect.text import CHECK, in_brackets, number
 
 
@@ -27,51 +19,17 @@ class Part:
 
     name: str
     lines: tuple[str, ...]
-    guesses: tuple[FrameGuess, ...] = ()
-    """Frames that it may hold."""
-
-
-def guessed_parts(name: str, size: int, said: str) -> tuple[Part, ...]:
-    """Return observations that make `size` numbers together, guessed from that number.
-
-    Args:
-        name: the checkpoint's name of the input, as a key.
-        size: its numbers; 0 if it is free.
-        said: how the size is known, for the comment.
-    """
-    if is_scan(name) or (not frames_of(size) and any(scan.size == size for scan in SCANS)):
-        return (Part(name=name, lines=tuple(_scan(size or SCANS[0].size))),)
-    fits, scan = frames_of(size), None
-    if not fits:
-        fits, scan = frames_before_a_scan(size)
-    note = f"{CHECK} {said}"
-    if not fits:
-        note += (
-            "; no known layout has it, so these are zeros" if size else ": the file leaves it free"
-        )
-        lines = ("sensor: proprio", note, *zeros(max(size, 1)))
-        return (Part(name=name, lines=lines),)
-    frame, count = fits[0]
-    after = f" + {scan.size} heights" if scan else ""
-    note += f": {frame.source} ({count} x {frame.size}{after})"
-    if len(fits) > 1:
-        note += f"; or {', '.join(f'{g.source} ({n} x {g.size}{after})' for g, n in fits[1:])}"
-    lines = ["sensor: proprio", note]
-    if frame.layout is not None:
-        lines.append(f"layout: {frame.layout}")
-    else:
-        lines += ["terms:", *(f"  - {term}" for term in frame.terms)]
-    if count > 1:
-        history = f"history: {{steps: {count}, order: newest_first, by: step}}"
-        lines.append(f"{history}  {CHECK} oldest_first? by: term?")
-    body = Part(name=name, lines=tuple(lines), guesses=tuple(guess for guess, _ in fits))
-    return (body, Part(name=f"{name}_scan", lines=tuple(_scan(scan.size)))) if scan else (body,)
+    ways: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    """What may stand in place of the lines behind `sensor`, by the layout that has it so."""
+    fits: tuple[tuple[Frame, int], ...] = ()
+    """Frames that it may hold, and how many of each: what the lines have first."""
 
 
 def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
     """Return observations of the terms that an exporter names, in its order.
 
-    Terms of one history stand in one observation; a scan of heights is one of its own.
+    Terms of one history stand in one observation; a scan of heights is one of its own. Empty where
+    no number is left for any of them.
     """
     sizes = _sizes(terms, size)
     # Terms without a place in the draft have the size 0: others stand in for them.
@@ -84,7 +42,7 @@ def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Pa
     for group in groups:
         first, width = group[0]
         if is_scan(first.name):
-            lines = _scan(width, term=first)
+            lines = scan_lines(width, term=first)
             own = f"{name}_scan" if len(groups) > 1 else name
         else:
             lines = _terms(group, left_out)
@@ -102,7 +60,7 @@ def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Pa
     elif total != size:
         notes.append(f"{CHECK} these terms make {total} numbers, the checkpoint wants {size}")
     if not parts:
-        return guessed_parts(name, size, f"the file names no terms of its {size} numbers")
+        return ()
     sensor, *others = parts[0].lines
     return (Part(name=parts[0].name, lines=(sensor, *notes, *others)), *parts[1:])
 
@@ -201,8 +159,16 @@ def _missing(terms: Sequence[ExportedTerm]) -> list[str]:
     return notes
 
 
-def _scan(size: int, term: ExportedTerm | None = None) -> list[str]:
-    """Return the lines of a grid of heights, by a known convention or by what the file says."""
+def scan_lines(
+    size: int, *, term: ExportedTerm | None = None, frame: Frame | None = None
+) -> list[str]:
+    """Return the lines of a grid of heights, by a known convention or by what the file says.
+
+    Args:
+        size: points.
+        term: what the exporter says of it, if anything.
+        frame: the layout that it stands behind, if that is known.
+    """
     scan = scan_of(size)
     if scan is None:
         return ["sensor: proprio", *zeros(size, f"a scan of {size} heights")]
@@ -213,14 +179,17 @@ def _scan(size: int, term: ExportedTerm | None = None) -> list[str]:
         ]
     sides = "the grid of Isaac Lab and mjlab" if scan in SCANS and scan != PARKOUR else "a guess"
     ahead, left = (scan.x - 1) / 20, (scan.y - 1) / 20
+    order = frame.scan if frame else "x_fastest"
     lines = [
         "sensor: scandots",
         f"{CHECK} {size} heights: {scan.x} x {scan.y} points 0.1 m apart are {sides}",
         f"x: {in_brackets((0.0 - ahead, ahead, scan.x))}",
         f"y: {in_brackets((0.0 - left, left, scan.y))}",
-        f"order: x_fastest  {CHECK} as Isaac Lab and mjlab; y_fastest in legged_gym",
+        f"order: {order}  {CHECK} x_fastest as Isaac Lab and mjlab; y_fastest in legged_gym",
     ]
     factor = term.scale[0] if term and term.scale and len(set(term.scale)) == 1 else None
+    if frame is not None and frame.scan_scale != 1.0:
+        factor = frame.scan_scale
     if term is not None and term.clip is not None and all(map(math.isinf, term.clip)):
         # mjlab divides by the longest ray and reads that length where there is no ground.
         reach = 1 / factor if factor is not None and 0 < factor < 1 else 5.0

@@ -1,7 +1,8 @@
-"""What policies around our own networks have in common."""
+"""What networks that torch runs here have in common, and the policies around our own of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,14 @@ from nw_eval.policies.policy import Action, InputSpec, Observation, checked_acti
 from nw_eval.policies.safety import read_tensors
 
 
-class NetworkPolicy:
-    """A policy whose network runs here, on one thread. Subclasses say how.
+class TorchNetwork:
+    """A network that runs here, on one thread. Subclasses say how.
 
-    `infer` computes an action from the inputs; `forget`, `memory` and `remember` are for those
-    whose next action depends on more than the next observation.
+    `outputs` computes what it gives from the inputs; `forget`, `memory` and `remember` are for
+    those whose next outputs depend on more than the next inputs.
     """
 
-    def __init__(self, bundle: Bundle, inputs: tuple[InputSpec, ...], *, joints: int) -> None:
+    def __init__(self, bundle: Bundle, inputs: tuple[InputSpec, ...]) -> None:
         """Resolve the card's inputs against those of the network.
 
         Raises:
@@ -35,23 +36,23 @@ class NetworkPolicy:
         torch.set_num_threads(1)
         self.inputs = inputs
         self._name = bundle.name
-        self._joints = joints
+        self._subject = bundle.subject
         self._open = True
         try:
             self._assemble = InputAssembler(bundle.card, inputs)
         except PolicyError as error:
-            raise PolicyError(f"{bundle.card_path}: {error}") from None
+            raise PolicyError(f"{bundle.where}: {error}") from None
         self.forget()
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
-        """Return the raw action for inputs by name, each with a leading axis of 1."""
+    def outputs(self, given: dict[str, Tensor]) -> Sequence[Tensor]:
+        """Return what it gives for inputs by name, each with a leading axis of 1."""
         raise NotImplementedError
 
     def forget(self) -> None:
         """Begin without memory."""
 
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Return what the next actions depend on beside the observations."""
+        """Return what the next outputs depend on beside the inputs."""
         return {}
 
     def remember(self, memory: dict[str, NDArray[Any]]) -> None:
@@ -61,22 +62,22 @@ class NetworkPolicy:
         """Begin a trial."""
         self.forget()
 
-    def act(self, observation: Observation) -> Action:
+    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
         """Run the network once.
 
         Raises:
-            TrialError: it failed, or the action is not finite.
+            TrialError: it failed.
         """
         if not self._open:
-            raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        given = {name: torch.from_numpy(x) for name, x in self._assemble(observation).items()}
+            raise TrialError(f"{self._subject} is closed", fix="open it again")
+        inputs = {name: torch.from_numpy(x) for name, x in self._assemble(given).items()}
         try:
             with torch.inference_mode():
-                raw = self.infer(given)
+                outputs = self.outputs(inputs)
         except RuntimeError as error:
             reason = " ".join(str(error).split())[:200]
-            raise TrialError(f"policy {self._name!r} failed: {reason}") from error
-        return checked_action(raw.numpy(), joints=self._joints, policy=self._name)
+            raise TrialError(f"{self._subject} failed: {reason}") from error
+        return tuple(output.numpy() for output in outputs)
 
     def state(self) -> bytes:
         """Return the memory as bytes."""
@@ -96,8 +97,33 @@ class NetworkPolicy:
             raise unfitting(self._name, f"{error!r}, it has {have}") from None
 
     def close(self) -> None:
-        """End; a later `act` is an error."""
+        """End; a later `run` is an error."""
         self._open = False
+
+
+class NetworkPolicy(TorchNetwork):
+    """A policy around such a network. Subclasses compute an action from the inputs: `infer`."""
+
+    def __init__(self, bundle: Bundle, inputs: tuple[InputSpec, ...], *, joints: int) -> None:
+        super().__init__(bundle, inputs)
+        self._joints = joints
+
+    def infer(self, given: dict[str, Tensor]) -> Tensor:
+        """Return the raw action for inputs by name, each with a leading axis of 1."""
+        raise NotImplementedError
+
+    def outputs(self, given: dict[str, Tensor]) -> Sequence[Tensor]:
+        """Return the raw action alone."""
+        return (self.infer(given),)
+
+    def act(self, observation: Observation) -> Action:
+        """Run the network once.
+
+        Raises:
+            TrialError: it failed, or the action is not finite.
+        """
+        (raw,) = self.run(observation)
+        return checked_action(raw, joints=self._joints, policy=self._name)
 
 
 def input_spec(name: str, *shape: int | None) -> InputSpec:

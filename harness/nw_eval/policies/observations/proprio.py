@@ -11,6 +11,9 @@ from nw_eval.policies.model import CardModel, Limits
 from nw_eval.policies.observations.base import BaseObservation
 from nw_eval.policies.terms import AnyTerm, Term
 
+Select = Annotated[list[int | str], Field(min_length=1)]
+"""Indices and ranges such as "13:53" (end excluded)."""
+
 
 class History(CardModel):
     """Earlier frames that an observation carries along."""
@@ -45,7 +48,7 @@ class ProprioObservation(BaseObservation):
     """The groups of numbers that make a frame, in this order."""
     clip: Limits | None = None
     """Limits of every number after scaling."""
-    select: Annotated[list[int | str], Field(min_length=1)] | None = None
+    select: Select | None = None
     """Which numbers of a frame are kept: indices and ranges such as "13:53" (end excluded)."""
     history: Annotated[History, BeforeValidator(_steps_only)] | None = None
     """Earlier frames that go along, or just their number; null = the present frame alone."""
@@ -66,8 +69,8 @@ class ProprioObservation(BaseObservation):
         return tuple(self.terms or ())
 
 
-def selected_indices(select: list[int | str], size: int) -> list[int]:
-    """Return the indices that a `select` list names in a frame of `size` numbers.
+def selected_indices(select: list[int | str], size: int, *, of: str = "frame") -> list[int]:
+    """Return the indices that a `select` list names in a frame, or what else, of `size` numbers.
 
     Raises:
         ValueError: an entry is no index or range, or lies outside the frame.
@@ -82,7 +85,7 @@ def selected_indices(select: list[int | str], size: int) -> list[int]:
             message = f"select: {entry!r} is no index or range; write 7 or 13:53"
             raise ValueError(message) from None
         if not 0 <= start < stop <= size:
-            message = f"select: {entry!r} is outside the {size} numbers of the frame"
+            message = f"select: {entry!r} is outside the {size} numbers of the {of}"
             raise ValueError(f"{message}; counts start at 0, ends are excluded")
         indices.extend(range(start, stop))
     return indices

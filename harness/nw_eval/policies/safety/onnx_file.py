@@ -136,7 +136,7 @@ class _Walk:
         if "external_data" in tensor or tensor.integer("data_location"):
             raise PolicyError(
                 f"{self._where}: the numbers of tensor {name!r} lie in another file",
-                fix="export it again as one file: onnx.save(onnx.load('policy.onnx'), 'one.onnx')",
+                fix="export it again as one file, or fold both into one: `nw-eval policies fold`",
             )
         self._tensors += 1
         if self._tensors > self._limits.tensors:

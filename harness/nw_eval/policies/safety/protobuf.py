@@ -1,4 +1,4 @@
-"""Reading protobuf messages by a table of the fields that they may have, and of no others.
+"""Reading protobuf messages by a table of the fields that they may have, and of no others; writing.
 
 What is read here is what every other reader makes of the file: a field that is not in the table,
 that is of another wire type, or that comes twice where it may come once (readers merge or
@@ -112,6 +112,26 @@ class Reader:
                     yield field.kind, view
 
 
+def encoded(message: Message, fields: Mapping[int, Field]) -> bytes:
+    """Return the bytes of a message, fields in the order of their numbers.
+
+    Args:
+        message: as a `Reader` gives it; lists of numbers may be written packed that were not.
+        fields: those of its kind.
+    """
+    data = bytearray()
+    for number, field in sorted(fields.items()):
+        for value in message.get(field.name, []):
+            raw = value.encode() if isinstance(value, str) else value
+            if isinstance(raw, int):
+                data += _written(number << 3 | _VARINT) + _written(raw % 2**64)
+            elif field.kind in {"float", "double"} and not field.many:
+                data += _written(number << 3 | _NUMBERS[field.kind]) + raw
+            else:
+                data += _written(number << 3 | _SIZED) + _written(len(raw)) + raw
+    return bytes(data)
+
+
 def integers(values: list[Value], at_most: int) -> list[int]:
     """Return signed numbers that came one by one or packed.
 
@@ -155,6 +175,15 @@ def _varint(data: memoryview, place: int) -> tuple[int, int]:
         if byte < 0x80:
             return value & (2**64 - 1), place
     raise ValueError(f"a number without an end at byte {place}")
+
+
+def _written(number: int) -> bytes:
+    data = bytearray()
+    while number >= 0x80:
+        data.append(number & 0x7F | 0x80)
+        number >>= 7
+    data.append(number)
+    return bytes(data)
 
 
 def _signed(number: int) -> int:

@@ -104,13 +104,16 @@ def observation_findings(ranges: list[Range], recording: Recording) -> list[Find
 def input_findings(card: Card, ranges: list[Range], recording: Recording) -> list[Finding]:
     """Return which inputs are not what a checkpoint is likely to have been trained on."""
     found: list[Finding] = []
-    for spec, names in resolve_inputs(card, recording.inputs) if recording.inputs else ():
-        for name in names:
-            is_rgb = isinstance(card.observations[name], SplatRgbObservation)
-            is_bytes = recording.observations[name].dtype == np.uint8
-            if is_rgb and is_bytes and spec.dtype.kind == "f":
-                text = f"`{name}` gives bytes 0..255 to a {spec.dtype} input; "
-                found.append(Finding(kind="note", text=f"{text}`dtype: float32` gives 0..1"))
+    files = [(card, recording.inputs)]
+    files += [(card.of_network(name), specs) for name, specs in recording.fed_inputs.items()]
+    for file, specs in files:
+        for spec, names in resolve_inputs(file, specs) if specs else ():
+            for name in (one for one in names if one in card.observations):
+                is_rgb = isinstance(card.observations[name], SplatRgbObservation)
+                is_bytes = recording.observations[name].dtype == np.uint8
+                if is_rgb and is_bytes and spec.dtype.kind == "f":
+                    text = f"`{name}` gives bytes 0..255 to a {spec.dtype} input; "
+                    found.append(Finding(kind="note", text=f"{text}`dtype: float32` gives 0..1"))
     zeros: dict[str, int] = {}
     for value in ranges:
         name, observation = value.part.observation, card.observations[value.part.observation]

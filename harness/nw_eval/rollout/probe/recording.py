@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.policies import Bundle, Card
+from nw_eval.policies.adapters.fed_policy import FedPolicy
 from nw_eval.policies.policy import InputSpec
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
@@ -61,6 +62,12 @@ class Recording:
     """What the checkpoint declares to take; empty where its format does not say."""
     sees_images: bool
     """Whether images were rendered for the policy, which takes far longer than all else."""
+    given: dict[str, NDArray[Any]] = field(default_factory=dict[str, NDArray[Any]])
+    """(T, ...) what the networks gave that feed the policy, by name."""
+    fed_inputs: dict[str, tuple[InputSpec, ...]] = field(
+        default_factory=dict[str, tuple[InputSpec, ...]]
+    )
+    """What the file of each network declares to take."""
 
     @property
     def stumbles(self) -> bool:
@@ -150,17 +157,21 @@ def record(
     job = _job(bundle, library.scene(scene), scene, seconds=seconds, allow_code=allow_code)
     rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
     seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
+    given: dict[str, list[NDArray[Any]]] = {}
     outcome: Outcome | None = None
     tilt = 0.0
     with open_trial(job, library, StageClock()) as opened:
         episode = opened.episode
         world = episode.world
+        fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
         first, start = world.joint_positions, world.trunk_position
         while outcome is None and tilt < level:
             decision = episode.decide()
             outcome, _ = episode.advance(decision)
             for name, value in decision.observation.items():
                 seen[name].append(np.array(value))
+            for name, value in fed.held.items() if fed else ():
+                given.setdefault(name, []).append(value)
             tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
             body = (world.joint_positions, world.torques, tilt, _velocity(world))
             rows.append((decision.action, decision.targets, *body))
@@ -169,6 +180,7 @@ def record(
     actions, targets, positions, torques, tilts, velocities = zip(*rows, strict=True)
     return Recording(
         observations={name: np.stack(values) for name, values in seen.items()},
+        given={name: np.stack(values) for name, values in given.items()},
         actions=np.stack(actions),
         targets=np.stack(targets),
         positions=np.stack([first, *positions]),
@@ -182,6 +194,7 @@ def record(
         outcome=None if outcome in {"timeout", "completed"} else outcome,
         inputs=episode.policy.inputs,
         sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
+        fed_inputs={one.name: one.network.inputs for one in fed.feeders} if fed else {},
     )
 
 
@@ -202,7 +215,7 @@ def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code
         scene=scene,
         policy=str(bundle.card_path),
         checkpoint=bundle.checkpoint,
-        checkpoint_digest=bundle.checkpoint_sha256,
+        checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,
     )
 

@@ -24,6 +24,7 @@ from nw_eval.rollout.probe.findings import (
     observation_findings,
 )
 from nw_eval.rollout.probe.following import Followed
+from nw_eval.rollout.probe.networks import network_findings, network_rows
 from nw_eval.rollout.probe.parts import parts_of
 from nw_eval.rollout.probe.recording import Recording, Stage
 from nw_eval.scenes import get_scene
@@ -100,6 +101,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     findings = [
         *observation_findings(ranges, recording),
         *input_findings(card, ranges, recording),
+        *network_findings(card, recording),
         *action_findings(card, robot, recording),
         *body_findings(recording),
     ]
@@ -112,6 +114,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         f"{bundle.name}: {recording.seconds:.2f} s in {scene}, {recording.travelled:.2f} m",
         "",
         *observation_table(ranges),
+        *network_table(card, recording),
         "",
         *action_table(card, robot, recording),
         "",
@@ -141,6 +144,12 @@ def observation_table(ranges: list[Range]) -> list[str]:
             )
         )
     return aligned(rows, right={4, 5, 6})
+
+
+def network_table(card: Card, recording: Recording) -> list[str]:
+    """Return a line for each output of each network, after an empty line and a heading."""
+    rows = network_rows(card, recording)
+    return ["", *aligned(rows, right={4, 5, 6})] if rows else []
 
 
 def action_table(card: Card, robot: RobotSpec, recording: Recording) -> list[str]:

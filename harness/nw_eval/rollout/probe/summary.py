@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Card, JointControl, actuator_values, load_bundle, load_card
+from nw_eval.policies.bundle import Weights
+from nw_eval.policies.card_networks import Inputs, input_parts
 from nw_eval.policies.joints import short_name
 from nw_eval.policies.observations import AnyObservation
 from nw_eval.robots import RobotSpec, get_robot
@@ -54,7 +56,7 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
         f"licence     {card.licence or 'not said'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
-        f"checkpoint  {clean(_checkpoint(card, path, checkpoint))}",
+        *(f"{key:10}  {clean(words)}" for key, words in _weights(card, path, checkpoint)),
         f"command     {_command(card)}",
         *(f"{key:10}  {clean(flow(value))}" for key in _MORE if (value := getattr(card, key))),
         "",
@@ -67,21 +69,34 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _checkpoint(card: Card, path: Path, given: Path | None) -> str:
+def _weights(card: Card, path: Path, given: Path | None) -> list[tuple[str, str]]:
+    """Return what to say of the checkpoint, and of each network that feeds it."""
     try:
         bundle = load_bundle(path, checkpoint=given)
     except PolicyError as error:
         if given is not None or card.checkpoint is None:
             raise
-        return f"{card.checkpoint.file}: not usable: {error}"
-    if bundle.checkpoint is None or card.checkpoint is None:
-        return "none"
-    size, digest = bundle.checkpoint.stat().st_size, bundle.checkpoint_sha256
-    words = f"{given or card.checkpoint.file}, {size / 1e6:.2f} MB, SHA-256 {digest[:16]}"
-    said = card.checkpoint.sha256 or digest
-    if said != digest:
-        words += f", not the card's {said[:16]}"
-    return words
+        own = f"{card.checkpoint.file}: not usable: {error}"
+        named = card.networks.items()
+        return [("checkpoint", own), *(("network", f"{n}: {f.checkpoint.file}") for n, f in named)]
+    words = "none"
+    if bundle.checkpoint is not None and card.checkpoint is not None:
+        own = Weights(bundle.checkpoint, bundle.checkpoint_sha256)
+        words = _file(own, given or card.checkpoint.file)
+        said = card.checkpoint.sha256 or own.sha256
+        if said != own.sha256:
+            words += f", not the card's {said[:16]}"
+    told = [("checkpoint", words)]
+    for name, weights in bundle.networks.items():
+        network = card.networks[name]
+        words = f"{_file(weights, network.checkpoint.file)}, {network.adapter}"
+        told.append(("network", f"{name}: {words}, {network.rate or card.control.rate} Hz"))
+    return told
+
+
+def _file(weights: Weights, name: str | Path) -> str:
+    size = weights.path.stat().st_size
+    return f"{name}, {size / 1e6:.2f} MB, SHA-256 {weights.sha256[:16]}"
 
 
 def _command(card: Card) -> str:
@@ -97,10 +112,21 @@ def _settings(observation: AnyObservation) -> str:
 
 
 def _inputs(card: Card) -> list[str]:
-    if card.inputs is None:
-        return []
-    lines = [f"input {name} = {' | '.join(parts)}" for name, parts in card.inputs.items()]
-    return [*lines, ""]
+    lines: list[str] = []
+    for name, network in card.networks.items():
+        lines += _made_of(f"{name}: ", network.inputs)
+        for part, output in (network.outputs or {}).items():
+            lines.append(f"{name}: gives {part}: {', '.join(settings(output)) or 'all of it'}")
+    if card.inputs is not None:
+        lines += _made_of("", card.inputs)
+    return [*lines, ""] if lines else []
+
+
+def _made_of(prefix: str, inputs: Inputs) -> list[str]:
+    return [
+        f"{prefix}input{'' if name is None else f' {name}'} = {' | '.join(parts)}"
+        for name, parts in input_parts(inputs)
+    ]
 
 
 def _actions(card: Card, robot: RobotSpec) -> list[str]:

@@ -178,7 +178,7 @@ HURDLES: tuple[Entry, ...] = (
     ),
     Entry(
         name="hurdles/three_benches_cloister",
-        title="three stone benches, 18 to 22 cm, in the walk of a cloister",
+        title="three benches of red granite, 18 to 22 cm, in the walk of a cloister",
         setting=Cloister(),
         course=Hurdles(
             heights=(0.18, 0.22, 0.20),

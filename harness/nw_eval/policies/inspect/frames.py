@@ -1,0 +1,197 @@
+"""Published layouts of one frame of the body's numbers, and what their trainings say of motors.
+
+From the training code itself, read as data: leggedrobotics/legged_gym, OpenRobotLab/HIMLoco and
+fan-ziqi/rl_sar, Genesis-Embodied-AI/Genesis (examples/locomotion), fan-ziqi/robot_lab,
+unitreerobotics/unitree_rl_lab, isaac-sim/IsaacLab (velocity tasks), google-deepmind/
+mujoco_playground (Go1 joystick).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
+"""Simulators whose users export alike."""
+
+_LEGS = ("FL", "FR", "RL", "RR")
+_KINDS = ("hip", "thigh", "calf")
+LEG_BY_LEG = tuple(f"{leg}_{kind}" for leg in _LEGS for kind in _KINDS)
+"""Joints of Unitree's robots in Isaac Gym, which sorts their names."""
+TYPE_BY_TYPE = tuple(f"{leg}_{kind}" for kind in _KINDS for leg in _LEGS)
+"""The same in Isaac Lab: hips of all legs first."""
+RIGHT_FIRST = tuple(f"{leg}_{kind}" for leg in ("FR", "FL", "RR", "RL") for kind in _KINDS)
+"""As Unitree's motors are counted."""
+
+_STRAIGHT_HIPS = "{hip: 0, thigh: 0.8, calf: -1.5}"
+_CLIPPED = "{term: last_output, clipped: true}"
+_LIN_VEL = "{term: lin_vel, scale: 2.0}"
+_ANG_VEL = "{term: ang_vel, scale: 0.25}"
+_COMMAND = "{term: command, scale: [2.0, 2.0, 0.25]}"
+_JOINT_VEL = "{term: joint_vel, scale: 0.05}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """Terms of one frame, as a card writes them, and who lays them out so."""
+
+    name: str
+    """What `init --layout` calls it."""
+    source: str
+    told: str
+    """What tells it from other layouts of its size."""
+    size: int
+    terms: tuple[str, ...] = ()
+    layout: str | None = None
+    """A published layout that stands for the terms."""
+    family: Family | None = None
+    joints: tuple[str, ...] = ()
+    """The order of joints there; empty where it is the robots' own."""
+    scale: str = "0.25"
+    """rad for each unit of action."""
+    pose: str | None = None
+    """Default pose; None = the robots' own, which is that of legged_gym."""
+    gains: tuple[float, float] | None = None
+    """kp, N m/rad, and kd, N m s/rad."""
+    clip: float | None = None
+    """Limit of raw actions, and of observations after scaling."""
+    delay: int = 0
+    """Control steps between an action and its effect."""
+    history: str = "order: oldest_first, by: term"
+    """How frames before the present one stand there, where there are any."""
+    steps: int = 1
+    """Frames that it is published with."""
+    scan: Literal["x_fastest", "y_fastest"] = "x_fastest"
+    """Order of a scan of heights behind the frame."""
+    scan_scale: float = 1.0
+    """Factor of that."""
+
+
+_GYM = Frame(
+    name="legged-gym",
+    source="legged_gym",
+    told="velocities times 2, angular ones times 0.25, joint velocities times 0.05; all clipped",
+    family="isaac-gym",
+    joints=LEG_BY_LEG,
+    gains=(20, 0.5),
+    clip=100,
+    history="order: oldest_first, by: step",
+    scan="y_fastest",
+    scan_scale=5.0,
+    size=48,
+    terms=(_LIN_VEL, _ANG_VEL, "gravity", _COMMAND, "joint_pos", _JOINT_VEL, _CLIPPED),
+)
+_LAB = Frame(
+    name="isaac-lab",
+    source="Isaac Lab",
+    told="no scales, nothing clipped; joints type by type: four hips, four thighs, four calves",
+    family="isaac-lab",
+    joints=TYPE_BY_TYPE,
+    gains=(25, 0.5),
+    size=48,
+    terms=("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
+)
+
+FRAMES: tuple[Frame, ...] = (
+    Frame(
+        name="parkour53",
+        source="extreme-parkour, LucidSim",
+        told="heading in place of a velocity command",
+        size=53,
+        layout="parkour53",
+        history="order: oldest_first, by: step",
+    ),
+    Frame(
+        name="playground",
+        source="MuJoCo Playground, mjlab",
+        told="the command comes last; no scales; actions times 0.5",
+        family="mujoco",
+        joints=RIGHT_FIRST,
+        scale="0.5",
+        pose="{FR_hip: 0.1, FL_hip: -0.1, RR_hip: 0.1, RL_hip: -0.1, thigh: 0.9, calf: -1.8}",
+        gains=(35, 0.5),
+        size=48,
+        terms=("lin_vel", "ang_vel", "gravity", "joint_pos", "joint_vel", "last_output", "command"),
+    ),
+    _GYM,
+    _LAB,
+    replace(
+        _GYM,
+        source="legged_gym without linear velocity",
+        size=45,
+        terms=_GYM.terms[1:],
+    ),
+    Frame(
+        name="himloco",
+        source="HIMLoco, rl_sar",
+        told="the command comes first; scales and clips of legged_gym; six frames, newest first",
+        family="isaac-gym",
+        joints=LEG_BY_LEG,
+        gains=(40, 1),
+        clip=100,
+        history="order: newest_first, by: step",
+        steps=6,
+        size=45,
+        terms=(_COMMAND, _ANG_VEL, "gravity", "joint_pos", _JOINT_VEL, _CLIPPED),
+    ),
+    replace(
+        _LAB,
+        source="Isaac Lab without linear velocity",
+        size=45,
+        terms=_LAB.terms[1:],
+    ),
+    Frame(
+        name="unitree-rl-lab",
+        source="unitree_rl_lab",
+        told="angular velocity times 0.2, joint velocities times 0.05; joints as Isaac Lab",
+        family="isaac-lab",
+        joints=TYPE_BY_TYPE,
+        gains=(25, 0.5),
+        size=45,
+        terms=(
+            "{term: ang_vel, scale: 0.2}",
+            "gravity",
+            "command",
+            "joint_pos",
+            _JOINT_VEL,
+            "{term: last_output, clip: 100}",
+        ),
+    ),
+    Frame(
+        name="robot-lab",
+        source="robot_lab",
+        told="scales of legged_gym but for the command, which has none; hips move half as far",
+        family="isaac-lab",
+        joints=RIGHT_FIRST,
+        scale="{hip: 0.125, thigh: 0.25, calf: 0.25}",
+        pose=_STRAIGHT_HIPS,
+        gains=(25, 0.5),
+        size=45,
+        terms=(_ANG_VEL, "gravity", "command", "joint_pos", _JOINT_VEL, "last_output"),
+    ),
+    Frame(
+        name="genesis",
+        source="Genesis",
+        told="terms of legged_gym, joints right leg first, straight hips, actions one step late",
+        family="isaac-gym",
+        joints=RIGHT_FIRST,
+        pose="{hip: 0, F?_thigh: 0.8, R?_thigh: 1.0, calf: -1.5}",
+        gains=(20, 0.5),
+        clip=100,
+        delay=1,
+        history="order: oldest_first, by: step",
+        size=45,
+        terms=_GYM.terms[1:],
+    ),
+)
+"""The likelier ones of a size first."""
+
+
+def frames_of(size: int) -> tuple[tuple[Frame, int], ...]:
+    """Return known frames that make a vector of `size` numbers, with how many of them it takes.
+
+    Fewer frames come first; among those, layouts that are published with as many.
+    """
+    fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
+    fits = [fit for fit in fits if 1 <= fit[1] <= 20]
+    return tuple(sorted(fits, key=lambda fit: (fit[1], fit[1] != fit[0].steps)))
