@@ -244,3 +244,29 @@ def test_compiling_twice_gives_the_same_bits():
     first, second = compiled(*parts), compiled(*parts)
     assert first.solids[0].heights.tobytes() == second.solids[0].heights.tobytes()
     assert boxes(first) == boxes(second)
+
+
+def test_a_block_that_the_trail_leads_over_is_no_roof_though_the_floor_goes_on_below_it():
+    block = box_mesh((2.5, 0, 0.65), (1.0, 1.0, 0.65), UPRIGHT, "obstacle")
+    scanned = replace(block, faces=block.faces[:-4])  # No scanner sees its underside.
+    scanned = replace(scanned, kinds=scanned.kinds[: len(scanned.faces)])
+    terrain = compiled(floor(), scanned, trail=np.array([[2.0, 0, 1.3], [3.0, 0, 1.3]]))
+    over = np.array([[2.0, 0.1], [2.6, -0.2], [3.1, 0.0]])
+    assert terrain.solids[0].height(over) == pytest.approx([1.3] * 3, abs=1e-4)
+
+
+def test_the_slivers_of_a_noisy_wall_are_no_slabs():
+    random = np.random.default_rng(0)
+    y, z = np.meshgrid(np.arange(-1.0, 1.0, 0.03), np.arange(0.0, 0.9, 0.03))
+    x = 2.0 + random.normal(0, 0.003, y.shape)
+    index = np.arange(y.size, dtype=np.int32).reshape(y.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, d, c], -1), np.stack([a, c, b], -1)]).reshape(-1, 3)
+    wall = TriangleMesh(
+        vertices=np.stack([x, y, z], -1).reshape(-1, 3),
+        faces=faces.astype(np.int32),
+        kinds=np.zeros(len(faces), dtype=np.uint8),
+    )
+    top = quad_mesh((2.0, -1.0, 0.87), (1.0, 0, 0), (0, 2.0, 0), "obstacle")
+    terrain = compiled(floor(), wall, top)
+    assert all(min(box.half_size) >= 0.001 for box in boxes(terrain))

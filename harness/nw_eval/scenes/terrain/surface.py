@@ -20,6 +20,8 @@ _MOST_HITS = 12
 _MOST_SLABS = 4
 # A ray goes on this far below what it met; thinner slabs are seen as one surface.
 _BELOW = 2e-4
+# What is no higher than this above the trail is walked on, metres.
+_ON_TRAIL = 0.3
 # Less air than this between two solids is none.
 _LEAST_GAP = 0.03
 
@@ -75,8 +77,8 @@ class Surface:
     def columns(self, xy: Values) -> Columns:
         """Look down at points (N, 2)."""
         z, enters = self._hits(xy)
-        tops, bottoms, sheets = _slabs(z, enters, self._options.headroom)
         reference = trail_heights(self._trail, xy)
+        tops, bottoms, sheets = _slabs(z, enters, self._options.headroom, reference + _ON_TRAIL)
         ceiling = reference + self._options.headroom
         # Thin gaps close from the top down; what begins above the ceiling is not there.
         for slab in range(_MOST_SLABS - 1):
@@ -128,7 +130,9 @@ class Surface:
         return heights, enters
 
 
-def _slabs(z: Values, enters: Mask, headroom: float) -> tuple[Values, Values, Mask]:
+def _slabs(
+    z: Values, enters: Mask, headroom: float, lowest_roof: Values
+) -> tuple[Values, Values, Mask]:
     """Return tops and bottoms of solids, (S, N) from above, and where sheets hang, (N,)."""
     count = z.shape[1]
     tops = np.full((_MOST_SLABS, count), np.nan)
@@ -152,9 +156,11 @@ def _slabs(z: Values, enters: Mask, headroom: float) -> tuple[Values, Values, Ma
         depth += into
         depth -= out & (depth > 0)
     # Two surfaces entered, at least one never left, and far apart: the upper one is a single sheet,
-    # such as a roof scanned from above, and not the top of a block as high as a house.
+    # such as a roof scanned from above, and not the top of a block as high as a house. What the
+    # trail leads over is no roof.
     last = np.maximum(number, 0)
-    sheets = (depth > 1) & (tops[last, lines] - second > headroom)
+    top = tops[last, lines]
+    sheets = (depth > 1) & (top - second > headroom) & (top > lowest_roof)
     tops[last[sheets], lines[sheets]] = second[sheets]
     return tops, bottoms, sheets
 
