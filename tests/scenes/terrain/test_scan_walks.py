@@ -71,8 +71,6 @@ def test_a_mesh_touched_by_its_own_triangles_carries_the_robot_too(tmp_path):
 )
 def test_strangers_finish_on_a_noisy_scan_as_on_boxes(tmp_path, card, file, place):
     scan = write_scan(tmp_path / "scan", get_scene(place), noise=0.002)
-    bundle = load_bundle(
-        ROOT / "policies" / "examples" / card, checkpoint=ASSETS / card / file
-    )
+    bundle = load_bundle(ROOT / "policies" / "examples" / card, checkpoint=ASSETS / card / file)
     # Where contacts of HIMLoco's chin end a trial, that is all that this would see.
     assert success(str(scan), place, bundle, contact_termination=False) == 1.0

@@ -91,6 +91,8 @@ def _connected(slab_of: Index, top: Values, grid: Grid) -> Index:
             has = first + rank < last
             a, b = order[has], order[(first + rank)[has]]
             close = np.abs(top[a] - top[b]) < _SAME
+            # The last sample of a row and the first of the next are no neighbours.
+            close &= np.abs(slab_of[a] % grid.columns - slab_of[b] % grid.columns) <= 1
             pairs.append(np.stack([a[close], b[close]]))
     labels = np.arange(len(top))
     a, b = np.concatenate(pairs, axis=1) if pairs else np.zeros((2, 0), dtype=np.int64)
