@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
-from numba import carray, types
+from numba import types
 
 from nw_eval.machine_code.jit import c_function
 from nw_eval.scenes.terrain.narrowphase.collide import collide_with_field, collide_with_mesh
+
+# Its declared types know no array whose length is read from another.
+carray: Any = numba.carray  # pyright: ignore[reportPrivateImportUsage]
 
 _MOST = 50  # mjMAXCONPAIR
 _RECORD = 10  # numbers of an mjPreContact
