@@ -43,9 +43,7 @@ NOT_RUN = MappingProxyType(
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
         "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
         "nw-eval run hurdles --policy ./my-policy --out reports/gate": "likewise, in a CI's YAML",
-        """python -c 'import onnx; onnx.save(onnx.load("policy.onnx"), "one.onnx")'""": (
-            "test_policies_page.py folds a graph with it"
-        ),
+        "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
     }
 )
 """Commands that are left out, and why."""

@@ -118,9 +118,9 @@ def doubling_policy(folder, term):
     folder.mkdir()
     (folder / "policy.onnx").write_bytes(data)
     control = "action: joint_position_offset, scale: 0.0001, clip: 100"
-    card = CARD % (hashlib.sha256(data).hexdigest(), control)
     terms = f"terms: [{term}, {{term: constant, values: [1]}}]"
-    (folder / "policy.yaml").write_text(card.replace("terms: [joint_vel], history: 2", terms))
+    card = CARD % (hashlib.sha256(data).hexdigest(), control, terms)
+    (folder / "policy.yaml").write_text(card)
     return load_bundle(folder)
 
 

@@ -97,6 +97,7 @@ def bundle_with(folder, commands):
     card = YAML(typ="safe", pure=True).load(EXAMPLE.read_text())
     digest = hashlib.sha256((folder / "policy.onnx").read_bytes()).hexdigest()
     card |= {"adapter": "onnx", "checkpoint": {"file": "policy.onnx", "sha256": digest}}
+    del card["networks"], card["inputs"]  # What they see is all that is asked here.
     card["command"] = {"source": "constant", "velocity": commands[:3].tolist()}
     terms = card["observations"]["history"]["terms"]
     (constants,) = (t for t in terms if "values" in t and t["term"] == "constant")

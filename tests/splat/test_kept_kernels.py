@@ -15,7 +15,7 @@ import pytest
 
 PROGRAM = """\
 import os, resource
-from nw_eval.splat.kernels import kept
+from nw_eval.machine_code import kept
 from nw_eval.machine_code.jit import kernel
 
 if "LIMITED" in os.environ:

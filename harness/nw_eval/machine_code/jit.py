@@ -27,7 +27,6 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _AS_WRITTEN: dict[str, Any] = {"boundscheck": False, "error_model": "numpy"}
 
 
-@cache
 def hash_sources(folder: Path) -> str:
     """Return what changes whenever a source in a folder changes, or what compiles it."""
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
@@ -74,7 +73,12 @@ def inlined(function: Function) -> Function:
 
 
 def _kept(function: Callable[..., Any]) -> FunctionCache | None:
-    return kept_code(function, hash_sources(Path(function.__code__.co_filename).parent))
+    return kept_code(function, _version(Path(function.__code__.co_filename).parent))
+
+
+@cache
+def _version(folder: Path) -> str:
+    return hash_sources(folder)
 
 
 def _compile(function: Callable[..., Any], *, inline: Literal["always", "never"]) -> Any:

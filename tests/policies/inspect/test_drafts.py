@@ -287,7 +287,9 @@ def test_files_beside_a_checkpoint_are_named_as_what_may_feed_it(onnx_file):
     load_bundle(card)
     assert "notes" not in card.read_text()
     assert "away" not in card.read_text()
-    lines = re.sub(r"^# (?=networks:|  )", "", card.read_text(), flags=re.MULTILINE)
+    (block,) = re.findall(r"^# networks:\n(?:#  .*\n)+", card.read_text(), flags=re.MULTILINE)
+    alive = re.sub(r"^# ", "", block, flags=re.MULTILINE)
+    lines = card.read_text().replace(block, alive)
     (observed,) = load_bundle(card).card.observations
     card.write_text(lines.replace("inputs: []", f"inputs: [{observed}]") + "inputs: [encoder_v2]\n")
     bundle = load_bundle(card)

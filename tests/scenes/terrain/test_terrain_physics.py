@@ -157,4 +157,7 @@ def test_height_field_and_triangles_agree_on_a_rough_slope():
         )
         for collision in ("terrain", "triangles")
     ]
-    assert np.median(np.linalg.norm(rests[0] - rests[1], axis=1)) < 3e-3
+    apart = np.abs(rests[0] - rests[1])
+    # Where two slopes meet, samples know it to one of their distances.
+    assert apart[:, :2].max() < TerrainOptions().spacing
+    assert np.median(apart[:, 2]) < 1.5e-3

@@ -4,12 +4,12 @@
     .spz      Niantic's, versions 1 to 4
     .splat    antimatter15's 32 bytes per Gaussian, no harmonics
     .pt       a gsplat training checkpoint
+    .nwsplat  nw-eval's own compiled form, from its cache; only read
     folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
 
-A file of nw-eval's own cache (.nwsplat) is read too, though not written here. Formats are told by
-content; only .splat, which has no mark, is told by its name. Everything comes back in the axes of
-the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with a zero quaternion,
-are left out when the splat is compiled.
+Formats are told by content; only .splat, which has no mark, is told by its name. Everything comes
+back in the axes of the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with
+a zero quaternion, are left out when the splat is compiled.
 """
 
 from __future__ import annotations
