@@ -11,7 +11,7 @@ from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh, quad_mesh
 
 AROUND = 2.5  # metres of the place to every side of spawn and trail
 SPACING = 0.03  # of the vertices, metres
-COARSE = 40  # pieces that the edge of anything but ground and obstacles is divided into, at most
+COARSE = 0.5  # metres between those of anything but ground and obstacles
 
 
 def scan_of(scene, *, noise=0.0, seed=0):
@@ -21,41 +21,67 @@ def scan_of(scene, *, noise=0.0, seed=0):
     width, depth = (high - low).tolist()
     ground = quad_mesh((*low, scene.ground.z), (width, 0, 0), (0, depth, 0), "ground")
     whole = scene.static_mesh
-    corners = whole.triangles
-    near = (corners[:, :, :2].max(axis=1) > low).all(axis=1)
-    near &= (corners[:, :, :2].min(axis=1) < high).all(axis=1)
     # Ceilings are cut off scans, and of the endless ground only the part round the trail is kept.
-    kept = near & (whole.kinds != FACE_KINDS.index("overhead"))
-    kept &= whole.kinds != FACE_KINDS.index("ground")
-    rest = TriangleMesh(vertices=whole.vertices, faces=whole.faces[kept], kinds=whole.kinds[kept])
+    kept = ~np.isin(whole.kinds, [FACE_KINDS.index(kind) for kind in ("overhead", "ground")])
+    kept = TriangleMesh(vertices=whole.vertices, faces=whole.faces[kept], kinds=whole.kinds[kept])
     pieces = [
-        _divided(corner, kind)
-        for mesh in (ground, rest)
-        for corner, kind in zip(mesh.triangles, mesh.kinds, strict=True)
+        (outline, kind)
+        for outline, kind in (*_outlines(ground), *_outlines(kept))
+        if (outline[:, :2].max(axis=0) > low).all() and (outline[:, :2].min(axis=0) < high).all()
     ]
-    soup = np.concatenate(pieces).reshape(-1, 3)
+    soup = np.concatenate([_divided(outline, kind) for outline, kind in pieces])
+    soup = soup.reshape(-1, 3)
     # Faces that share a corner share its error: the scan is as closed as the place.
-    points, index = np.unique(np.round(soup, 5), axis=0, return_inverse=True)
+    # The shift keeps round numbers, which places are made of, off the border between two roundings.
+    _, first, index = np.unique(
+        np.round(soup * 1e4 + 0.317), axis=0, return_index=True, return_inverse=True
+    )
+    points = soup[first]
     points = points + np.random.default_rng(seed).normal(0.0, noise, points.shape)
     faces = index.reshape(-1, 3).astype(np.int32)
     return TriangleMesh(vertices=points, faces=faces, kinds=np.zeros(len(faces), dtype=np.uint8))
 
 
-def _divided(corners, kind):
-    """Return a triangle (3, 3) in like pieces, (N, 3, 3)."""
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-    count = max(int(np.ceil(edges.max() / (SPACING * np.sqrt(2)))), 1)
-    if FACE_KINDS[kind] not in ("ground", "obstacle"):
-        count = min(count, COARSE)
-    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    i, j = i[i + j < count], j[i + j < count]
-    whole = np.stack([np.stack([i, j]), np.stack([i + 1, j]), np.stack([i, j + 1])])
-    inner = i + j < count - 1
-    i, j = i[inner], j[inner]
-    turned = np.stack([np.stack([i + 1, j]), np.stack([i + 1, j + 1]), np.stack([i, j + 1])])
-    shares = np.concatenate([whole, turned], axis=2).transpose(2, 0, 1) / count  # (N, 3, 2)
-    along = np.stack([corners[1] - corners[0], corners[2] - corners[0]])
-    return corners[0] + shares @ along
+def _outlines(mesh):
+    """Return the corners of each parallelogram (4, 3), or of each lone triangle (3, 3), and kind.
+
+    Faces of boxes and rectangles are two triangles in a row, halves of one parallelogram.
+    """
+    found, corners = [], mesh.triangles
+    face = 0
+    while face < len(corners):
+        a, b, c = corners[face]
+        outline, used = corners[face], 1
+        if face + 1 < len(corners):
+            first, second, d = corners[face + 1]
+            if np.allclose([a, c, a + c], [first, second, b + d]):
+                outline, used = np.stack([a, b, c, d]), 2
+        found.append((outline, FACE_KINDS[mesh.kinds[face]]))
+        face += used
+    return found
+
+
+def _divided(outline, kind):
+    """Return an outline in triangles, (M, 3, 3).
+
+    Into how many parts an edge is cut depends on its length alone, so that faces which share an
+    edge go on sharing it.
+    """
+    spacing = SPACING if kind in ("ground", "obstacle") else COARSE
+    a, right, up = outline[0], outline[1] - outline[0], outline[-1] - outline[0]
+    columns, rows = (
+        max(int(np.ceil(np.linalg.norm(edge) / spacing - 1e-6)), 1) for edge in (right, up)
+    )
+    if len(outline) == 3:
+        columns = rows = max(columns, rows)
+    u, v = np.meshgrid(np.arange(columns + 1) / columns, np.arange(rows + 1) / rows)
+    grid = a + u[:, :, None] * right + v[:, :, None] * up
+    p, q, r, s = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+    lower, upper = np.stack([p, q, s], axis=2), np.stack([q, r, s], axis=2)
+    if len(outline) == 3:
+        i, j = np.meshgrid(np.arange(columns), np.arange(rows))
+        lower, upper = lower[i + j < columns], upper[i + j < columns - 1]
+    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
 
 
 def write_scan(folder, scene, **options):

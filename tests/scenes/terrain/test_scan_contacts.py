@@ -12,6 +12,7 @@ import pytest
 
 from nw_eval.robots import get_robot
 from nw_eval.scenes.terrain.attach import add_height_field, add_triangles
+from nw_eval.scenes.terrain.narrowphase.triangles import signed_distance
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 FRICTION = (1.25, 0.3, 0.3)
@@ -39,6 +40,7 @@ def colliding_shapes():
 
 
 SHAPES = colliding_shapes()
+COARSE = 0.06  # metres, of the triangles: what is slow is how many there are
 
 
 def half_height(kind, size):
@@ -103,7 +105,7 @@ def world(ground, slope=0.0, noise=0.0, step=0.0):
     if ground == "box":
         add_box(spec, slope)
     else:
-        x, y, z = heights(slope, noise, CELL if ground == "height field" else 0.03)
+        x, y, z = heights(slope, noise, CELL if ground == "height field" else COARSE)
         z = z + np.where(x > 0.05, step, 0.0)
         (add_field if ground == "height field" else add_mesh)(spec, x, y, z)
     for kind, size in SHAPES:
@@ -167,7 +169,6 @@ def lowest(data, up):
 
 DEEDS = {
     "fall at 0.5 m/s": {"speed": 0.5},
-    "fall at 1 m/s": {"speed": 1.0},
     "fall at 2 m/s": {"speed": 2.0},
     "fall at 4 m/s": {"speed": 4.0},
     "slide at 0.5 m/s": {"speed": 0.5, "along": True},
@@ -203,7 +204,7 @@ def test_nothing_stays_under_noisy_ground(ground, deed):
     assert np.abs(went).max() < 4.0
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("speed", [0.5, 1.5, 4.0])
 @pytest.mark.parametrize("ground", ["height field", "triangles"])
 def test_shapes_that_run_against_a_step_are_stopped_and_not_thrown_up(ground, speed):
     height = 0.15
@@ -222,3 +223,26 @@ def test_shapes_that_run_against_a_step_are_stopped_and_not_thrown_up(ground, sp
         # A shape may tumble over its own length, but is never lifted by the step's height at once.
         assert (poses[:, 2] - front.clip(tall)).max() < speed**2 / (2 * 9.806) + 0.05
     assert poses[:, 2].min() > 0.0
+
+
+def test_which_side_of_a_noisy_surface_a_point_is_on_is_told_by_its_height():
+    x, y, z = heights(0.1, 0.004, 0.03)
+    x, y, z = x[:20], y[:20], z[:20, :20]
+    field = HeightField(
+        center=((x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2),
+        half_size=((x[-1] - x[0]) / 2, (y[-1] - y[0]) / 2),
+        heights=z.astype(np.float32),
+        floor=-1.0,
+    )
+    X, Y = np.meshgrid(x, y)
+    corners = np.stack([X, Y, z.astype(np.float32)], axis=-1)
+    a, b, c, d = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
+    triangles = np.concatenate([np.stack([a, b, c], 2), np.stack([a, c, d], 2)]).reshape(-1, 9)
+    random = np.random.default_rng(1)
+    inner = random.uniform((x[3], y[3]), (x[-4], y[-4]), (4000, 2))
+    over = random.uniform(-0.06, 0.06, len(inner))
+    points = np.column_stack([inner, field.height(inner) + over])
+    signed = np.array([signed_distance(triangles, *point)[0] for point in points])
+    told = np.abs(over) > 1e-4  # Single precision of the heights.
+    assert (np.sign(signed[told]) == np.sign(over[told])).all()
+    assert (np.abs(signed) <= np.abs(over) + 1e-6).all()

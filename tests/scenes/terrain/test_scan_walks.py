@@ -47,8 +47,9 @@ def success(reference, place, bundle, *, contact_termination=True):
     return float(np.mean(shares))
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.002])
-@pytest.mark.parametrize("place", ["stairs/five_low_corridor", "hurdles/one_low_carpet"])
+@pytest.mark.parametrize(
+    ("place", "noise"), [("stairs/five_low_corridor", 0.002), ("hurdles/one_low_carpet", 0.0)]
+)
 def test_the_shipped_policy_finishes_on_the_scan_of_a_place(tmp_path, place, noise):
     scan = write_scan(tmp_path / "scan", get_scene(place), noise=noise)
     assert success(str(scan), place, load_bundle("go1-parkour")) == 1.0
@@ -65,7 +66,6 @@ def test_a_mesh_touched_by_its_own_triangles_carries_the_robot_too(tmp_path):
     ("card", "file", "place"),
     [
         ("playground-go1", "go1_policy.onnx", "flat/carpet_room"),
-        ("himloco-go2", "himloco.pt", "flat/carpet_room"),
         ("himloco-go2", "himloco.pt", "stairs/five_low_corridor"),
     ],
 )

@@ -10,7 +10,8 @@ from nw_eval.machine_code.jit import inlined, kernel
 CORNERS = 9
 """Numbers of a triangle: x, y, z of its three corners, anticlockwise seen from outside."""
 
-_SAME = 1e-9  # metres between the distances of two triangles that meet in the nearest point
+_SAME = 1e-9  # metres below which a point is on the surface
+_MEETS = 1e-8  # metres within which triangles meet in a point
 
 
 @kernel
@@ -68,13 +69,58 @@ def triangle_normal(t: Any) -> Any:
     return x * scale, y * scale, z * scale
 
 
+@inlined
+def _angle(t: Any, corner: Any) -> Any:
+    """Return the angle of a triangle at one of its corners, rad."""
+    here, right, left = 3 * corner, 3 * ((corner + 1) % 3), 3 * ((corner + 2) % 3)
+    ux, uy, uz = t[right] - t[here], t[right + 1] - t[here + 1], t[right + 2] - t[here + 2]
+    vx, vy, vz = t[left] - t[here], t[left + 1] - t[here + 1], t[left + 2] - t[here + 2]
+    cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
+
+
+@inlined
+def _far(t: Any, x: Any, y: Any, z: Any, reach: Any) -> Any:
+    """Tell by the box around a triangle that a point is farther from it than `reach`."""
+    return (
+        min(t[0], t[3], t[6]) - x > reach
+        or x - max(t[0], t[3], t[6]) > reach
+        or min(t[1], t[4], t[7]) - y > reach
+        or y - max(t[1], t[4], t[7]) > reach
+        or min(t[2], t[5], t[8]) - z > reach
+        or z - max(t[2], t[5], t[8]) > reach
+    )
+
+
+@kernel
+def outward(triangles: Any, x: Any, y: Any, z: Any) -> Any:
+    """Return the direction out of a surface at a point of it, x, y, z, of any length.
+
+    The normals of all triangles that meet there, by their angles there: whoever is nearest to that
+    point is outside if and only if he is on this side. Baerentzen and Aanaes, Signed distance
+    computation using the angle weighted pseudonormal (2005), theorem 1.
+    """
+    nx, ny, nz = 0.0, 0.0, 0.0
+    for index in range(len(triangles)):
+        t = triangles[index]
+        if _far(t, x, y, z, _MEETS):
+            continue
+        qx, qy, qz = nearest_on_triangle(t, x, y, z)
+        if abs(qx - x) + abs(qy - y) + abs(qz - z) > _MEETS:
+            continue
+        weight = math.pi
+        for corner in range(3):
+            c = 3 * corner
+            if abs(t[c] - x) + abs(t[c + 1] - y) + abs(t[c + 2] - z) <= _MEETS:
+                weight = _angle(t, corner)
+        ux, uy, uz = triangle_normal(t)
+        nx, ny, nz = nx + weight * ux, ny + weight * uy, nz + weight * uz
+    return nx, ny, nz
+
+
 @kernel
 def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
     """Return how far a point is outside of a surface, and where.
-
-    Which side it is on is told by the nearest triangle. Where several meet in the nearest point,
-    it is the one that is seen most from its front or back: the others are seen edge on, and edge
-    on both sides look alike.
 
     Args:
         triangles: (T, CORNERS) metres; those near the point are enough.
@@ -87,28 +133,22 @@ def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
         the outward unit direction x, y, z between them.
     """
     best, qx, qy, qz = math.inf, 0.0, 0.0, 0.0
-    facing, nx, ny, nz = 0.0, 0.0, 0.0, 1.0
     for index in range(len(triangles)):
         t = triangles[index]
-        # Most are told to be too far by their boxes.
-        beyond = best + _SAME
-        if min(t[0], t[3], t[6]) - px > beyond or px - max(t[0], t[3], t[6]) > beyond:
-            continue
-        if min(t[1], t[4], t[7]) - py > beyond or py - max(t[1], t[4], t[7]) > beyond:
-            continue
-        if min(t[2], t[5], t[8]) - pz > beyond or pz - max(t[2], t[5], t[8]) > beyond:
+        if _far(t, px, py, pz, best):
             continue
         x, y, z = nearest_on_triangle(t, px, py, pz)
         away = math.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
-        if away > beyond:
-            continue
-        ux, uy, uz = triangle_normal(t)
-        turned = (px - x) * ux + (py - y) * uy + (pz - z) * uz
-        if away < best - _SAME or abs(turned) > abs(facing) or best == math.inf:
-            facing, nx, ny, nz = turned, ux, uy, uz
         if away < best:
             best, qx, qy, qz = away, x, y, z
-    side = -1.0 if facing < 0.0 else 1.0
-    if best > _SAME and best < math.inf:
+    if best == math.inf:
+        return best, qx, qy, qz, 0.0, 0.0, 1.0
+    nx, ny, nz = outward(triangles, qx, qy, qz)
+    side = -1.0 if (px - qx) * nx + (py - qy) * ny + (pz - qz) * nz < 0.0 else 1.0
+    if best > _SAME:
         nx, ny, nz = (px - qx) / best * side, (py - qy) / best * side, (pz - qz) / best * side
+    else:
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 1.0 / length if length > 0.0 else 0.0
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
     return side * best, qx, qy, qz, nx, ny, nz
