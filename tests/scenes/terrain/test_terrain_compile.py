@@ -272,7 +272,7 @@ def test_the_slivers_of_a_noisy_wall_are_no_slabs():
     )
     top = quad_mesh((2.0, -1.0, 0.87), (1.0, 0, 0), (0, 2.0, 0), "obstacle")
     terrain = compiled(floor(), wall, top)
-    assert all(min(box.half_size) >= 0.001 for box in boxes(terrain))
+    assert len(boxes(terrain)) <= 1  # The far edge of the top, which is straight.
 
 
 def test_platforms_at_both_ends_of_the_grid_are_two():

@@ -23,8 +23,8 @@ Mask = NDArray[np.bool_]
 
 _BISECTIONS = 6
 # How far an edge may stray from a straight line, and a tread from a plane, metres.
-_STRAIGHT = 0.002
-_FLAT = 0.003
+_STRAIGHT = 0.006
+_FLAT = 0.006
 # Slope of a tread away from its edge beyond which the face of a box would lean.
 _LEAN = 0.02
 _SHORTEST = 0.08

@@ -10,7 +10,7 @@ from nw_eval.scenes.terrain.solids import DEFAULT_FRICTION, Friction
 Collision = Literal["terrain", "triangles"]
 
 # Raise it with every change that changes a solid of any scene: it is part of the cache's key.
-COMPILER_VERSION = 4
+COMPILER_VERSION = 5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,9 +22,10 @@ _FLAT = 0.006
 _ANGLES = np.radians(np.arange(0.0, 90.0, 0.5))
 _BISECTIONS = 7
 # Square metres below which a slab is noise, and metres: upright faces that are scanned with noise
-# overhang themselves by slivers.
+# overhang themselves by slivers, which would catch feet.
 _LEAST_AREA = 5e-4
-_LEAST_SIDE = 0.004
+_LEAST_SIDE = 0.015
+_SLIVER_AREA = 3e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +74,15 @@ def overhang_plates(
         slab = samples.take(labels == name)
         if len(slab.top) * grid.spacing**2 < _LEAST_AREA or len(plates) >= most:
             break
+        if _is_sliver(slab, grid.spacing):
+            continue
         whole = _whole(slab, grid.spacing)
-        found = _pieces(slab, grid, most) if whole is None else [_trimmed(whole, grid, surface)]
-        plates += [plate for plate in found if 2 * min(plate.half) >= _LEAST_SIDE]
+        if whole is None:
+            plates += _pieces(slab, grid, most)
+            continue
+        plate = _trimmed(whole, grid, surface)
+        if 2 * min(plate.half) >= _LEAST_SIDE:
+            plates.append(plate)
     return tuple(plates[:most])
 
 
@@ -105,6 +112,12 @@ def _connected(slab_of: Index, top: Values, grid: Grid) -> Index:
         np.minimum.at(labels, np.maximum(first, second)[differ], low)
         while (labels[labels] != labels).any():
             labels = labels[labels]
+
+
+def _is_sliver(slab: _Slab, spacing: float) -> bool:
+    """Return whether a slab is small and at most two samples wide."""
+    wide = int(np.ptp(slab.cells, axis=0).min()) + 1
+    return wide <= 2 and len(slab.top) * spacing**2 < _SLIVER_AREA
 
 
 def _whole(slab: _Slab, spacing: float) -> Plate | None:
