@@ -20,9 +20,8 @@ class TerrainOptions:
     Attributes:
         collision: `terrain` is height fields and boxes, fast; `triangles` is the mesh's own ones,
             slow and exact, to check the other with.
-        spacing: of the samples near the trail. MuJoCo's cost grows with the samples under a foot:
-            on a 50,000-triangle scan a trotting Go1 makes 7.3 thousand steps/s at 1 cm, 9.5 at
-            1.25 cm, 10.7 at 1.5 cm.
+        spacing: of the samples near the trail. The cost of a step grows with the samples under
+            the robot; tests/bench/bench_terrain.py measures it.
         far_spacing: of the samples beyond.
         corridor: what counts as near, to either side of trail and spawn.
         reach: how far beyond trail and spawn there is terrain at all.

@@ -14,7 +14,11 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code.jit import kernel
-from nw_eval.scenes.terrain.narrowphase.triangles import nearest_on_triangle, signed_distance
+from nw_eval.scenes.terrain.narrowphase.triangles import (
+    is_far,
+    nearest_on_triangle,
+    signed_distance,
+)
 
 CONTACT = 7
 """Numbers of a contact: distance (negative: how deep), x, y, z of the surface, outward normal."""
@@ -48,6 +52,8 @@ def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin:
     if away <= _TOUCHES:
         return contacts[:1]
     for index in range(len(triangles)):
+        if is_far(triangles[index], x, y, z, radius + margin):
+            continue
         qx, qy, qz = nearest_on_triangle(triangles[index], x, y, z)
         away = math.sqrt((x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2)
         if away >= radius + margin:
@@ -88,6 +94,8 @@ def _nearest_around(
     """Tell whether no triangle that meets a point goes on from there towards the normal's side."""
     for other in range(len(triangles)):
         t = triangles[other]
+        if is_far(t, x, y, z, _TOUCHES):
+            continue
         if other != index:
             ox, oy, oz = nearest_on_triangle(t, x, y, z)
             if abs(ox - x) + abs(oy - y) + abs(oz - z) > _TOUCHES:

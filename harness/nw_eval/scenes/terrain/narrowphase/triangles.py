@@ -80,7 +80,7 @@ def _angle(t: Any, corner: Any) -> Any:
 
 
 @inlined
-def _far(t: Any, x: Any, y: Any, z: Any, reach: Any) -> Any:
+def is_far(t: Any, x: Any, y: Any, z: Any, reach: Any) -> Any:
     """Tell by the box around a triangle that a point is farther from it than `reach`."""
     return (
         min(t[0], t[3], t[6]) - x > reach
@@ -103,7 +103,7 @@ def outward(triangles: Any, x: Any, y: Any, z: Any) -> Any:
     nx, ny, nz = 0.0, 0.0, 0.0
     for index in range(len(triangles)):
         t = triangles[index]
-        if _far(t, x, y, z, _MEETS):
+        if is_far(t, x, y, z, _MEETS):
             continue
         qx, qy, qz = nearest_on_triangle(t, x, y, z)
         if abs(qx - x) + abs(qy - y) + abs(qz - z) > _MEETS:
@@ -135,7 +135,7 @@ def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
     best, qx, qy, qz = math.inf, 0.0, 0.0, 0.0
     for index in range(len(triangles)):
         t = triangles[index]
-        if _far(t, px, py, pz, best):
+        if is_far(t, px, py, pz, best):
             continue
         x, y, z = nearest_on_triangle(t, px, py, pz)
         away = math.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)
