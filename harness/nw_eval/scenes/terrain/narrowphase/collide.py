@@ -55,6 +55,30 @@ def _reach(kind: Any, size: Any, turn: Any) -> Any:
     return reach
 
 
+@inlined
+def _radius(kind: Any, size: Any) -> Any:
+    """Return the radius of the sphere around a shape."""
+    if kind == _SPHERE:
+        radius = size[0]
+    elif kind == _CAPSULE:
+        radius = size[0] + size[1]
+    elif kind == _CYLINDER:
+        radius = math.sqrt(size[0] ** 2 + size[1] ** 2)
+    else:
+        radius = math.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
+    return radius
+
+
+@kernel
+def _clears(heights: Any, half: Any, origin: Any, frame: Any, position: Any, radius: Any) -> Any:
+    """Tell whether a sphere is above all ground below it: most of a robot is, at most times."""
+    dx, dy, dz = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
+    x = frame[0, 0] * dx + frame[1, 0] * dy + frame[2, 0] * dz
+    y = frame[0, 1] * dx + frame[1, 1] * dy + frame[2, 1] * dz
+    z = frame[0, 2] * dx + frame[1, 2] * dy + frame[2, 2] * dz
+    return field_top(heights, half, x, y, radius, radius) < z - radius
+
+
 @kernel
 def _samples(kind: Any, size: Any, turn: Any, center: Any) -> Any:
     """Return points of a shape in the surface's frame, (N, 3)."""
@@ -89,7 +113,8 @@ def _field_contacts(
 ) -> Any:
     """Return the contacts of a shape with a height field in the field's frame, (N, CONTACT)."""
     reach = _reach(kind, size, turn) + margin
-    if field_top(heights, half, center - reach, center + reach) < center[2] - reach[2]:
+    top = field_top(heights, half, center[0], center[1], reach[0], reach[1])
+    if top < center[2] - reach[2]:
         return np.empty((0, CONTACT))
     if kind == _SPHERE:
         height = field_height(heights, half, center[0], center[1])[0]
@@ -224,6 +249,8 @@ def collide_with_field(
         margin: distance below which there is a contact, metres.
         records: (50, 10) out: mjPreContact, normals from the ground to the shape.
     """
+    if _clears(heights, half, origin, frame, position, _radius(kind, size) + margin):
+        return 0
     center, turned = _local(position, turn, origin, frame)
     contacts = _field_contacts(heights, half, kind, size, turned, center, margin)
     return _record(contacts, origin, frame, records)

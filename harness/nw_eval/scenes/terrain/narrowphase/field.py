@@ -55,18 +55,20 @@ def _cells(low: Any, high: Any, half: Any, count: Any) -> Any:
 
 
 @kernel
-def field_top(heights: Any, half: Any, low: Any, high: Any) -> Any:
+def field_top(heights: Any, half: Any, x: Any, y: Any, reach_x: Any, reach_y: Any) -> Any:
     """Return the largest height over a rectangle, metres; -inf beyond the rim.
 
     Args:
         heights: (R, C) shares.
         half: as `field_height`.
-        low: x and y of the lower left corner.
-        high: of the upper right corner.
+        x: of the rectangle's middle, metres.
+        y: likewise.
+        reach_x: half its width, metres.
+        reach_y: half its depth.
     """
     rows, columns = heights.shape
-    c0, c1 = _cells(low[0], high[0], half[0], columns)
-    r0, r1 = _cells(low[1], high[1], half[1], rows)
+    c0, c1 = _cells(x - reach_x, x + reach_x, half[0], columns)
+    r0, r1 = _cells(y - reach_y, y + reach_y, half[1], rows)
     top = -math.inf
     if c1 > c0 and r1 > r0:
         for r in range(r0, r1 + 1):
