@@ -59,10 +59,10 @@ def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin:
         if away >= radius + margin:
             continue
         nx, ny, nz = (x - qx) / away, (y - qy) / away, (z - qz) / away
-        if not _nearest_around(triangles, index, qx, qy, qz, nx, ny, nz):
-            continue
         alike = _alike(contacts[:count], nx, ny, nz)
         if alike < count and away - radius >= contacts[alike, 0]:
+            continue
+        if not _nearest_around(triangles, index, qx, qy, qz, nx, ny, nz):
             continue
         if alike < _MOST:
             _write(contacts[alike], away - radius, qx, qy, qz, nx, ny, nz)
