@@ -17,11 +17,11 @@ ASSETS = ROOT.parent / "shared" / "assets" / "policies"
 TRIALS = 2
 
 
-def success(reference, place, bundle, *, contact_termination=True):
+def success(reference, place, bundle, *, contact_termination=True, trials=TRIALS):
     """Return the mean share of waypoints that a policy reaches at one place."""
     scene = get_scene(reference)
     shares = []
-    for index in range(TRIALS):
+    for index in range(trials):
         trial = Trial(
             suite="scans",
             suite_digest="0" * 64,
@@ -74,3 +74,16 @@ def test_strangers_finish_on_a_noisy_scan_as_on_boxes(tmp_path, card, file, plac
     bundle = load_bundle(ROOT / "policies" / "examples" / card, checkpoint=ASSETS / card / file)
     # Where contacts of HIMLoco's chin end a trial, that is all that this would see.
     assert success(str(scan), place, bundle, contact_termination=False) == 1.0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.skipif(not ASSETS.is_dir(), reason="third-party policies are not here")
+@pytest.mark.parametrize("place", ["stairs/five_low_corridor", "stairs/five_low_podium"])
+def test_a_stranger_climbs_noisy_stairs_as_those_of_boxes(tmp_path, place):
+    scan = write_scan(tmp_path / "scan", get_scene(place), noise=0.002)
+    card = ROOT / "policies" / "examples" / "himloco-go2"
+    bundle = load_bundle(card, checkpoint=ASSETS / "himloco-go2" / "himloco.pt")
+    on_scan = success(str(scan), place, bundle, trials=24)
+    # A trial that falls costs up to one: the mean of 24 pairs has a standard error near 0.05.
+    assert on_scan >= success(place, place, bundle, trials=24) - 0.15

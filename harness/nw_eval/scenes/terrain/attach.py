@@ -11,6 +11,7 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
+from nw_eval.scenes.terrain.narrowphase.carrier import CARRIER_BASE
 from nw_eval.scenes.terrain.narrowphase.install import use_own_collisions
 from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 
@@ -19,8 +20,6 @@ mujoco: Any = _mujoco
 
 # MuJoCo wants a positive elevation range, also of flat ground.
 _LEAST_RANGE = 1e-3
-# What has sunk this far below a mesh is no longer looked at, metres.
-_BELOW = 0.5
 
 
 def add_height_field(
@@ -70,7 +69,7 @@ def add_triangles(
         name=name,
         nrow=2,
         ncol=2,
-        size=[half[0], half[1], 2 * half[2], _BELOW],
+        size=[half[0], half[1], 2 * half[2], CARRIER_BASE],
         userdata=[1.0, 0.0, 0.0, 0.0],
     )
     spec.worldbody.add_geom(

@@ -9,11 +9,13 @@ import numpy as np
 from numba import types
 
 from nw_eval.machine_code.jit import c_function
+from nw_eval.scenes.terrain.narrowphase.carrier import CARRIER_BASE
 from nw_eval.scenes.terrain.narrowphase.collide import collide_with_field, collide_with_mesh
 
 # Its declared types know no array whose length is read from another.
 carray: Any = numba.carray  # pyright: ignore[reportPrivateImportUsage]
 
+_MESH = 7  # mjGEOM_MESH
 _MOST = 50  # mjMAXCONPAIR
 _RECORD = 10  # numbers of an mjPreContact
 
@@ -56,10 +58,11 @@ def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any
         field = data_of[g1]
         rows = carray(m[hfield_nrow], (field + 1,), np.int32)[field]
         columns = carray(m[hfield_ncol], (field + 1,), np.int32)[field]
-        if rows > 2 or columns > 2:
+        half = carray(m[hfield_size], (field + 1, 4), np.float64)[field]
+        # Every field of this process comes here: one of another model may be small, too.
+        if half[3] != CARRIER_BASE or types_of[g1 + 1] != _MESH:
             start = carray(m[hfield_adr], (field + 1,), np.int32)[field]
             shares = carray(m[hfield_data], (start + rows * columns,), np.float32)[start:]
-            half = carray(m[hfield_size], (field + 1, 4), np.float64)[field]
             return collide_with_field(
                 shares.reshape((rows, columns)),
                 half,
@@ -76,7 +79,7 @@ def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any
         vertices = carray(m[mesh_vertadr], (mesh + 1,), np.int32)[mesh]
         faces = carray(m[mesh_faceadr], (mesh + 1,), np.int32)[mesh]
         tree = carray(m[mesh_bvhadr], (mesh + 1,), np.int32)[mesh]
-        # As long as the addresses of 32 bits allow: only what the tree names is read.
+        # Their lengths are not looked up: only what the tree names is read.
         far = 1 << 28
         return collide_with_mesh(
             carray(m[mesh_vert], (far, 3), np.float32)[vertices:],

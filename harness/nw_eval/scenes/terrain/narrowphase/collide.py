@@ -28,8 +28,6 @@ _SPHERE, _CAPSULE, _CYLINDER, _BOX = 2, 3, 5, 6
 # How far into the ground a way out is looked for, metres. At 4 m/s a landing foot gets 3 cm deep.
 _DEEPEST = 0.08
 _MOST = 6
-_RECORD = 10
-"""Numbers of MuJoCo's mjPreContact: distance, position, normal, tangent."""
 
 
 @inlined

@@ -9,8 +9,6 @@ import numpy as np
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.scenes.terrain.narrowphase.triangles import CORNERS
 
-_DEEPEST = 128
-
 
 @inlined
 def _apart(box: Any, low: Any, high: Any) -> Any:
@@ -36,7 +34,7 @@ def mesh_triangles(
         low: (3,) lower corner, metres.
         high: (3,) upper corner.
     """
-    waiting = np.empty(_DEEPEST, dtype=np.int64)
+    waiting = np.empty(64, dtype=np.int64)
     found = np.empty((64, CORNERS))
     count = 0
     number = 1
@@ -57,8 +55,12 @@ def mesh_triangles(
                     found[count, 3 * corner + axis] = vertices[vertex, axis]
             count += 1
             continue
+        if number + 2 > len(waiting):
+            longer = np.empty(2 * len(waiting), dtype=np.int64)
+            longer[:number] = waiting[:number]
+            waiting = longer
         for side in range(2):
-            if children[node, side] >= 0 and number < _DEEPEST:
+            if children[node, side] >= 0:
                 waiting[number] = children[node, side]
                 number += 1
     return found[:count]
