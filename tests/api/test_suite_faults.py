@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval import api, cli
+from nw_eval.built_in.entry import Entry
+from nw_eval.catalogue import find as catalogue
 from nw_eval.errors import PolicyError, SuiteError
-from nw_eval.scenes import catalogue
-from nw_eval.scenes.entry import Entry
 from nw_eval.suite import load_suite
 
 # What is right, and in its place: what is wrong, and what is said of it.

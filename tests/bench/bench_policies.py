@@ -28,17 +28,17 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from nw_eval.cards.observations import ProprioObservation
+from nw_eval.onboarding.probe.recording import ThisBundle
 from nw_eval.policies import Policy, load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.onnx_graph import Graph
 from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor, ParkourExpert
 from nw_eval.policies.networks.parkour_student import DepthEncoder
-from nw_eval.policies.observations import ProprioObservation
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.probe.recording import ThisBundle
 from nw_eval.suite.trials import Trial
 
 PATH_TARGET = 60.0

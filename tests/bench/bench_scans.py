@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scenes" / "terrain"))
 
 from scanned import write_scan
 
+from nw_eval.catalogue import get_scene, names
 from nw_eval.policies import load_bundle
 from nw_eval.rollout import prepare
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import get_scene, names
 from nw_eval.suite.trials import Trial
 
 TASKS = ("hurdles", "gaps", "ramps", "stairs")

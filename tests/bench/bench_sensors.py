@@ -13,9 +13,11 @@ import time
 
 import numpy as np
 
-from nw_eval.policies import Card, load_bundle
+from nw_eval.cards import Card
+from nw_eval.catalogue import get_scene
+from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
-from nw_eval.scenes import Scene, get_scene
+from nw_eval.scenes import Scene
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import Moment, build_sensors

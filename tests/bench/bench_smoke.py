@@ -16,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "splat"))
 import splat_reference
 import torch
 
+from nw_eval.built_in.bake.generate import generate
+from nw_eval.catalogue import match_scenes
 from nw_eval.policies import load_bundle
 from nw_eval.rollout import prepare
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import match_scenes
-from nw_eval.scenes.bake.generate import generate
 from nw_eval.splat.image import Image
 from nw_eval.suite import expand, load_suite, override
 

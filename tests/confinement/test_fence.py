@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval.confinement import Fence, Rules, offered
 from nw_eval.errors import PolicyError
-from nw_eval.rollout.isolated import call_isolated
+from nw_eval.rollout.confined.isolated import call_isolated
 
 fenced = pytest.mark.skipif(
     not (offered().landlock >= 3 and offered().seccomp), reason="this kernel has no whole fence"

@@ -14,15 +14,15 @@ import pytest
 import torch
 
 from nw_eval.cache import cache_dir
+from nw_eval.catalogue import get_scene
 from nw_eval.confinement import child_environment, offered
-from nw_eval.engine.output import LARGEST, WorkerOutput
+from nw_eval.engine.machine.output import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import get_scene
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.suite.model import new_suite

@@ -10,7 +10,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.confinement import environment
-from nw_eval.engine import cpu
+from nw_eval.engine.machine import cpu
 from nw_eval.errors import UsageError
 from nw_eval.gate import EXIT_CODES
 from nw_eval.results.columns import SCHEMA, about, columns_table

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from nw_eval import api
-from nw_eval.scenes import get_scene, limits
+from nw_eval.catalogue import get_scene
+from nw_eval.scenes import limits
 from nw_eval.scenes.name import checked_name
 from nw_eval.scenes.neverwhere.primitives import _SIZES
 from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES

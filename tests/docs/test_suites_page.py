@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from nw_eval.built_in.splits import Split
+from nw_eval.catalogue.find import names
 from nw_eval.gate.outlook import DROP
 from nw_eval.robots import get_robot
 from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED
-from nw_eval.scenes.catalogue import names
-from nw_eval.scenes.splits import Split
 from nw_eval.sim import Limits
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
@@ -140,7 +140,7 @@ def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
 
 
 def test_with_a_friction_of_the_suite_that_value_alone_counts() -> None:
-    from nw_eval.scenes import get_scene
+    from nw_eval.catalogue import get_scene
     from nw_eval.sim.actuators import Actuators
 
     robot, scene = get_robot("go1"), get_scene("flat/carpet_room")

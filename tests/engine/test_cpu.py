@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from nw_eval.engine.cpu import cpu_kind
+from nw_eval.engine.machine.cpu import cpu_kind
 
 SCRIPT = """
 from nw_eval.engine.cpu import cpu_kind

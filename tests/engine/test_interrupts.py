@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from nw_eval.confinement import child_environment, interrupts_blocked
-from nw_eval.engine.interrupts import Interrupts
+from nw_eval.engine.machine.interrupts import Interrupts
 
 
 def test_the_first_signal_asks_and_the_second_ends():

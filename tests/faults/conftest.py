@@ -10,16 +10,16 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.engine.local import LocalWorkers
-from nw_eval.engine.output import WorkerOutput
+from nw_eval.catalogue import get_scene
+from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.run import run_trials
+from nw_eval.engine.workers.local import LocalWorkers
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.spawn import draw_start
-from nw_eval.scenes import get_scene
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 

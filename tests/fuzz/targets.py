@@ -307,13 +307,13 @@ def _bundles(contents, adapter, file):
 def _open_bundle(folder, file):
     """Load a bundle with the mutated weights, as `--checkpoint` does, and ask it for an action."""
     from nw_eval.policies import load_bundle
-    from nw_eval.sensors import check_bundle
+    from nw_eval.rollout.check_bundle import check_bundle
 
     check_bundle(load_bundle(folder / "policy.yaml", checkpoint=folder / file))
 
 
 def _inspect(folder):
-    from nw_eval.policies.inspect.facts import inspect_checkpoint
+    from nw_eval.onboarding.reading.facts import inspect_checkpoint
 
     (path,) = folder.iterdir()
     return inspect_checkpoint(path)
@@ -329,7 +329,7 @@ def _tensors(folder):
 
 
 def _card(folder):
-    from nw_eval.policies.card_file import load_card
+    from nw_eval.cards.file.load import load_card
     from nw_eval.robots import get_robot
     from nw_eval.sensors import check_card
 
@@ -367,8 +367,8 @@ def _scene_seeds(folder):
 
 def _scene(folder):
     """Load a place, compile its world, cast a ray and read its splat, as a run would."""
+    from nw_eval.catalogue import get_scene
     from nw_eval.robots import get_robot
-    from nw_eval.scenes import get_scene
     from nw_eval.scenes.rays import RayScene
     from nw_eval.sim import World
 
@@ -381,7 +381,7 @@ def _scene(folder):
 
 
 def _published(folder):
-    from nw_eval.scenes import get_scene
+    from nw_eval.catalogue import get_scene
     from nw_eval.scenes.rays import RayScene
 
     (path,) = folder.rglob("*.xml")
@@ -518,7 +518,7 @@ def _log_seeds(folder):
 
 def _log(folder):
     from nw_eval.rollout.mcap.reader import LogReader
-    from nw_eval.rollout.replay import read_recording
+    from nw_eval.rollout.replaying.replay import read_recording
 
     path = folder / "trial.mcap"
     reader = LogReader(path)
@@ -549,7 +549,7 @@ def _parquet(folder):
 
 
 def _wire_seeds(_folder):
-    from nw_eval.policies.wire import encode
+    from nw_eval.policies.remote.wire import encode
 
     hello = {
         "protocol": 2, "policy": "x", "joints": 12, "digest": "ab" * 32,
@@ -580,7 +580,7 @@ class _Server:
 def _wire(folder):
     """Hold a conversation with a server that says what the files say; no socket is needed."""
     from nw_eval.policies import load_bundle
-    from nw_eval.policies.adapters import remote
+    from nw_eval.policies.remote import client as remote
 
     text = CARD.format(adapter="remote", file="x").replace("checkpoint: {file: x}\n", "")
     card = folder / "policy.yaml"

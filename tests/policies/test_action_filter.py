@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nw_eval.cards import Card, JointControl, load_card
+from nw_eval.cards.low_pass import ButterworthFilter, ExponentialFilter
 from nw_eval.errors import PolicyError
-from nw_eval.policies import ActionFilter, Card, JointControl, load_bundle, load_card
-from nw_eval.policies.action_filter import ButterworthFilter, ExponentialFilter
+from nw_eval.onboarding.probe.recording import record
+from nw_eval.policies import ActionFilter, load_bundle
 from nw_eval.robots import get_robot
-from nw_eval.rollout.probe.recording import record
 
 GO1 = get_robot("go1")
 

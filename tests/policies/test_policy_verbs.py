@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from nw_eval import api
+from nw_eval.cards import load_card
 from nw_eval.errors import PolicyError, UsageError
-from nw_eval.policies import load_bundle, load_card
-from nw_eval.rollout.probe.recording import record
-from nw_eval.rollout.probe.report import probe_here
+from nw_eval.onboarding.probe.recording import record
+from nw_eval.onboarding.probe.report import probe_here
+from nw_eval.policies import load_bundle
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))

@@ -9,7 +9,7 @@ import torch
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.sensors.check import check_bundle
+from nw_eval.rollout.check_bundle import check_bundle
 
 CARD = """\
 nw-policy: 1

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nw_eval.catalogue import get_scene
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.scenes import get_scene
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import compile_store
 from nw_eval.suite.trials import Trial

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from nw_eval.catalogue import get_scene
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import get_scene
 from nw_eval.suite.trials import Trial
 
 ASSETS = Path(

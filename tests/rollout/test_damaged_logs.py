@@ -20,12 +20,12 @@ from PIL import Image
 
 from nw_eval.cli import main
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.rollout.mcap.content.images import image_message
 from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.images import image_message
 from nw_eval.rollout.mcap.messages import SimState
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
-from nw_eval.rollout.replay import read_recording, replay
+from nw_eval.rollout.replaying.replay import read_recording, replay
 
 TRIES = 500
 

@@ -14,14 +14,14 @@ from onnx.utils import Extractor
 from torch import nn
 
 from nw_eval.errors import PolicyError
+from nw_eval.onboarding.probe.report import probe_here
+from nw_eval.onboarding.probe.summary import card_summary
 from nw_eval.policies import load_bundle
+from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import vet_bundle
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.probe.report import probe_here
-from nw_eval.rollout.probe.summary import card_summary
-from nw_eval.rollout.replay import replay
+from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.trial import run_trial
-from nw_eval.rollout.vetting import vet_bundle
-from nw_eval.sensors import check_bundle
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))

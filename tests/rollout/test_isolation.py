@@ -9,8 +9,8 @@ import torch
 from nw_eval import sensors
 from nw_eval.errors import PolicyError, SceneError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout import vetting
-from nw_eval.rollout.isolated import call_isolated
+from nw_eval.rollout.confined import vetting
+from nw_eval.rollout.confined.isolated import call_isolated
 
 # Functions travel to another process by name, so they must live in a module that it can import.
 MODULE = "isolated_functions"

@@ -10,10 +10,10 @@ from mcap.reader import SeekingReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from nw_eval.rollout.mcap.body import joints_form, odom_form, rounded, transforms_form
+from nw_eval.rollout.mcap.content.body import joints_form, odom_form, rounded, transforms_form
+from nw_eval.rollout.mcap.content.numbers import observation_form, values_of
 from nw_eval.rollout.mcap.form import BLANK_TIME, Form
 from nw_eval.rollout.mcap.messages import Observation
-from nw_eval.rollout.mcap.numbers import observation_form, values_of
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
 TIMES = [0, 20_000_000, 980_000_000, 1_000_000_000, 12_340_000_000, 599_980_000_000]

@@ -157,8 +157,8 @@ def test_code_that_fails_as_it_is_made_is_the_policys_and_a_lost_file_is_not(
     ids=["exit", "nan"],
 )
 def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(monkeypatch, act, said):
+    from nw_eval.onboarding.probe.report import probe_here
     from nw_eval.policies import load_bundle
-    from nw_eval.rollout.probe.report import probe_here
 
     calls = iter(range(1000))
     monkeypatch.setattr(

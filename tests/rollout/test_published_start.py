@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.replay import replay
+from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.trial import run_trial
 
 

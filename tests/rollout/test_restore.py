@@ -8,7 +8,7 @@ from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.replay import read_recording, replay, run_on
+from nw_eval.rollout.replaying.replay import read_recording, replay, run_on
 from nw_eval.rollout.trial import run_trial
 
 
@@ -66,7 +66,7 @@ def test_a_replay_is_identical_from_the_start_and_from_the_middle(recorded, libr
 def test_a_replay_says_what_differs(recorded, library, monkeypatch):
     path, _ = recorded
     monkeypatch.setattr(
-        "nw_eval.rollout.replay.open_trial",
+        "nw_eval.rollout.replaying.replay.open_trial",
         lambda job, *rest: open_trial(
             replace(job, trial=replace(job.trial, index=job.trial.index + 1)), *rest
         ),

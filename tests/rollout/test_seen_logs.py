@@ -10,13 +10,13 @@ from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Episode, observation_digest
-from nw_eval.rollout.mcap.clouds import cloud_points
+from nw_eval.rollout.mcap.content.clouds import cloud_points
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.mcap.topics import TOPICS
+from nw_eval.rollout.observed.seen import MANY, layout_of
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.seen import MANY, layout_of
 from nw_eval.rollout.trial import run_trial
-from nw_eval.sensors.palette import PALETTE
+from nw_eval.sensors.drawing.palette import PALETTE
 
 CARD = """\
 nw-policy: 1

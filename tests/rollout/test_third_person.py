@@ -8,21 +8,21 @@ import pytest
 from PIL import Image as PillowImage
 
 from nw_eval import api
+from nw_eval.catalogue import get_scene
 from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
-from nw_eval.rollout import contact_sheet
-from nw_eval.rollout.contact_shadow import ContactShadow
 from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.replay import read_recording
-from nw_eval.rollout.third_person import Spectator
+from nw_eval.rollout.pictures.contact_shadow import ContactShadow
+from nw_eval.rollout.pictures.third_person import Spectator
+from nw_eval.rollout.replaying import contact_sheet
+from nw_eval.rollout.replaying.replay import read_recording
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import get_scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.sheet import draw_sheet
+from nw_eval.sensors.drawing.sheet import draw_sheet
 from nw_eval.sim import World
+from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.image import Image
-from nw_eval.splat.pixels import Pixels
 from nw_eval.suite.trials import Trial
 
 SCENE = """\

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.policies import Card
-from nw_eval.policies.observations import DepthObservation, SemanticsObservation
-from nw_eval.policies.observations import SplatRgbObservation as Photo
-from nw_eval.policies.observations.wraps import Wrap
+from nw_eval.cards import Card
+from nw_eval.cards.observations import DepthObservation, SemanticsObservation
+from nw_eval.cards.observations import SplatRgbObservation as Photo
+from nw_eval.cards.observations.wraps import Wrap
 from nw_eval.robots import get_robot
-from nw_eval.rollout.views import View, views_of
-from nw_eval.sensors.splat_image import arrange
+from nw_eval.rollout.observed.views import View, views_of
+from nw_eval.sensors.cameras.splat_image import arrange
 from nw_eval.sensors.wrappers import Chain, Shot, Spec, make_wrappers
 
 SIZE = {"width": 10, "height": 8}

@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from nw_eval.scenes import get_scene
+from nw_eval.catalogue import get_scene
 from nw_eval.scenes.plan_view import draw_plan, figures
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nw_eval.api import check_scenes
+from nw_eval.catalogue import get_scene, names
 from nw_eval.errors import SceneError
-from nw_eval.scenes import get_scene, names
 from nw_eval.scenes.name import checked_name
 
 SCENE = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.scenes import get_scene, names
+from nw_eval.catalogue import get_scene, names
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.scene import Spawn
 

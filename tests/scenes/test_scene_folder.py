@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
-from nw_eval.scenes import get_scene
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians

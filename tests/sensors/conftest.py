@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.policies import Card
+from nw_eval.cards import Card
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Box, Scene
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh

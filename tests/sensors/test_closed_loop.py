@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.policies import ActionDelay, JointControl, actuator_values, load_bundle, open_policy
+from nw_eval.cards import JointControl, actuator_values
+from nw_eval.policies import ActionDelay, load_bundle, open_policy
 from nw_eval.robots import get_robot
 from nw_eval.sensors import Moment, build_sensors
 from nw_eval.sim import Actuators, Termination, TrailProgress, World

@@ -7,9 +7,15 @@ from PIL import Image as PillowImage
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.policies import load_bundle
 from nw_eval.sensors import gallery
-from nw_eval.sensors.pictures import arrow, coloured, enlarged, picture_of, points_from_behind
+from nw_eval.sensors.drawing.pictures import (
+    arrow,
+    coloured,
+    enlarged,
+    picture_of,
+    points_from_behind,
+)
+from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.image import Image
-from nw_eval.splat.pixels import Pixels
 
 BARS = (((2.0, 0.0, 0.11), (0.1, 1.0, 0.11)),)
 
@@ -56,7 +62,7 @@ def test_a_card_that_needs_images_of_a_splat_is_refused_a_scene_without_one(plac
         "control: {action: joint_position_offset}\nobservations: {eye: {sensor: splat_rgb}}\n"
     )
     with pytest.raises(SceneError, match="has no splat"):
-        gallery.draw_card(load_bundle(tmp_path), place(), tmp_path / "seen.png")
+        gallery.draw_card(load_bundle(tmp_path).card, place(), tmp_path / "seen.png")
 
 
 def test_a_folder_that_is_not_there_is_made_or_told(place, tmp_path):
@@ -72,7 +78,7 @@ def test_a_card_is_told_and_its_images_are_drawn(place, tmp_path):
         "observations:\n  way: {sensor: direction}\n"
         "  eye: {sensor: depth, wrap: [{wrapper: stack, steps: 2}]}\n"
     )
-    told = gallery.draw_card(load_bundle(tmp_path), place(*BARS), tmp_path / "seen.png")
+    told = gallery.draw_card(load_bundle(tmp_path).card, place(*BARS), tmp_path / "seen.png")
     way, eye = told.splitlines()
     assert way.startswith("way: direction, 1 float32, ")
     assert eye.startswith("eye: depth, 2 x 45 x 80 float32, ")

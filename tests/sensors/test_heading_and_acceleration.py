@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.policies.terms import EARLIER_OUTPUTS
+from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.robots import get_robot
 from nw_eval.sensors import Moment, build_sensors
 from nw_eval.sim import TrailProgress, World

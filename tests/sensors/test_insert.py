@@ -5,12 +5,12 @@ import pytest
 
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.cones import Cones
-from nw_eval.sensors.light import light_around
-from nw_eval.sensors.overlay import cone_mask, ray_directions
-from nw_eval.splat.camera import Camera
+from nw_eval.sensors.drawing.cones import Cones
+from nw_eval.sensors.drawing.light import light_around
+from nw_eval.sensors.drawing.overlay import cone_mask, ray_directions
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.image import Image
-from nw_eval.splat.pixels import Pixels
 
 SIZE = {"width": 160, "height": 90}
 

@@ -3,7 +3,7 @@ import pytest
 
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.heights import grid
+from nw_eval.sensors.ground.heights import grid
 from nw_eval.sim import World
 
 DOTS = {"dots": {"sensor": "scandots"}}

@@ -4,9 +4,9 @@ import pytest
 from nw_eval.errors import PolicyError
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.splat_image import arrange, average_blocks
+from nw_eval.sensors.cameras.splat_image import arrange, average_blocks
+from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.image import Image
-from nw_eval.splat.pixels import Pixels
 
 IMAGE = {"sensor": "splat_rgb", "width": 32, "height": 18}
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from nw_eval.cards.observations import Wrap
 from nw_eval.errors import PolicyError
-from nw_eval.policies.observations import Wrap
 from nw_eval.sensors import build_sensors, check_card
 from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers
 

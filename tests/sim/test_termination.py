@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nw_eval.scenes import get_scene
+from nw_eval.catalogue import get_scene
 from nw_eval.sim import Termination, TrailProgress, World
 from nw_eval.sim.termination import distance_to_polyline
 

@@ -11,7 +11,7 @@ from splat_reference import render
 from splat_rooms import cloud, eye_camera, psnr, room
 
 from nw_eval.splat import CpuRenderer, memory_store, read_splat
-from nw_eval.splat.turntable import framing_camera
+from nw_eval.splat.movies.turntable import framing_camera
 
 _FLIP = 4.5e-3
 """A splat at alpha = 1/255 exactly may be in or out by rounding: 1/255, and a little."""

@@ -52,12 +52,12 @@ class Faults:
 
 def open_scenes(draft: Draft, faults: Faults, collision: Collision) -> tuple[Scene, ...]:
     """Return the scenes that a suite names, as far as they can be opened."""
-    from nw_eval import scenes as places
+    from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
 
     def opened(patterns: list[str]) -> tuple[Scene, ...]:
-        return places.match_scenes(patterns, draft.base, collision=collision)
+        return catalogue.match_scenes(patterns, draft.base, collision=collision)
 
     found: list[Scene] = []
     failed: list[str] = []
@@ -75,7 +75,7 @@ def open_scenes(draft: Draft, faults: Faults, collision: Collision) -> tuple[Sce
                 faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
                 failed.append(pattern)
     # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
-    meant = [scene.name for scene in found] + list(places.names() if failed else ())
+    meant = [scene.name for scene in found] + list(catalogue.names() if failed else ())
     faults.extend(tier_problems(draft, meant, failed))
     return tuple(found)
 
@@ -101,7 +101,7 @@ def open_policy(
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
-    from nw_eval.rollout.vetting import vet_bundle
+    from nw_eval.rollout.confined.vetting import vet_bundle
     from nw_eval.suite.model import Protocol, Robot
 
     own = draft.text("policy")

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 def list_scenes(patterns: Sequence[str] = ()) -> str:
     """Return a table of scenes: name, waypoints, split (train or eval), title."""
-    from nw_eval.scenes import match_scenes
-    from nw_eval.scenes.splits import split_of
+    from nw_eval.built_in.splits import split_of
+    from nw_eval.catalogue import match_scenes
 
     found = match_scenes(tuple(patterns) or ("*",))
     width = max(len(scene.name) for scene in found)
@@ -35,7 +35,7 @@ def show_scene(reference: str, *, out: Path | None = None) -> str:
         SceneError: there is no such scene, or it cannot be read.
         StoreError: the picture cannot be written.
     """
-    from nw_eval.scenes import get_scene
+    from nw_eval.catalogue import get_scene
     from nw_eval.scenes.plan_view import draw_plan, figures
 
     scene = get_scene(reference)
@@ -50,9 +50,9 @@ def check_scenes(references: Sequence[str]) -> Message:
     Raises:
         UsageError: no scene is named, so nothing would be checked.
     """
+    from nw_eval.catalogue.inspect import inspect_scene
     from nw_eval.errors import SceneError, UsageError
     from nw_eval.scenes.health.finding import has_errors
-    from nw_eval.scenes.health.inspect import inspect_scene
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
@@ -75,10 +75,10 @@ def render_scenes(
     Raises:
         SceneError: no such scene. StoreError: the picture cannot be written.
     """
+    from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import Silence
     from nw_eval.engine.prepare import build_splats
-    from nw_eval.rollout.contact_sheet import write_scene_sheet
-    from nw_eval.scenes import match_scenes
+    from nw_eval.rollout.replaying.contact_sheet import write_scene_sheet
 
     found = match_scenes(tuple(patterns) or ("*",))
     build_splats(found, listener or Silence())
@@ -87,9 +87,9 @@ def render_scenes(
 
 def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> str:
     """Compile the kernels into the cache and build scenes ahead; return what was done, in words."""
+    from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import Silence
     from nw_eval.engine.prepare import build_splats
-    from nw_eval.scenes import match_scenes
     from nw_eval.splat.warmup import warmup as compile_kernels
 
     seconds = compile_kernels()

@@ -54,7 +54,7 @@ def plan(
         SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
         PolicyError: only the policy cannot be used, and its own files are to blame.
     """
-    from nw_eval import scenes as places
+    from nw_eval import catalogue
     from nw_eval.api.faults import Faults, open_policy, open_scenes
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
@@ -91,7 +91,7 @@ def plan(
         suite=told,
         bundle=bundle,
         scenes=chosen,
-        references=places.references(told.scenes, told.base, collision=collision),
+        references=catalogue.references(told.scenes, told.base, collision=collision),
         trials=expand(told, chosen),
         checkpoint=checkpoint,
         allow_code=allow_code,

@@ -12,7 +12,7 @@ from nw_eval.errors import UsageError
 
 def list_policies() -> str:
     """Return a table of the shipped and the project's bundles, and of the example cards."""
-    from nw_eval.policies.listing import policy_table
+    from nw_eval.cards.file.listing import policy_table
 
     return policy_table()
 
@@ -28,8 +28,8 @@ def show_policy(policy: str, *, checkpoint: Path | None = None, allow_code: bool
     Raises:
         PolicyError: there is no such card, or it has problems; `checkpoint` cannot be used.
     """
+    from nw_eval.onboarding.probe.summary import card_summary
     from nw_eval.policies import find_card
-    from nw_eval.rollout.probe.summary import card_summary
 
     return card_summary(find_card(policy), checkpoint=checkpoint, allow_code=allow_code)
 
@@ -54,8 +54,8 @@ def check_policy(
     Raises:
         PolicyError, SceneError: it cannot be run at all.
     """
+    from nw_eval.onboarding.probe.report import FLAT, probe_policy
     from nw_eval.policies import load_bundle
-    from nw_eval.rollout.probe.report import FLAT, probe_policy
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
     told = probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
@@ -78,11 +78,11 @@ def init_policy(
             fit `layout`.
         UsageError: there is a card already.
     """
-    from nw_eval.policies.card_file import CARD_FILE
-    from nw_eval.policies.inspect.beside import files_beside
-    from nw_eval.policies.inspect.draft import draft_of
-    from nw_eval.rollout.access import inspecting_rules
-    from nw_eval.rollout.isolated import call_isolated
+    from nw_eval.cards.file.load import CARD_FILE
+    from nw_eval.onboarding.drafting.draft import draft_of
+    from nw_eval.onboarding.reading.beside import files_beside
+    from nw_eval.rollout.confined.access import inspecting_rules
+    from nw_eval.rollout.confined.isolated import call_isolated
 
     card = out or checkpoint.parent / CARD_FILE
     if card.exists():
@@ -115,9 +115,9 @@ def fold_policy(checkpoint: Path, *, out: Path) -> str:
         PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
         UsageError: `out` exists already, or cannot be written.
     """
-    from nw_eval.policies.onnx_fold import fold
-    from nw_eval.rollout.access import folding_rules
-    from nw_eval.rollout.isolated import call_isolated
+    from nw_eval.policies.onnx.fold import fold
+    from nw_eval.rollout.confined.access import folding_rules
+    from nw_eval.rollout.confined.isolated import call_isolated
 
     size = call_isolated(
         fold,
@@ -159,8 +159,8 @@ def serve_policy(
     # Before anything is imported that starts threads, which would stay outside of the fence.
     with child_environment() if confined and not allow_code else nullcontext():
         from nw_eval.policies import load_bundle
-        from nw_eval.policies.serve import serving
-        from nw_eval.rollout.access import fence_in_server
+        from nw_eval.policies.remote.serve import serving
+        from nw_eval.rollout.confined.access import fence_in_server
         from nw_eval.sensors import check_card
 
         bundle = load_bundle(policy, checkpoint=checkpoint)

@@ -67,7 +67,7 @@ def run(
     """
     from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
-    from nw_eval.engine.presence import Presence
+    from nw_eval.engine.workers.presence import Presence
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
@@ -136,7 +136,7 @@ def replay(
         StoreError: the log cannot be read.
         PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
     """
-    from nw_eval.rollout.replay_apart import replay_apart
+    from nw_eval.rollout.replaying.apart import replay_apart
 
     if not log.is_file():
         raise UsageError(
@@ -153,7 +153,7 @@ def replay(
     )
     text = replayed.text
     if picture is not None and replayed.picture is not None:
-        from nw_eval.rollout.contact_sheet import write_picture
+        from nw_eval.rollout.replaying.contact_sheet import write_picture
 
         write_picture(replayed.picture, picture)
         text += f"\n{picture}"

@@ -19,7 +19,7 @@ def _schema(kind: Kind) -> dict[str, Any]:
 
         return of_suite()
     if kind == "policy":
-        from nw_eval.policies.schema import json_schema as of_card
+        from nw_eval.cards.file.schema import json_schema as of_card
 
         return of_card()
     from nw_eval.scenes.folder import json_schema as of_scene

@@ -7,9 +7,9 @@ from pathlib import Path
 
 def list_sensors() -> str:
     """Return the sensors and wrappers that cards can name, with the packages of plug-ins."""
-    from nw_eval.policies.observations import BUILT_IN_SENSORS
-    from nw_eval.policies.observations.plugins import SENSORS, WRAPPERS
-    from nw_eval.policies.observations.wraps import BUILT_IN_WRAPPERS
+    from nw_eval.cards.observations import BUILT_IN_SENSORS
+    from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS
+    from nw_eval.cards.observations.wraps import BUILT_IN_WRAPPERS
     from nw_eval.sensors.plugins import usable
 
     lines: list[str] = []
@@ -25,12 +25,13 @@ def draw_sensors(policy: str | None, *, scene: str, out: Path, allow_code: bool 
     Raises:
         SceneError, PolicyError, UsageError: scene or policy cannot be used.
     """
+    from nw_eval.catalogue import get_scene
     from nw_eval.policies import load_bundle
-    from nw_eval.scenes import get_scene
     from nw_eval.sensors.gallery import draw_card, draw_gallery
 
     place = get_scene(scene)
     if policy is None:
         draw_gallery(place, out)
         return ""
-    return draw_card(load_bundle(policy), place, out, allow_code=allow_code)
+    bundle = load_bundle(policy)
+    return draw_card(bundle.card, place, out, code_from=bundle.folder if allow_code else None)

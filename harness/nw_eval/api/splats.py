@@ -12,7 +12,7 @@ from nw_eval.inside import what_is
 if TYPE_CHECKING:
     from nw_eval.rollout.job import Backend
     from nw_eval.splat.gaussians import Gaussians
-    from nw_eval.splat.turntable import Up
+    from nw_eval.splat.movies.turntable import Up
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
@@ -70,9 +70,9 @@ def splat_render(
     Raises:
         SceneError, UsageError, PrerequisiteError: something cannot be read, drawn or written.
     """
-    from nw_eval import scenes
+    from nw_eval import catalogue
     from nw_eval.scenes.circuit import circuit
-    from nw_eval.splat import portrait
+    from nw_eval.splat.movies import portrait
 
     suffix = out.suffix.lower()
     if suffix not in portrait.SUFFIXES:
@@ -81,8 +81,8 @@ def splat_render(
     if target is not None and eye is None:
         raise UsageError("--target without --eye", fix="say where the camera stands too")
     gaussians = _gaussians(source)
-    if source in scenes.names():
-        scene = scenes.get_scene(source)
+    if source in catalogue.names():
+        scene = catalogue.get_scene(source)
         x, y, z = scene.spawn.position
         subject = portrait.Subject(
             gaussians=gaussians,
@@ -97,17 +97,17 @@ def splat_render(
 
 def _gaussians(source: str | Path) -> Gaussians:
     """Return the Gaussians of a file, in its own frame, or of a built-in scene, in the world's."""
-    from nw_eval import scenes
+    from nw_eval import catalogue
     from nw_eval.splat.files import read_splat
     from nw_eval.splat.transform import transformed
 
     name = str(source)
-    if name in scenes.names():
-        scene = scenes.get_scene(name)
+    if name in catalogue.names():
+        scene = catalogue.get_scene(name)
         return transformed(read_splat(scene.splat_store()), scene.T_world_splat)
     path = Path(source)
     if not path.suffix and what_is(path) == "nothing":
         raise SceneError(
-            f"no file and no built-in scene is called {name!r}", fix=nearest(name, scenes.names())
+            f"no file and no built-in scene is called {name!r}", fix=nearest(name, catalogue.names())
         )
     return read_splat(path)

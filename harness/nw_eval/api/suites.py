@@ -30,8 +30,8 @@ def list_suites() -> str:
 
 def _describe(path: str) -> tuple[str, str, str]:
     """Return how much a suite runs, its bar, and what it is for."""
+    from nw_eval.catalogue import references
     from nw_eval.errors import NwEvalError
-    from nw_eval.scenes import references
     from nw_eval.suite import load_suite
 
     try:

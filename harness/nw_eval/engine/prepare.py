@@ -6,17 +6,17 @@ from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.worker import WorkerStart
+from nw_eval.engine.workers.worker import WorkerStart
 from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.access import running_rules
+from nw_eval.rollout.confined.access import running_rules
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
-    from nw_eval.policies import Card
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import Backend, Record, TrialJob
     from nw_eval.scenes import Scene

@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.interrupts import Interrupts
 from nw_eval.engine.listener import Listener, Silence
-from nw_eval.engine.local import RECYCLE_AFTER, Finished, LocalWorkers
-from nw_eval.engine.output import WorkerOutput
+from nw_eval.engine.machine.interrupts import Interrupts
+from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.prepare import worker_start
-from nw_eval.engine.presence import Presence
 from nw_eval.engine.repeat import is_open, settled
 from nw_eval.engine.rows import make_row
+from nw_eval.engine.workers.local import RECYCLE_AFTER, Finished, LocalWorkers
+from nw_eval.engine.workers.presence import Presence
 from nw_eval.rollout.result import policy_fault
 
 if TYPE_CHECKING:
     import signal
     from collections.abc import Sequence
 
-    from nw_eval.engine.worker import WorkerStart
+    from nw_eval.engine.workers.worker import WorkerStart
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder

@@ -8,9 +8,10 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.cache import atomic_path
+from nw_eval.catalogue.find import TRIANGLES
 from nw_eval.confinement import Fence, offered
-from nw_eval.engine.cpu import cpu_kind
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.machine.cpu import cpu_kind
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, needs_splats, open_backend, ready_scans
 from nw_eval.engine.run import RunOutcome, default_workers, run_trials
@@ -28,8 +29,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
-from nw_eval.rollout.access import why_off
-from nw_eval.scenes.catalogue import TRIANGLES
+from nw_eval.rollout.confined.access import why_off
 from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
 
@@ -192,7 +192,9 @@ def _info(
 
 def _write_layout(folder: RunFolder, plan: Plan) -> None:
     """Write how Foxglove is to show the logs of this policy."""
-    from nw_eval.rollout.seen import layout_of  # It knows the simulator, and takes as long.
+    from nw_eval.rollout.observed.seen import (
+        layout_of,  # It knows the simulator, and takes as long.
+    )
 
     with atomic_path(folder.layout) as temporary:
         layout = layout_of(plan.bundle.card, get_robot(plan.suite.robot))

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from nw_eval.cards.card import Card
+from nw_eval.cards.checkpoint import Checkpoint
+from nw_eval.cards.file.load import CARD_FILE, load_card
+from nw_eval.cards.observations.plugins import is_code
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.inside import OutsideError, inside, what_is
-from nw_eval.policies.card import Card
-from nw_eval.policies.card_file import CARD_FILE, load_card
-from nw_eval.policies.checkpoint import Checkpoint
 from nw_eval.policies.code_digest import code_digest
-from nw_eval.policies.observations.plugins import is_code
 from nw_eval.shipped import available, shipped
 
 SIZE_LIMIT = 2**30

@@ -7,9 +7,10 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.policy import InputSpec, Observation
+from nw_eval.policies.policy import Observation
 
 Wanted = Sequence[str | int | None]
 """Outputs of a file, by name or by place among those that feed no state; None = the first one."""

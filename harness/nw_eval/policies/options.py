@@ -6,9 +6,9 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
+from nw_eval.cards.model import CardModel
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.model import CardModel
 
 Options = TypeVar("Options", bound=CardModel)
 

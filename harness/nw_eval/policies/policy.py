@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action
 from nw_eval.errors import ActionError
 
 Observation = Mapping[str, NDArray[Any]]
 """Observation names of the card to arrays, without a batch axis."""
-Action = NDArray[np.float64]
-"""Raw action, one number for each joint in the order of `control.joints`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InputSpec:
-    """One input of a checkpoint as its file declares it; None in `shape` is a free axis."""
-
-    name: str
-    shape: tuple[int | None, ...]
-    dtype: np.dtype[Any]
 
 
 class Policy(Protocol):

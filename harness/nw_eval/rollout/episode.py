@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.errors import DivergedError, TrialError
 from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy import all_finite
-from nw_eval.policies.terms import EARLIER_OUTPUTS
 from nw_eval.rollout.digest import ChainDigest
 from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
 from nw_eval.rollout.mcap.messages import Part, SimState
@@ -30,7 +30,8 @@ from nw_eval.sim.trail import TrailSnapshot
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.policies import ActionFilter, JointControl, Policy
+    from nw_eval.cards import JointControl
+    from nw_eval.policies import ActionFilter, Policy
     from nw_eval.rollout.clock import StageClock
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import Termination, TrailProgress, World

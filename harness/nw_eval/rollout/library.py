@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from nw_eval.catalogue import get_scene
 from nw_eval.policies import Bundle, load_bundle
-from nw_eval.scenes import Scene, get_scene
+from nw_eval.scenes import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable

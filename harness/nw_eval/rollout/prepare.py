@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from nw_eval.cards import JointControl, actuator_values, physics_steps
 from nw_eval.errors import PolicyError, UsageError, nearest
-from nw_eval.policies import (
-    ActionFilter,
-    Bundle,
-    JointControl,
-    Policy,
-    actuator_values,
-    open_policy,
-    physics_steps,
-)
+from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
 from nw_eval.rollout.fault import is_interrupt, policy_at_fault
@@ -153,7 +146,7 @@ def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
 
 def _check_served(job: TrialJob, policy: Policy) -> None:
     """Refuse a server that serves something else now; that is no fault of the policy."""
-    from nw_eval.policies.adapters.remote import RemotePolicy
+    from nw_eval.policies.remote.client import RemotePolicy
 
     assert isinstance(policy, RemotePolicy), "the card says so"
     found, planned = policy.served.digest, job.checkpoint_digest

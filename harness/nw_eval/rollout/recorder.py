@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.episode import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
+from nw_eval.rollout.observed.seen import Seen
+from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
-from nw_eval.rollout.seen import Seen
-from nw_eval.sensors.command import velocity_command
+from nw_eval.sensors.body.command import velocity_command
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:

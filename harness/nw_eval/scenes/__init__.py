@@ -1,18 +1,6 @@
 """Places: what physics touches, what rays meet, what cameras see, and the trail through them."""
 
-from nw_eval.scenes.catalogue import get_scene, match_scenes, names, references
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.scene import Box, Plane, Scene, Spawn, Task
 
-__all__ = [
-    "Box",
-    "Plane",
-    "Scene",
-    "Spawn",
-    "Task",
-    "TriangleMesh",
-    "get_scene",
-    "match_scenes",
-    "names",
-    "references",
-]
+__all__ = ["Box", "Plane", "Scene", "Spawn", "Task", "TriangleMesh"]

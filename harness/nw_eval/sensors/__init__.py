@@ -1,7 +1,7 @@
 """Sensors: what a policy observes, computed from a world at the rates that its card names."""
 
 from nw_eval.sensors.build import build_sensors
-from nw_eval.sensors.check import ObservationSpec, check_bundle, check_card
+from nw_eval.sensors.check import ObservationSpec, check_card
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment, Sensor
 from nw_eval.sensors.wrappers.link import Shot
@@ -13,6 +13,5 @@ __all__ = [
     "Sensor",
     "Shot",
     "build_sensors",
-    "check_bundle",
     "check_card",
 ]

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.policies import Card
+from nw_eval.cards import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.measurements import Maker

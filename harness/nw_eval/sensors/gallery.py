@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cache import atomic_path
-from nw_eval.policies import Bundle, Card
+from nw_eval.cards import Card
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
-from nw_eval.sensors import pictures
 from nw_eval.sensors.build import build_sensors
-from nw_eval.sensors.pictures import Bytes
+from nw_eval.sensors.drawing import pictures
+from nw_eval.sensors.drawing.pictures import Bytes
+from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sensors.sensor import Moment, Sensor
-from nw_eval.sensors.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sim import Protocol, TrailProgress, World
 
 if TYPE_CHECKING:
@@ -98,21 +98,21 @@ def draw_gallery(
 
 
 def draw_card(
-    bundle: Bundle,
+    card: Card,
     scene: Scene,
     path: Path,
     *,
     protocol: Protocol = "strict",
-    allow_code: bool = False,
+    code_from: Path | None = None,
 ) -> str:
     """Draw those observations of a policy's card that are images, and describe all of them.
 
     Args:
-        bundle: whose card.
+        card: whose observations.
         scene: where the robot stands.
         path: of the PNG; nothing is written if no observation is an image.
         protocol: as in a suite.
-        allow_code: whether code that the card names may be imported.
+        code_from: as for `build_sensors`.
 
     Returns:
         One line for each observation: shape, type, range of values.
@@ -120,12 +120,11 @@ def draw_card(
     Raises:
         PolicyError: an observation cannot be made. StoreError: the PNG cannot be written.
     """
-    code_from = bundle.folder if allow_code else None
-    sensors, seen = _observe(bundle.card, scene, protocol, code_from=code_from)
+    sensors, seen = _observe(card, scene, protocol, code_from=code_from)
     told: list[str] = []
     cells: list[Cell] = []
     for name, sample in seen.items():
-        kind = bundle.card.observations[name]
+        kind = card.observations[name]
         form = f"{' x '.join(map(str, sample.shape))} {sample.dtype}"
         finite = sample[np.isfinite(sample)]
         span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
@@ -137,7 +136,7 @@ def draw_card(
             large = pictures.enlarged(image, PANEL)
             cells.append(Cell(name=name, caption=caption, images=[large]))
     if cells:
-        _write(cells, path, f"{scene.name}: what {bundle.card.name} sees")
+        _write(cells, path, f"{scene.name}: what {card.name} sees")
     return "\n".join(told)
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import assert_never
 
-from nw_eval.policies import Card, JointControl
-from nw_eval.policies.observations import (
+from nw_eval.cards import Card, JointControl
+from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,
     DirectionObservation,
@@ -23,17 +23,17 @@ from nw_eval.policies.observations import (
 )
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.depth import Depth, DepthForm
-from nw_eval.sensors.direction import Direction
-from nw_eval.sensors.heightmap import Heightmap
-from nw_eval.sensors.lidar import Lidar, LidarForm
+from nw_eval.sensors.body.direction import Direction
+from nw_eval.sensors.body.proprio import Proprio
+from nw_eval.sensors.cameras.depth import Depth, DepthForm
+from nw_eval.sensors.cameras.semantics import Semantics
+from nw_eval.sensors.cameras.splat_image import Arrange
+from nw_eval.sensors.ground.heightmap import Heightmap
+from nw_eval.sensors.ground.lidar import Lidar, LidarForm
+from nw_eval.sensors.ground.published_scandots import PublishedScandots
+from nw_eval.sensors.ground.scandots import Scandots
 from nw_eval.sensors.plugin_sensor import PluginSensor
-from nw_eval.sensors.proprio import Proprio
-from nw_eval.sensors.published_scandots import PublishedScandots
 from nw_eval.sensors.sampled import Measurement
-from nw_eval.sensors.scandots import Scandots
-from nw_eval.sensors.semantics import Semantics
-from nw_eval.sensors.splat_image import Arrange
 from nw_eval.sensors.wrappers import Chain, Link, Named, Spec, make_wrappers
 from nw_eval.sensors.wrappers.values import AddNoise
 from nw_eval.sim import Protocol
@@ -99,7 +99,7 @@ class Maker:
             case HeightmapObservation():
                 return Heightmap(observation, rays), [], 0.0
             case SplatRgbObservation():
-                from nw_eval.sensors.splat_rgb import SplatRgb
+                from nw_eval.sensors.cameras.splat_rgb import SplatRgb
 
                 return SplatRgb(name, observation, robot), [Arrange(observation)], 0.0
             case DepthObservation():

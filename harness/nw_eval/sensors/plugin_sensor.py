@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.observations import PluginObservation
+from nw_eval.cards.observations.plugins import SENSORS
 from nw_eval.errors import CodeError, NwEvalError
-from nw_eval.policies.observations import PluginObservation
-from nw_eval.policies.observations.plugins import SENSORS
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.plugins import make_plugin

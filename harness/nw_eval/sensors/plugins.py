@@ -15,8 +15,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+from nw_eval.cards.observations.plugins import distribution, installed, is_code
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
-from nw_eval.policies.observations.plugins import distribution, installed, is_code
 
 
 class PluginWarning(UserWarning):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, unpack
-from nw_eval.policies.model import CONTROL_RATE
+from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
 from nw_eval.sensors.wrappers.link import Spec

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.policies import Action
+from nw_eval.cards import Action
 from nw_eval.sim import TrailProgress, World
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.camera import Camera
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.cameras.presets import PresetName, get_preset
 from nw_eval.splat.image import Image
 from nw_eval.splat.layout import unpack
-from nw_eval.splat.pixels import Pixels
-from nw_eval.splat.presets import PresetName, get_preset
 from nw_eval.splat.store import Store
 
 _TILE = 16

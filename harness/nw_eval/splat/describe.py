@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nw_eval.splat.files.quantise import sigmoid
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.quantise import sigmoid
 
 _BAR = 40
 

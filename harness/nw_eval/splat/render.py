@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError, nearest
-from nw_eval.splat.camera import Camera
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.cameras.presets import PresetName, get_preset
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
 from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS
@@ -22,8 +24,6 @@ from nw_eval.splat.kernels.simd import LANES
 from nw_eval.splat.kernels.sort import HISTOGRAM
 from nw_eval.splat.kernels.view import Window, view_vector
 from nw_eval.splat.layout import CHUNK
-from nw_eval.splat.pixels import Pixels
-from nw_eval.splat.presets import PresetName, get_preset
 from nw_eval.splat.store import Store
 
 Backend = Literal["cpu", "cuda"]

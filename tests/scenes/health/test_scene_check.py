@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nw_eval.catalogue import get_scene, names
+from nw_eval.catalogue.inspect import inspect_scene
 from nw_eval.errors import SceneError
-from nw_eval.scenes import Box, Plane, Scene, Spawn, get_scene, names
+from nw_eval.scenes import Box, Plane, Scene, Spawn
 from nw_eval.scenes.health.check import check_scene
 from nw_eval.scenes.health.finding import has_errors
-from nw_eval.scenes.health.inspect import inspect_scene
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.scenes import get_scene
-from nw_eval.scenes.bake.generate import generate
-from nw_eval.scenes.entries import ENTRIES
+from nw_eval.built_in.bake.generate import generate
+from nw_eval.built_in.entries import ENTRIES
+from nw_eval.catalogue import get_scene
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.neverwhere import inspect_published, load_published
 from nw_eval.scenes.rays import RayScene

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nw_eval.catalogue import get_scene, match_scenes
 from nw_eval.robots import get_robot
-from nw_eval.scenes import Box, Plane, Scene, get_scene, match_scenes
+from nw_eval.scenes import Box, Plane, Scene
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.sim import World

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from nw_eval.catalogue import get_scene, match_scenes, references
 from nw_eval.errors import SceneError
-from nw_eval.scenes import get_scene, match_scenes, references
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 

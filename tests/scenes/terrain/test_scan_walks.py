@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scanned import write_scan
 
+from nw_eval.catalogue import get_scene
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes import get_scene
 from nw_eval.suite.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -21,7 +21,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     policy = _open_checkpoint(bundle, allow_code=allow_code)
     if not bundle.card.networks:
         return policy
-    from nw_eval.policies.adapters.fed_policy import FedPolicy
+    from nw_eval.policies.feeding.fed_policy import FedPolicy
 
     return FedPolicy(bundle, policy)
 
@@ -55,7 +55,7 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
 
             return ActPolicy(bundle, joints=joints)
         case "remote":
-            from nw_eval.policies.adapters.remote import RemotePolicy
+            from nw_eval.policies.remote.client import RemotePolicy
 
             return RemotePolicy(bundle, joints=joints)
         case "zero":

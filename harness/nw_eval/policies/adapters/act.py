@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.model import CardModel
 from nw_eval.errors import PolicyError
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.model import CardModel
 from nw_eval.policies.networks.act import Act
 from nw_eval.policies.networks.chunks import ChunkQueue
 from nw_eval.policies.networks.policy import NetworkPolicy, checkpoint_tensors, input_spec
 from nw_eval.policies.options import read_options
-from nw_eval.policies.policy import InputSpec
 
 
 class ActOptions(CardModel):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action
 from nw_eval.policies.network import Network
-from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.policy import Observation, checked_action
 
 
 class ActingNetwork:

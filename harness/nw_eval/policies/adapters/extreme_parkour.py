@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from nw_eval.cards.model import CardModel
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.model import CardModel
 from nw_eval.policies.networks.parkour_expert import (
     HISTORY,
     LATENT,

@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
+from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.policies.adapters.acting import ActingNetwork
+from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.network import Wanted, place_of
-from nw_eval.policies.onnx_session import open_session
-from nw_eval.policies.policy import InputSpec, Observation
-from nw_eval.policies.recurrence import state_pairs
+from nw_eval.policies.onnx.recurrence import state_pairs
+from nw_eval.policies.onnx.session import open_session
+from nw_eval.policies.policy import Observation
 from nw_eval.policies.safety import check_onnx
 
 if TYPE_CHECKING:

@@ -16,9 +16,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.policy import Observation, checked_action
 
 
 class PythonPolicy:

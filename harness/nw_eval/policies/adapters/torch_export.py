@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError
 from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.bundle import Bundle
@@ -20,7 +21,6 @@ from nw_eval.policies.network import Wanted, place_of
 from nw_eval.policies.networks.exported import ExportedGraph
 from nw_eval.policies.networks.policy import TorchNetwork
 from nw_eval.policies.options import NoOptions, read_options
-from nw_eval.policies.policy import InputSpec
 
 
 class TorchExportNetwork(TorchNetwork):

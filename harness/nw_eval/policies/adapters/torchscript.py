@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
+from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.adapters.acting import ActingNetwork
@@ -19,11 +20,11 @@ from nw_eval.policies.adapters.script_state import (
     state_slots,
     write_state,
 )
+from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
 from nw_eval.policies.network import Wanted
-from nw_eval.policies.policy import InputSpec, Observation
+from nw_eval.policies.policy import Observation
 from nw_eval.policies.safety import check_torchscript
 from nw_eval.policies.safety.compiled import check_compiled
 

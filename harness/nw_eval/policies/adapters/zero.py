@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action
 from nw_eval.policies.adapters.stateless import Stateless
-from nw_eval.policies.policy import Action, InputSpec, Observation
+from nw_eval.policies.policy import Observation
 
 
 class ZeroPolicy(Stateless):

@@ -20,7 +20,7 @@ from torch import Tensor
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.safety import Archive, Limits, file_kind, open_archive, read_tensors
 from nw_eval.policies.safety.guards import GUARDED
-from nw_eval.policies.safety.operators import (
+from nw_eval.policies.safety.torchscript.operators import (
     FACTORIES,
     OPERATORS,
     REFUSED_OVERLOADS,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.policies.onnx_session import open_session
-from nw_eval.policies.safety.onnx_fields import MICROSOFT
+from nw_eval.policies.onnx.session import open_session
+from nw_eval.policies.safety.onnx.fields import MICROSOFT
 
 if TYPE_CHECKING:
     import onnxruntime as ort

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nw_eval.arrays import pack
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action
 from nw_eval.errors import PolicyError, TrialError
+from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.inputs import InputAssembler
 from nw_eval.policies.memory import unfitting, unpack
-from nw_eval.policies.policy import Action, InputSpec, Observation, checked_action
+from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.safety import read_tensors
 
 

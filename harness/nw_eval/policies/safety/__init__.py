@@ -21,14 +21,14 @@ fails is a `PolicyError` that says what the file is and how to export it.
 from nw_eval.policies.safety.archive import Archive, open_archive
 from nw_eval.policies.safety.kind import FileKind, file_kind
 from nw_eval.policies.safety.limits import Limits
-from nw_eval.policies.safety.onnx_file import check_onnx
-from nw_eval.policies.safety.script_file import check_torchscript
+from nw_eval.policies.safety.onnx.file import check_onnx
 from nw_eval.policies.safety.tensors import (
     TensorFacts,
     read_tensors,
     tensor_facts,
     tensors_below,
 )
+from nw_eval.policies.safety.torchscript.file import check_torchscript
 
 __all__ = [
     "Archive",

@@ -7,14 +7,14 @@ from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.operators import (
+from nw_eval.policies.safety.torchscript.body import GUARDS
+from nw_eval.policies.safety.torchscript.operators import (
     COMPILED_OPERATORS,
     PRIM_OPERATORS,
     REFUSED_OVERLOADS,
     STRUCTURE,
     may_run,
 )
-from nw_eval.policies.safety.script_body import GUARDS
 
 
 def check_compiled(unit: Any, where: str) -> None:

@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.job import Record
-from nw_eval.rollout.mcap.body import (
+from nw_eval.rollout.mcap.content.body import (
     BodyPoses,
     command_form,
     joints_form,
@@ -27,19 +27,19 @@ from nw_eval.rollout.mcap.body import (
     transforms_form,
     twist_form,
 )
-from nw_eval.rollout.mcap.clouds import path_cloud, place_cloud, robot_clouds, trail_cloud
-from nw_eval.rollout.mcap.entities import (
+from nw_eval.rollout.mcap.content.clouds import path_cloud, place_cloud, robot_clouds, trail_cloud
+from nw_eval.rollout.mcap.content.entities import (
     place_update,
     robot_entities,
     trail_entity,
     waypoints_update,
 )
+from nw_eval.rollout.mcap.content.images import Form as PixelForm
+from nw_eval.rollout.mcap.content.images import calibration_message, image_message
+from nw_eval.rollout.mcap.content.numbers import observation_form, observation_message
 from nw_eval.rollout.mcap.file import Images, McapFile
 from nw_eval.rollout.mcap.form import Form
-from nw_eval.rollout.mcap.images import Form as PixelForm
-from nw_eval.rollout.mcap.images import calibration_message, image_message
 from nw_eval.rollout.mcap.messages import Event, PolicyStep
-from nw_eval.rollout.mcap.numbers import observation_form, observation_message
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
 from nw_eval.scenes.mesh import TriangleMesh
 

@@ -20,8 +20,8 @@ from nw_eval.scenes.mesh import (
 from nw_eval.scenes.neverwhere.pose import moved, numbers
 from nw_eval.scenes.neverwhere.tree import PlacedGeom
 from nw_eval.scenes.scene import Box, Plane
+from nw_eval.scenes.terrain.features.plates import quaternion
 from nw_eval.scenes.terrain.mesh_file import checked_mesh
-from nw_eval.scenes.terrain.plates import quaternion
 from nw_eval.scenes.terrain.solids import Friction, Primitive
 
 _GROUND_REACH = 60.0

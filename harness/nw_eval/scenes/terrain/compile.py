@@ -11,15 +11,15 @@ from nw_eval.scenes.health.finding import Finding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.edges import edge_plates, lower_under
+from nw_eval.scenes.terrain.features.edges import edge_plates, lower_under
+from nw_eval.scenes.terrain.features.holes import close_holes
+from nw_eval.scenes.terrain.features.overhangs import overhang_plates
+from nw_eval.scenes.terrain.features.plates import Plate
+from nw_eval.scenes.terrain.features.walls import raise_walls
 from nw_eval.scenes.terrain.grid import Grid, shifted
-from nw_eval.scenes.terrain.holes import close_holes
 from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.overhangs import overhang_plates
-from nw_eval.scenes.terrain.plates import Plate
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 from nw_eval.scenes.terrain.surface import Surface
-from nw_eval.scenes.terrain.walls import raise_walls
 
 Values = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from nw_eval.cards.observations.plugins import WRAPPERS
+from nw_eval.cards.observations.wraps import PluginWrap
 from nw_eval.errors import PolicyError
-from nw_eval.policies.observations.plugins import WRAPPERS
-from nw_eval.policies.observations.wraps import PluginWrap
 from nw_eval.sensors.plugins import make_plugin
 from nw_eval.sensors.wrappers.link import Link, Memory, Sample, Shot
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import assert_never
 
-from nw_eval.policies.observations import wraps
+from nw_eval.cards.observations import wraps
 from nw_eval.sensors.wrappers import images, values
 from nw_eval.sensors.wrappers.chain import Named
 from nw_eval.sensors.wrappers.foreign import foreign_wrapper

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from nw_eval.cards.observations import wraps
 from nw_eval.errors import PolicyError
-from nw_eval.policies.observations import wraps
 from nw_eval.sensors.wrappers.link import Plain, Sample, Shot
 
 _BYTE = 255

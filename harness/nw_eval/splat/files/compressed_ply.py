@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.files.ply import Ply
+from nw_eval.splat.files.quantise import logit
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count
-from nw_eval.splat.quantise import logit
 
 _CHUNK = 256
 _THREE = ((21, 11), (11, 10), (0, 11))

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError, SceneError
+from nw_eval.splat.files.quantise import logit, sigmoid, to_byte, unit_quats
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
-from nw_eval.splat.quantise import logit, sigmoid, to_byte, unit_quats
 
 Bytes = NDArray[np.uint8]
 SpzVersion = Literal[2, 3, 4]

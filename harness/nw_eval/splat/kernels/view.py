@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.pixels import Pixels
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
 
 # Places in the vector. R and t: the view matrix by rows (world to camera, its scale included).
 R, T = 0, 9

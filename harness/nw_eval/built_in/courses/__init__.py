@@ -1,0 +1,1 @@
+"""Obstacles and the trail over them, by task."""

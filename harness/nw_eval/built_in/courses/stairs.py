@@ -1,0 +1,217 @@
+"""Stairs: flights of steps up to a landing, straight or curved, closed or open."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from nw_eval.built_in.places.stage import ALL_FACES, SIDES_AND_TOP, Stage
+from nw_eval.scenes.scene import Vector
+
+# Thickness of a tread without a riser, metres.
+_TREAD = 0.05
+# From the last step's edge to the last waypoint, metres.
+_ARRIVAL = 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """One tread: its middle, the direction one walks over it, its depth and its height."""
+
+    x: float
+    y: float
+    yaw: float
+    depth: float
+    height: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stairs:
+    """A flight of steps, a waypoint on every other one, and a landing above.
+
+    Attributes:
+        rises: of the steps in metres, lowest first.
+        depth: of a tread along the way, metres.
+        landings: depth of single treads, by index, where they differ from `depth`.
+        first: where the first step begins, metres along x.
+        width: metres.
+        turn: radians to the left from one step to the next; each is then a turned box, and
+            neighbours overlap on the inner side like wedges.
+        material: of risers and sides.
+        top: of the treads, where that differs.
+        open_risers: treads on stringers, with nothing between them.
+        sides: `none`, low walls that climb with the steps, or hand `rails`.
+        beyond: metres of landing past the last waypoint.
+        landing_width: metres; the flight's width where not given.
+        parapet: height of a wall at the landing's far end, metres; 0 for none.
+    """
+
+    rises: tuple[float, ...]
+    depth: float = 0.30
+    landings: tuple[tuple[int, float], ...] = ()
+    first: float = 1.5
+    width: float = 1.8
+    turn: float = 0.0
+    material: str = "concrete/light"
+    top: str | None = None
+    open_risers: bool = False
+    sides: Literal["none", "walls", "rails"] = "none"
+    beyond: float = 1.6
+    landing_width: float | None = None
+    parapet: float = 0.0
+
+    @property
+    def floor(self) -> float:
+        """Height of the ground, metres."""
+        return 0.0
+
+    @property
+    def height(self) -> float:
+        """Of the landing above the ground, metres."""
+        return sum(self.rises)
+
+    def trail(self) -> tuple[Vector, ...]:
+        """Return the waypoints: on every other step, then on the landing."""
+        steps = self._steps()
+        on_steps = tuple((step.x, step.y, step.height) for step in steps[:-1:2])
+        return (*on_steps, self._past_edge(_ARRIVAL))
+
+    def build(self, stage: Stage) -> None:
+        """Put steps and landing on the stage."""
+        steps = self._steps()
+        for index, step in enumerate(steps[:-1]):
+            self._tread(stage, step, index)
+        edge = self._past_edge(0.0)
+        length = _ARRIVAL + self.beyond
+        middle = self._past_edge(length / 2)
+        width = self.landing_width or self.width
+        stage.box(
+            (middle[0] - length / 2, middle[0] + length / 2),
+            (middle[1] - width / 2, middle[1] + width / 2),
+            (0.0, edge[2]),
+            self.material,
+            top=self.top,
+            yaw=steps[-1].yaw,
+            kind="obstacle",
+            fine=0.8,
+            texture=(0.13, 0.0),
+        )
+        if self.parapet > 0.0:
+            wall = self._past_edge(length - 0.08)
+            stage.box(
+                (wall[0] - 0.08, wall[0] + 0.08),
+                (wall[1] - width / 2, wall[1] + width / 2),
+                (edge[2], edge[2] + self.parapet),
+                self.material,
+                yaw=steps[-1].yaw,
+                kind="structure",
+            )
+        if self.sides != "none" or self.open_risers:
+            for side in (-1, 1):
+                self._side(stage, side)
+
+    def _tread(self, stage: Stage, step: _Step, index: int) -> None:
+        # Wedges: a turned tread reaches a little under the next one, so that no crack opens on
+        # the outer side.
+        spare = 0.5 * self.width * math.tan(abs(self.turn))
+        thick = _TREAD if self.open_risers else step.height
+        front = -step.depth / 2
+        back = step.depth / 2 + (0.02 if self.open_risers else spare)
+        along = (front + back) / 2
+        middle = (step.x + along * math.cos(step.yaw), step.y + along * math.sin(step.yaw))
+        half = (back - front) / 2
+        stage.box(
+            (middle[0] - half, middle[0] + half),
+            (middle[1] - self.width / 2, middle[1] + self.width / 2),
+            (step.height - thick, step.height),
+            self.material,
+            top=self.top,
+            yaw=step.yaw,
+            kind="obstacle",
+            faces=ALL_FACES if self.open_risers else SIDES_AND_TOP,
+            fine=0.75,
+            texture=(0.41 * index, 0.17 * index),
+        )
+
+    def _side(self, stage: Stage, side: int) -> None:
+        """Build what runs along one side: stringer, stepped wall, or posts with a rail."""
+        for index, step in enumerate(self._steps()[:-1]):
+            out = side * (self.width / 2 + 0.06)
+            x = step.x - out * math.sin(step.yaw)
+            y = step.y + out * math.cos(step.yaw)
+            low, high = step.height - 0.22, step.height + 0.02
+            if self.sides == "walls":
+                low, high = 0.0, step.height + 0.30
+            if self.sides != "rails" or self.open_risers:
+                stage.box(
+                    (x - step.depth / 2, x + step.depth / 2),
+                    (y - 0.06, y + 0.06),
+                    (max(low, 0.0), high),
+                    self.material if self.sides == "walls" else "metal/dark",
+                    yaw=step.yaw,
+                    kind="structure",
+                    fine=0.9,
+                )
+            if self.sides == "rails" and index % 2 == 0:
+                stage.box(
+                    (x - 0.02, x + 0.02),
+                    (y - 0.02, y + 0.02),
+                    (0.0, step.height + 0.85),
+                    "metal/dark",
+                    kind="structure",
+                    faces=("-x", "+x", "-y", "+y"),
+                    fine=0.9,
+                )
+        if self.sides == "rails":
+            self._rail(stage, side)
+
+    def _rail(self, stage: Stage, side: int) -> None:
+        """Lay a hand rail on the posts of one side of a straight flight."""
+        first, last = self._steps()[0], self._steps()[-1]
+        run, rise = last.x - first.x, last.height - first.height
+        length, slope = math.hypot(run, rise), math.atan2(rise, run)
+        x, z = (first.x + last.x) / 2, (first.height + last.height) / 2 + 0.86
+        y = side * (self.width / 2 + 0.06)
+        stage.box(
+            (x - length / 2, x + length / 2),
+            (y - 0.025, y + 0.025),
+            (z - 0.02, z + 0.02),
+            "metal/dark",
+            pitch=-slope,
+            kind="overhead",
+            solid=False,
+            faces=ALL_FACES,
+            fine=0.9,
+        )
+
+    def _past_edge(self, away: float) -> Vector:
+        """Return a point on the landing, metres past its edge."""
+        last = self._steps()[-1]
+        along = away - last.depth / 2
+        return (
+            last.x + along * math.cos(last.yaw),
+            last.y + along * math.sin(last.yaw),
+            last.height,
+        )
+
+    def _steps(self) -> tuple[_Step, ...]:
+        """Return all steps; the last is the beginning of the landing."""
+        steps: list[_Step] = []
+        depths = dict(self.landings)
+        x, y, yaw, height = self.first, 0.0, 0.0, 0.0
+        for index, rise in enumerate(self.rises):
+            height += rise
+            depth = depths.get(index, self.depth)
+            steps.append(
+                _Step(
+                    x=x + depth / 2 * math.cos(yaw),
+                    y=y + depth / 2 * math.sin(yaw),
+                    yaw=yaw,
+                    depth=depth,
+                    height=height,
+                )
+            )
+            x, y = x + depth * math.cos(yaw), y + depth * math.sin(yaw)
+            yaw += self.turn
+        return tuple(steps)

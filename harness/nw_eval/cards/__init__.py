@@ -1,0 +1,19 @@
+"""Policy cards: everything about a checkpoint that is not in the checkpoint. Nothing here runs one.
+
+`load_card` reads a `Card`; `JointControl` is what it says of actions, as arrays.
+"""
+
+from nw_eval.cards.card import Card
+from nw_eval.cards.file.load import load_card
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.joint_control import Action, JointControl, actuator_values, physics_steps
+
+__all__ = [
+    "Action",
+    "Card",
+    "InputSpec",
+    "JointControl",
+    "actuator_values",
+    "load_card",
+    "physics_steps",
+]

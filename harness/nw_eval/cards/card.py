@@ -1,0 +1,165 @@
+"""The policy card: everything about a checkpoint that is not in the checkpoint.
+
+A card says which robot the policy drives, what it sees, what its outputs mean, and which file
+holds its weights. It contains no code.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from nw_eval.cards.checkpoint import Checkpoint
+from nw_eval.cards.command import Command, WaypointCommand
+from nw_eval.cards.control import Control
+from nw_eval.cards.model import CONTROL_RATE, CardModel, Line
+from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
+from nw_eval.cards.observations import Observation, ProprioObservation
+from nw_eval.cards.terms import AppliedAction, LastOutput
+from nw_eval.cards.terms import Command as CommandTerm
+from nw_eval.errors import nearest
+
+
+def _plain_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
+        message = f"{name[:70]!r} is no name for a policy"
+        raise ValueError(f"{message}; use a-z, 0-9, '.', '_' and '-', at most 64 of them")
+    return name
+
+
+ADAPTERS = (
+    "onnx",
+    "torchscript",
+    "torch-export",
+    "lucidsim",
+    "extreme-parkour",
+    "act",
+    "remote",
+    "zero",
+)
+
+
+def _known_adapter(name: str) -> str:
+    if name in ADAPTERS or re.fullmatch(r"python:[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
+        return name
+    if name.startswith("python:"):
+        message = f"{name!r} names no class; write python:package.module:Class"
+        raise ValueError(message)
+    message = f"unknown adapter {name!r}; {nearest(name, ADAPTERS)}"
+    raise ValueError(message)
+
+
+class Card(CardModel):
+    """A policy card, valid in itself. `sensors.check_card` checks it against a robot."""
+
+    schema_version: Literal[1] = Field(alias="nw-policy")
+    """Version of this kind of file."""
+    name: Annotated[str, AfterValidator(_plain_name)]
+    """What reports call the policy: a-z, 0-9, '.', '_' and '-'."""
+    title: Line = ""
+    """One line for people; no part of the digest, nor is `licence`."""
+    licence: Line = ""
+    """Terms under which others may use the checkpoint."""
+    robot: str
+    """The robot that the policy drives: go1 or go2."""
+    adapter: Annotated[str, AfterValidator(_known_adapter)]
+    """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
+    has it on a server, `python:package.module:Class` is code and needs --allow-code."""
+    checkpoint: Checkpoint | None = None
+    """The file of weights; `zero` and `remote` have none, Python code may have one."""
+    options: dict[str, Any] = Field(default_factory=dict[str, Any])
+    """What only this adapter understands; each adapter says what that is."""
+    control: Control
+    """What an action means, and the motors that it drives."""
+    command: Command = WaypointCommand()
+    """What the policy is told to do."""
+    observations: dict[str, Observation] = Field(default_factory=dict[str, Observation])
+    """By name, in the order in which a checkpoint with one input takes them."""
+    networks: dict[str, Network] = Field(default_factory=dict[str, Network], max_length=16)
+    """By name, files of their own that feed the checkpoint, or each other. What they give is named
+    in `inputs` as an observation is."""
+    inputs: Inputs | None = None
+    """For each input of the checkpoint, the observations and networks that are joined to make it;
+    or just their list, for a checkpoint with one input.
+
+    None = the checkpoint has one input, made of all observations."""
+    output: OutputKey | None = None
+    """Which output of the checkpoint is the action: its name, or its place (from 0) among those
+    that feed no recurrent state; None = its only or first one."""
+    recurrent: dict[str, str] | None = None
+    """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:
+    h_out}`. None = the pairs that its names show. Only `onnx` needs to be told."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _slow_observations(cls, data: Any) -> Any:
+        """Let a slow policy's observations default to its own rate, in place of 50 Hz."""
+        try:
+            rate = data["control"].get("rate", CONTROL_RATE)
+            if rate == CONTROL_RATE or not isinstance(rate, int):
+                return data
+            slowed = {
+                name: {"rate": rate, **observation}
+                for name, observation in data["observations"].items()
+            }
+        except (KeyError, TypeError, AttributeError):
+            return data  # What is wrong with it, its own model says.
+        return {**data, "observations": slowed}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Card:
+        if self.adapter in {"zero", "remote"}:
+            if self.checkpoint is not None:
+                message = f"adapter `{self.adapter}` has no checkpoint; remove `checkpoint`"
+                raise ValueError(message)
+        elif self.checkpoint is None and not self.adapter.startswith("python:"):
+            raise ValueError("`checkpoint` is missing; add `checkpoint: {file: ..., sha256: ...}`")
+        if self.adapter != "zero" and not self.observations:
+            raise ValueError("`observations` is empty; name what the checkpoint sees")
+        self._check_terms()
+        self._check_rates()
+        if self.recurrent and self.adapter != "onnx":
+            message = f"`recurrent` is for adapter onnx; `{self.adapter}` keeps its state itself"
+            raise ValueError(f"{message}; remove it")
+        return self
+
+    def _check_rates(self) -> None:
+        for name, observation in self.observations.items():
+            if self.control.rate % observation.rate:
+                raise ValueError(
+                    f"{name!r} is sampled at {observation.rate} Hz, the policy acts at "
+                    f"{self.control.rate} Hz; give a rate that divides it"
+                )
+
+    def _check_terms(self) -> None:
+        """Refuse terms that need what the card does not say."""
+        for name, observation in self.observations.items():
+            if not isinstance(observation, ProprioObservation):
+                continue
+            terms = observation.frame_terms
+            if isinstance(self.command, WaypointCommand) and any(
+                isinstance(term, CommandTerm) for term in terms
+            ):
+                message = f"{name!r} has the term `command` but the card commands no velocity"
+                raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
+            if self.control.clip is None and any(
+                isinstance(term, LastOutput | AppliedAction) and term.clipped for term in terms
+            ):
+                message = f"{name!r} feeds a clipped action back but the card clips none"
+                raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
+
+    def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
+        """Return input names with the observations and networks they are made of.
+
+        The name is None where the card leaves it to the checkpoint, which has one input then.
+        """
+        return input_parts(list(self.observations) if self.inputs is None else self.inputs)
+
+    def of_network(self, name: str) -> Card:
+        """Return the card of one of the networks: of its file alone, as if that were the policy."""
+        network = self.networks[name]
+        alone = {"adapter", "checkpoint", "inputs", "recurrent"}
+        changed = {key: getattr(network, key) for key in alone}
+        return self.model_copy(update={**changed, "networks": {}, "options": {}, "output": None})

@@ -1,0 +1,91 @@
+"""What a raw action of a policy means, and the motors that it drives."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+
+from nw_eval.cards.joints import PerJoint
+from nw_eval.cards.low_pass import ButterworthFilter, LowPass
+from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits
+
+PHYSICS_RATE = 200
+"""Physics steps per second of every protocol, unless a card says otherwise, Hz."""
+
+
+def _control_rate(rate: int) -> int:
+    if rate < 1 or CONTROL_RATE % rate:
+        message = f"{rate} actions a second do not fit the {CONTROL_RATE} Hz of every trial"
+        raise ValueError(f"{message}, in which waypoints, sensors and logs count; {_SLOWER}")
+    return rate
+
+
+_SLOWER = "use 50, 25, 10, 5, 2 or 1, or export a policy of one of these rates"
+
+ControlRate = Annotated[int, AfterValidator(_control_rate)]
+
+
+def _physics_rate(rate: int) -> int:
+    if rate % CONTROL_RATE or not 2 * CONTROL_RATE <= rate <= 2000:
+        message = f"{rate} physics steps a second are no multiple of {CONTROL_RATE} up to 2000"
+        raise ValueError(f"{message}; use 200 (the default), 250, 500 or 1000")
+    return rate
+
+
+PhysicsRate = Annotated[int, AfterValidator(_physics_rate)]
+
+
+class Control(CardModel):
+    """What a raw action means, and the motors that it drives."""
+
+    rate: ControlRate = CONTROL_RATE
+    """Actions per second, Hz. Below 50 each action is held for 50 / rate control steps."""
+    physics_rate: PhysicsRate = PHYSICS_RATE
+    """Physics steps per second, Hz: a multiple of 50."""
+    action: Literal["joint_position_offset", "joint_position", "joint_torque"]
+    """Joint target = default pose + scale * action, or scale * action; or torque = scale * action.
+    """
+    scale: PerJoint = 1.0
+    """rad, or N m, for each unit of action."""
+    clip: Limits | None = None
+    """Limits of the raw action, before scaling."""
+    delay_steps: int = Field(default=0, ge=0, le=10)
+    """Actions that are applied before a new one is: its latency, in periods of `rate`."""
+    filter: LowPass | None = None
+    """Low-pass on the raw action, behind limits and latency and before scaling; null = none."""
+    joints: list[str] | None = None
+    """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
+    default_pose: PerJoint | None = None
+    """rad; None = the robot's."""
+    kp: PerJoint | None = None
+    """Position gain, N m/rad; None = the robot's, here and below."""
+    kd: PerJoint | None = None
+    """Joint damping, N m s/rad; None = none where actions are torques."""
+    torque_limits: PerJoint | None = None
+    """N m."""
+    armature: PerJoint | None = None
+    """kg m^2."""
+    friction_loss: PerJoint | None = None
+    """N m."""
+
+    @field_validator("kp")
+    @classmethod
+    def _only_for_positions(cls, kp: PerJoint | None, info: ValidationInfo) -> PerJoint | None:
+        if kp is not None and info.data.get("action") == "joint_torque":
+            raise ValueError("kp has no meaning for torques; remove it, or choose another `action`")
+        return kp
+
+    @field_validator("filter")
+    @classmethod
+    def _below_half_the_rate(cls, low_pass: LowPass | None, info: ValidationInfo) -> LowPass | None:
+        rate = info.data.get("rate", CONTROL_RATE)
+        if isinstance(low_pass, ButterworthFilter) and not low_pass.cutoff < rate / 2:
+            message = f"a cutoff of {low_pass.cutoff:g} Hz is not below half of {rate} actions a"
+            raise ValueError(f"{message} second; give less than {rate / 2:g}, or remove `filter`")
+        return low_pass
+
+    @property
+    def hold(self) -> int:
+        """Control steps of 0.02 s from one action to the next."""
+        return CONTROL_RATE // self.rate

@@ -1,0 +1,1 @@
+"""The file that a card is read from."""

@@ -1,0 +1,131 @@
+"""What feeds what on a card: every name that leads nowhere, every circle, each with its place."""
+
+from __future__ import annotations
+
+import re
+from itertools import chain
+from typing import TYPE_CHECKING
+
+from nw_eval.cards.file.feeding_order import feeding_order, way_back
+from nw_eval.cards.networks import input_parts
+from nw_eval.errors import Problem, nearest
+
+if TYPE_CHECKING:
+    from nw_eval.cards.card import Card
+    from nw_eval.cards.networks import Inputs
+    from nw_eval.yaml_file import Location, YamlFile
+
+_NAME = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
+
+
+def input_problems(card: Card, file: YamlFile) -> list[Problem]:
+    """Return what is wrong with the inputs of the checkpoint and of its networks, in file order.
+
+    Args:
+        card: valid in itself.
+        file: that it was read from.
+    """
+    if card.networks and card.adapter in {"zero", "remote"}:
+        words = f"networks: adapter `{card.adapter}` has no checkpoint here that they could feed"
+        fix = "remove them; a server has its networks on the card that it serves"
+        return [file.problem(("networks",), words, None if card.adapter == "zero" else fix)]
+    told = _Checked(card, file)
+    told.look()
+    return sorted(told.problems, key=lambda problem: (problem.line, problem.column))
+
+
+class _Checked:
+    """The problems of a card's inputs, as they are found."""
+
+    def __init__(self, card: Card, file: YamlFile) -> None:
+        self.problems: list[Problem] = []
+        self._card = card
+        self._file = file
+        self._given = {name: [*network.given_as(name)] for name, network in card.networks.items()}
+        self._known = [*card.observations, *chain.from_iterable(self._given.values())]
+
+    def look(self) -> None:
+        """Find all of them."""
+        card = self._card
+        used = self._inputs(("inputs",), card.inputs or {}, card.recurrent)
+        for name, network in card.networks.items():
+            place = ("networks", name)
+            self._names(place, name)
+            used |= self._inputs((*place, "inputs"), network.inputs, network.recurrent)
+            if network.recurrent and network.adapter != "onnx":
+                words = (
+                    f"`recurrent` is for adapter onnx; `{network.adapter}` keeps its state itself"
+                )
+                self._tell((*place, "recurrent"), words, "remove it")
+            if network.rate is not None and card.control.rate % network.rate:
+                words = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
+                self._tell((*place, "rate"), words, "give a rate that divides it")
+        if card.networks and card.inputs is None and not card.adapter.startswith("python:"):
+            words = "`inputs` is missing: it says what the checkpoint itself takes"
+            fix = f"for example `inputs: [{', '.join(self._known)}]`"
+            self._tell(("networks",), words, fix, named=False)
+        elif card.inputs is not None and used <= set(self._known):
+            self._unused(used)  # What is not used is often what a misspelt name meant.
+        self._circles()
+
+    def _names(self, place: Location, name: str) -> None:
+        """Check what a network and its outputs are called."""
+        taken = [one for one in (name, *self._given[name]) if one in self._card.observations]
+        if taken:
+            self._tell(place, f"an observation is called {taken[0]!r}, too", "rename one of them")
+        outputs = self._card.networks[name].outputs or {}
+        for one, where in ((name, place), *((part, (*place, "outputs", part)) for part in outputs)):
+            if not _NAME.fullmatch(one):
+                fix = "use letters, digits, '_' and '-', a letter first"
+                self._tell(where, f"{one!r} is no name", fix)
+
+    def _inputs(
+        self, place: Location, inputs: Inputs, recurrent: dict[str, str] | None
+    ) -> set[str]:
+        """Check the inputs of one file; return all that they are made of."""
+        used: set[str] = set()
+        for name, parts in input_parts(inputs) if inputs else ():
+            where = place if name is None else (*place, name)
+            if name in (recurrent or {}):
+                self._tell(where, f"{name!r} is in `recurrent` too", "name it in one of them")
+            if not parts:
+                self._tell(where, f"{name!r} has no observations", "name at least one")
+            for index, part in enumerate(parts):
+                used.add(part)
+                if part not in self._known:
+                    self._tell((*where, index), *self._unknown(part))
+        return used
+
+    def _unknown(self, part: str) -> tuple[str, str]:
+        if part in self._given:
+            words = f"network {part!r} gives {', '.join(self._given[part])}"
+            return words, "name those that are meant"
+        kind = "observation or network" if self._given else "observation"
+        return f"unknown {kind} {part!r}", nearest(part, self._known)
+
+    def _unused(self, used: set[str]) -> None:
+        unused = [name for name in self._card.observations if name not in used]
+        if unused:
+            words = f"no input uses the observation {', '.join(unused)}"
+            self._tell(("observations", unused[0]), words, "use it or remove it", named=False)
+        for name, parts in self._given.items():
+            idle = [part for part in parts if part not in used]
+            if idle:
+                words = f"no input uses {', '.join(idle)}"
+                self._tell(("networks", name), words, "use it or remove it")
+
+    def _circles(self) -> None:
+        ordered = feeding_order(self._card)
+        for name in self._card.networks:
+            if name in ordered or (way := way_back(self._card, name)) is None:
+                continue
+            words = f"it feeds itself: {' <- '.join(way)}"
+            fix = "leave one of them out of `inputs`; a file keeps its own state"
+            self._tell(("networks", name, "inputs"), words, fix)
+            return  # The others of the circle would say the same.
+
+    def _tell(self, place: Location, words: str, fix: str, *, named: bool = True) -> None:
+        parts = [str(part) for part in place if isinstance(part, str)]
+        shown = ".".join(parts[:3] if parts[0] == "networks" else parts[:1])
+        said = f"{shown}: {words}" if named else words
+        self.problems.append(self._file.problem(place, said, fix))

@@ -1,0 +1,120 @@
+"""Which observations make which input of a checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nw_eval.cards.card import Card
+from nw_eval.errors import PolicyError, nearest
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputSpec:
+    """One input of a checkpoint as its file declares it; None in `shape` is a free axis."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: np.dtype[Any]
+
+
+def resolve_inputs(
+    card: Card, specs: Sequence[InputSpec]
+) -> tuple[tuple[InputSpec, tuple[str, ...]], ...]:
+    """Return the inputs of a checkpoint with the observations they are made of, in its order.
+
+    Raises:
+        PolicyError: as `InputAssembler`.
+    """
+    parts = card.input_parts()
+    if not specs:
+        # The order of the card is the order of the arguments, with a batch axis of unknown length.
+        return tuple((_undeclared(name or f"input {i}"), p) for i, (name, p) in enumerate(parts))
+    known = {spec.name: spec for spec in specs}
+    if len(parts) == 1 and parts[0][0] is None:
+        if len(specs) > 1:
+            raise PolicyError(
+                f"the checkpoint has {len(specs)} inputs: {', '.join(known)}",
+                fix="say on the card which observations make each: `inputs: {name: [...]}`",
+            )
+        return ((specs[0], parts[0][1]),)
+    named = {name: names for name, names in parts if name is not None}
+    for name in named:
+        if name not in known:
+            raise PolicyError(f"the checkpoint has no input {name!r}", fix=nearest(name, known))
+    absent = [name for name in known if name not in named]
+    if absent:
+        raise PolicyError(
+            f"the card feeds no observation to the input {', '.join(absent)}",
+            fix="add it to `inputs` on the card",
+        )
+    return tuple((spec, named[spec.name]) for spec in specs)
+
+
+def _undeclared(name: str) -> InputSpec:
+    return InputSpec(name=name, shape=(), dtype=np.dtype(np.float32))
+
+
+def shape_problems(
+    card: Card, specs: Sequence[InputSpec], shapes: Mapping[str, tuple[int, ...]]
+) -> list[str]:
+    """Compare observations with the inputs that a checkpoint declares.
+
+    Args:
+        card: the policy's card.
+        specs: inputs of the checkpoint; empty compares nothing.
+        shapes: shape of each observation on the card.
+
+    Returns:
+        One sentence for each input that does not fit, in the card's own terms.
+    """
+    problems: list[str] = []
+    for spec, names in resolve_inputs(card, specs):
+        joined = _joined_shape([shapes[name] for name in names])
+        if joined is None:
+            image = next(name for name in names if len(shapes[name]) != 1)
+            problems.append(f"`{image}` is an image and cannot be joined with other numbers")
+            continue
+        if not spec.shape:
+            continue
+        wanted = spec.shape
+        if len(wanted) == len(joined) + 1:
+            if wanted[0] not in {None, 1}:
+                problems.append(f"input `{spec.name}` wants a batch of {wanted[0]}; export batch 1")
+                continue
+            wanted = wanted[1:]
+        if len(wanted) != len(joined) or any(
+            size not in {None, have} for size, have in zip(wanted, joined, strict=True)
+        ):
+            problems.append(_mismatch(spec, names, shapes, joined, wanted))
+    return problems
+
+
+def _joined_shape(shapes: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
+    """Return the shape of observations that make one input, or None if they cannot be joined."""
+    if len(shapes) == 1:
+        return shapes[0]
+    sizes = [shape[0] for shape in shapes if len(shape) == 1]
+    return (sum(sizes),) if len(sizes) == len(shapes) else None
+
+
+def _mismatch(
+    spec: InputSpec,
+    names: Sequence[str],
+    shapes: Mapping[str, tuple[int, ...]],
+    joined: tuple[int, ...],
+    wanted: tuple[int | None, ...],
+) -> str:
+    if len(joined) != 1 or len(wanted) != 1:
+        return (
+            f"`{names[0]}` has shape {joined}; the checkpoint's input `{spec.name}` wants {wanted}"
+        )
+    total = joined[0]
+    if len(names) == 1:
+        said = f"`{names[0]}` is {total} numbers"
+    else:
+        said = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
+    return f"{said}; the checkpoint's input `{spec.name}` wants {wanted[0]}"

@@ -1,0 +1,74 @@
+"""Networks that feed the checkpoint of a card: estimators, adaptation modules, encoders."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator
+
+from nw_eval.cards.checkpoint import Checkpoint
+from nw_eval.cards.model import CardModel, Rate
+from nw_eval.cards.observations.proprio import Select
+
+Inputs = dict[str, list[str]] | list[str]
+"""By input of a file, what is joined to make it; a list makes the one input of a file."""
+
+OutputKey = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
+"""An output of a file: its name, or its place, from 0."""
+
+
+class NetworkOutput(CardModel):
+    """Numbers that a network gives, under a name of their own."""
+
+    output: OutputKey | None = None
+    """Which output of the file, by its name, or by its place (from 0) among those that feed no
+    recurrent state; None = its first one."""
+    select: Select | None = None
+    """Which of its numbers are kept: indices and ranges such as "0:3" (end excluded)."""
+    scale: float | list[float] = 1.0
+    """Factor, one for all numbers that are kept or one each."""
+
+
+def _named(value: Any) -> Any:
+    """Read `velocity: null`, and `{velocity: }`, as an output with all by default."""
+    return {} if value is None else value
+
+
+class Network(CardModel):
+    """A file of its own that turns observations, or what other networks give, into numbers."""
+
+    adapter: Literal["onnx", "torchscript", "torch-export"]
+    """How the file is run."""
+    checkpoint: Checkpoint
+    """The file."""
+    inputs: Inputs = Field(min_length=1)
+    """For each input of the file, the observations and networks that are joined to make it; or
+    just their list, for a file with one input."""
+    outputs: Annotated[dict[str, NetworkOutput], Field(min_length=1)] | None = None
+    """Names for parts of what it gives, used as `network.name`; None = all numbers of its first
+    output, under the network's own name."""
+    rate: Rate | None = None
+    """How often a second it is asked, Hz, beginning with the first action; in between, what it
+    gave is held. None = at every action."""
+    recurrent: dict[str, str] | None = None
+    """As the card's own `recurrent`."""
+
+    @field_validator("outputs", mode="before")
+    @classmethod
+    def _bare(cls, outputs: Any) -> Any:
+        if isinstance(outputs, dict):
+            return {name: _named(value) for name, value in outputs.items()}
+        return outputs
+
+    def given_as(self, name: str) -> dict[str, NetworkOutput]:
+        """Return what the network `name` gives, by the names under which others take it."""
+        if self.outputs is None:
+            return {name: NetworkOutput()}
+        return {f"{name}.{part}": output for part, output in self.outputs.items()}
+
+
+def input_parts(inputs: Inputs) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
+    """Return input names with what they are made of; no name where the file has one input."""
+    if isinstance(inputs, list):
+        return ((None, tuple(inputs)),)
+    return tuple((name, tuple(parts)) for name, parts in inputs.items())

@@ -1,0 +1,244 @@
+"""Terms: the named groups of numbers that a proprioceptive observation is made of.
+
+A term's numbers are `clip(value) * scale + offset`, in SI units and radians before that.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from nw_eval.cards.model import CardModel, Limits
+
+Foot = Literal["FR", "FL", "RR", "RL"]
+
+EARLIER_OUTPUTS = 4
+"""How many outputs before the last one a card can ask for."""
+
+
+class _Term(CardModel):
+    scale: float | list[float] = 1.0
+    """Factor, one for all numbers of the term or one each."""
+    offset: float = 0.0
+    """Added after scaling."""
+    clip: Limits | None = None
+    """Limits before scaling. Limits after scaling are the observation's `clip`."""
+
+
+class AngularVelocity(_Term):
+    """Trunk angular velocity, rad/s (3)."""
+
+    term: Literal["ang_vel"]
+    frame: Literal["trunk", "world"] = "trunk"
+    """Whose axes the numbers are along."""
+
+
+class LinearVelocity(_Term):
+    """Velocity of a point of the trunk, m/s (3). `yaw` is the world frame turned by the yaw."""
+
+    term: Literal["lin_vel"]
+    frame: Literal["trunk", "world", "yaw"] = "trunk"
+    """Whose axes the numbers are along."""
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The point, in the trunk frame, m: where the velocity sensor of the training sat."""
+
+
+class Gravity(_Term):
+    """Direction of gravity in the trunk frame, a unit vector (3): (0, 0, -1) when level."""
+
+    term: Literal["gravity"]
+
+
+class RollPitch(_Term):
+    """Roll and pitch of the trunk, rad (2)."""
+
+    term: Literal["roll_pitch"]
+
+
+class Imu(_Term):
+    """Roll, pitch, 0, rad (3), as extreme-parkour lays them out."""
+
+    term: Literal["imu"]
+
+
+class Yaw(_Term):
+    """Heading of the trunk: its yaw, rad in [-pi, pi), positive to the left."""
+
+    term: Literal["yaw"]
+    relative_to: Literal["world", "start"] = "world"
+    """`world`: from the world's x axis. `start`: from the heading at the start of the trial."""
+    values: Literal["angle", "sine_cosine"] = "angle"
+    """`angle`: (1). `sine_cosine`: (2), without the jump."""
+
+
+class Acceleration(_Term):
+    """What an accelerometer on the trunk reads, m/s^2 along the trunk's axes (3).
+
+    That is the point's acceleration minus gravity: (0, 0, 9.806) at rest, zeros in free fall.
+    """
+
+    term: Literal["acceleration"]
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where it sits, in the trunk frame, m."""
+
+
+class DeltaYaw(_Term):
+    """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
+
+    term: Literal["delta_yaw"]
+    copies: int = Field(default=1, ge=1, le=8)
+    """How many times the angle stands there."""
+
+
+class Command(_Term):
+    """Velocity command vx, vy (m/s, yaw frame) and yaw rate (rad/s) of the card's `command` (3)."""
+
+    term: Literal["command"]
+
+
+class Speed(_Term):
+    """Forward speed that the card's `command` asks for, m/s (1)."""
+
+    term: Literal["speed"]
+
+
+class JointPosition(_Term):
+    """Joint positions, rad, in the order of `control.joints` (12)."""
+
+    term: Literal["joint_pos"]
+    relative: bool = True
+    """Minus `control.default_pose`."""
+
+
+class JointVelocity(_Term):
+    """Joint velocities, rad/s, in the order of `control.joints` (12)."""
+
+    term: Literal["joint_vel"]
+
+
+class _FedBack(_Term):
+    clipped: bool = False
+    """Whether it is fed back after `control.clip`, as legged_gym does; else as the network said it,
+    as extreme-parkour does."""
+
+
+class AppliedAction(_FedBack):
+    """The raw action that the last control step applied: after the delay, before scaling (12)."""
+
+    term: Literal["applied_action"]
+
+
+class LastOutput(_FedBack):
+    """The policy's own last raw output, which may still wait in the delay queue (12)."""
+
+    term: Literal["last_output"]
+    ago: int = Field(default=0, ge=0, le=EARLIER_OUTPUTS)
+    """How many outputs lie between: 1 = the last but one. Zeros stand for those before the first.
+    """
+
+
+class FootContacts(_Term):
+    """1 for a foot on the ground (force over 2 N), 0 for one in the air (4)."""
+
+    term: Literal["foot_contacts"]
+    feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
+    """The order of the feet."""
+    filter: Literal["two_steps", "none"] = "two_steps"
+    """`two_steps`: on the ground now or one control step ago. `none`: now."""
+
+
+class Standing(CardModel):
+    """What a clock shows while the command asks for no step. It runs on underneath."""
+
+    below: float = Field(gt=0.0)
+    """Norm of vx, vy (m/s) and yaw rate (rad/s) of the command, below which it is so."""
+    phase: float | None = Field(default=None, ge=0.0, lt=1.0)
+    """The phase of every foot then; null = every number of the term is 0."""
+
+
+class GaitClock(_Term):
+    """A clock that paces the feet: functions of the phase of each of them.
+
+    Phase = (`frequency` * seconds since the start + offset of the foot) modulo 1, in cycles; the
+    share `stance` of a cycle is stretched, or shrunk, to its first half.
+    """
+
+    term: Literal["clock"]
+    frequency: float = Field(gt=0.0, le=25.0)
+    """Cycles per second, Hz; a period of 0.8 s is 1.25."""
+    offsets: list[float] = Field(default=[0.0], min_length=1, max_length=16)
+    """Phase of each foot at the start, in cycles."""
+    stance: float = Field(default=0.5, gt=0.0, lt=1.0)
+    """Share of a cycle that a foot is meant to stand: the `duration` of walk-these-ways."""
+    values: list[Literal["sine", "cosine", "phase"]] = Field(
+        default=["sine", "cosine"], min_length=1, max_length=3
+    )
+    """What stands there, one after another, each of all feet: sine and cosine of 2 pi phase, or the
+    phase itself, in [0, 1)."""
+    standing: Standing | None = None
+    """null = the clock runs at any command."""
+
+
+class Constant(_Term):
+    """Numbers that never change."""
+
+    term: Literal["constant"]
+    values: Annotated[list[float], Field(min_length=1, max_length=1000)]
+    """The numbers."""
+
+
+def _bare_word(value: Any) -> Any:
+    """Read `joint_vel` as `{term: joint_vel}`."""
+    return {"term": value} if isinstance(value, str) else value
+
+
+AnyTerm = (
+    AngularVelocity
+    | LinearVelocity
+    | Gravity
+    | RollPitch
+    | Imu
+    | Yaw
+    | Acceleration
+    | DeltaYaw
+    | Command
+    | Speed
+    | JointPosition
+    | JointVelocity
+    | AppliedAction
+    | LastOutput
+    | FootContacts
+    | GaitClock
+    | Constant
+)
+Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
+
+_SIZES = {
+    "ang_vel": 3,
+    "lin_vel": 3,
+    "gravity": 3,
+    "roll_pitch": 2,
+    "imu": 3,
+    "acceleration": 3,
+    "command": 3,
+    "speed": 1,
+    "foot_contacts": 4,
+}
+
+
+def term_size(term: AnyTerm, joints: int = 12) -> int:
+    """Return how many numbers a term has on a robot with `joints` joints."""
+    match term:
+        case Constant():
+            return len(term.values)
+        case DeltaYaw():
+            return term.copies
+        case Yaw():
+            return 1 if term.values == "angle" else 2
+        case GaitClock():
+            return len(term.offsets) * len(term.values)
+        case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
+            return joints
+        case _:
+            return _SIZES[term.term]

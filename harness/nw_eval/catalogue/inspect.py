@@ -1,0 +1,28 @@
+"""The findings about any scene that a suite can name: built in, a folder, or published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nw_eval.catalogue.find import get_scene
+from nw_eval.errors import SceneError
+from nw_eval.scenes.health.check import check_scene
+from nw_eval.scenes.health.finding import Finding, unreadable
+from nw_eval.scenes.neverwhere import PREFIX, inspect_published
+
+
+def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> tuple[Finding, ...]:
+    """Return all that is wrong or remarkable about a scene, errors first; raises nothing.
+
+    Args:
+        reference: name of a built-in scene, path of a scene folder, or `neverwhere:<path>`.
+        read_splat: look into the splat as well; a built-in scene generates it for that.
+    """
+    if str(reference).startswith(PREFIX):
+        return inspect_published(reference).findings
+    try:
+        found = check_scene(get_scene(reference), read_splat=read_splat)
+    except SceneError as error:
+        return unreadable(error)
+    order = ("error", "warning", "note")
+    return tuple(sorted(found, key=lambda finding: order.index(finding.severity)))

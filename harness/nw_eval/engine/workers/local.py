@@ -1,0 +1,163 @@
+"""Worker processes on this machine: each trial in one of them, each fault in one trial.
+
+A worker that dies costs its trial (`crashed`), one that does not come back within the trial's time
+limit is killed (`hung`), and both are replaced. Workers are started by `spawn`: nothing is
+inherited from the parent but one thread for each library.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Self
+
+from nw_eval.confinement import child_environment
+from nw_eval.engine.order import next_place
+from nw_eval.engine.workers import worker
+from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
+from nw_eval.errors import TrialError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from nw_eval.engine.machine.output import WorkerOutput
+    from nw_eval.engine.workers.worker import WorkerStart
+    from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
+
+# Trials that a worker runs before a fresh one takes its place: a leak has an end.
+RECYCLE_AFTER = 100
+# Seconds between two looks at whether somebody asked to stop.
+POLL = 0.1
+# Processes in a row, for each worker, that may die before they take a trial (killed while they
+# start, no memory).
+_STILLBORN = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finished:
+    """A job that came to an end, whatever end."""
+
+    job: TrialJob
+    result: TrialResult
+
+
+class LocalWorkers:
+    """Worker processes with a queue; a context manager. Starts no threads.
+
+    Args:
+        workers: number of processes.
+        start: what each of them starts with.
+        output: where what they print goes.
+        recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        *,
+        start: WorkerStart,
+        output: WorkerOutput,
+        recycle_after: int = RECYCLE_AFTER,
+    ) -> None:
+        self._count = workers
+        self._start_with = start
+        self._output = output
+        self._recycle_after = recycle_after
+        self._cleanup = ExitStack()
+        self._queue: deque[TrialJob] = deque()
+        self._busy: list[WorkerProcess] = []  # Every worker has a job, or is none of ours any more.
+        self._stillborn = 0
+
+    def __enter__(self) -> Self:
+        self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def submit(self, jobs: Iterable[TrialJob]) -> None:
+        """Queue jobs, in order."""
+        self._queue.extend(jobs)
+
+    def finished(self) -> Iterator[Finished | None]:
+        """Yield jobs as they end, and None about ten times a second while none does.
+
+        Raises:
+            TrialError: workers cannot be kept alive at all.
+        """
+        while self._queue or self._busy:
+            while self._queue and len(self._busy) < self._count:
+                self._start()
+            wait([handle for each in self._busy for handle in each.handles], POLL)
+            ended = [done for each in tuple(self._busy) if (done := self._look(each)) is not None]
+            yield from ended or (None,)
+
+    def stop(self) -> None:
+        """End every worker now, running trials included; calling it again does nothing."""
+        self._queue.clear()
+        # A trial holds nothing that needs an orderly end, and one that hangs ignores SIGTERM.
+        for each in self._busy:
+            each.kill()
+        while self._busy:
+            self._busy.pop().close()
+        self._cleanup.close()
+
+    def _start(self) -> None:
+        """Start one more worker with the next job."""
+        try:
+            new = WorkerProcess(
+                start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
+            )
+        except OSError as error:
+            raise TrialError(
+                f"worker processes cannot be started: {error.strerror or error}",
+                fix="use fewer --workers",
+            ) from error
+        self._busy.append(new)
+        new.give(self._next(new))
+
+    def _next(self, each: WorkerProcess) -> TrialJob:
+        """Take a worker's next job from the queue."""
+        taken = {scene for other in self._busy for scene in other.scenes}
+        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
+        job = self._queue[place]
+        del self._queue[place]
+        return job
+
+    def _look(self, each: WorkerProcess) -> Finished | None:
+        """Return what a worker's job came to, if it did, and give the worker another one."""
+        job = each.job
+        assert job is not None, "a worker without a job is not in the list"
+        count = each.jobs_done
+        try:
+            result = each.look()
+        except UnstartedError:
+            self._dismiss(each)
+            self._queue.appendleft(job)
+            self._stillborn += 1
+            if self._stillborn > _STILLBORN * self._count:
+                raise TrialError(
+                    f"{self._stillborn} worker processes in a row died before they could take a "
+                    "trial",
+                    fix="look for the out-of-memory killer in the system log, or use fewer "
+                    "--workers",
+                ) from None
+            return None
+        if result is None:
+            return None
+        self._stillborn = 0
+        is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
+        if is_well and self._queue:
+            each.give(self._next(each))
+        else:
+            self._dismiss(each)
+        return Finished(job=job, result=result)
+
+    def _dismiss(self, each: WorkerProcess) -> None:
+        self._busy.remove(each)
+        each.kill()
+        each.close()

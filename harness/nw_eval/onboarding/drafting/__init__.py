@@ -1,0 +1,1 @@
+"""A card drafted from what a checkpoint tells."""

@@ -1,0 +1,190 @@
+"""The observations that may make each input of a checkpoint."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from nw_eval.onboarding.drafting.frames import frames_of
+from nw_eval.onboarding.drafting.guessed import Likely, guessed_parts
+from nw_eval.onboarding.drafting.guesses import SCANS, is_scan
+from nw_eval.onboarding.drafting.vectors import Part, named_parts, zeros
+from nw_eval.onboarding.reading.exporter import ExportedTerm
+from nw_eval.onboarding.reading.facts import ArrayFacts, CheckpointFacts
+from nw_eval.onboarding.reading.script import ScriptInput
+from nw_eval.onboarding.reading.text import CHECK, RATE_LINE, key
+
+_IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """An input that a card must feed."""
+
+    array: ArrayFacts
+    said: str
+    """How its size is known, for a comment."""
+    known: bool = True
+    """Whether the size is in the file."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether it looks like an image."""
+        axes = len(_without_batch(self.array.shape))
+        return axes >= 3 or (axes == 2 and bool(_IMAGE.search(self.array.name)))
+
+
+def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
+    """Return the inputs of a checkpoint; where its format does not say them, likely ones."""
+    if facts.inputs:
+        return tuple(
+            Wanted(array=array, said=f"terms are guessed from the size, {_size(array.shape)}")
+            for array in facts.inputs
+        )
+    layers = [tensor for tensor in facts.tensors if len(tensor.shape) == 2]
+    first = re.compile(r"(^|\.)(0\.)?weight(_ih_l0)?$")
+    sizes = [tensor.shape[1] for tensor in layers if first.search(tensor.name)]
+    known = [size for size in sizes if frames_of(size)]
+    said = (
+        f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
+        if layers
+        else "it has no linear layer that would tell, so 48 is assumed"
+    )
+    if len(facts.script) > 1:
+        return tuple(_argument(argument, min(known, default=48), said) for argument in facts.script)
+    direct = facts.script[0].size if facts.script else None
+    if direct is not None:
+        said = f"the layer that its one input goes into takes {direct}; {said}"
+    else:
+        what = "of what size its input is" if facts.script else "how many inputs it takes, of what"
+        said = f"the file does not say {what}; {said}"
+    array = ArrayFacts(
+        name="obs", shape=(1, direct or max(known or sizes or [48])), dtype="float32"
+    )
+    return (Wanted(array=array, said=said),)
+
+
+def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> tuple[Part, ...]:
+    """Return the observations that make an input together, in their order.
+
+    Args:
+        wanted: the input.
+        terms: what the exporter says that it is made of; empty where it does not.
+        likely: layouts that are taken before others.
+    """
+    array, name = wanted.array, key(wanted.array.name)
+    batch, shape = _batch(array.shape), _without_batch(array.shape)
+    if wanted.seen:
+        lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)
+        return (Part(name=name, lines=tuple(lines)),)
+    if len(shape) == 2:
+        return (_rows(wanted, shape, terms, likely),)
+    size = shape[0] or 0 if shape else 0
+    parts = _row(name, size, wanted, terms, likely)
+    if batch > 1:
+        note = (
+            f"{CHECK} the checkpoint wants a batch of {batch}: export it with batch 1 or a free "
+            f"batch (if these are {batch} frames: `wrap: [{{wrapper: stack, steps: {batch}}}]`)"
+        )
+        return (_noted(parts[0], note), *parts[1:])
+    return parts if wanted.known else (_noted(parts[0], f"{CHECK} its size is not in the file"),)
+
+
+def _row(
+    name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely
+) -> tuple[Part, ...]:
+    said = wanted.said
+    if terms and not is_scan(wanted.array.name):
+        if parts := named_parts(name, size, terms):
+            return parts
+        said = f"the file names no terms of its {size} numbers"
+    return guessed_parts(name, size, said, likely)
+
+
+def _rows(
+    wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm], likely: Likely
+) -> Part:
+    """Return an observation of frames that stand on an axis of their own."""
+    name, (steps, size) = key(wanted.array.name), (n or 0 for n in shape)
+    last = not terms and bool(frames_of(steps)) and not frames_of(size)
+    steps, size = (size, steps) if last else (steps, size)
+    # Here the frames of a term are rows, whatever the exporter calls their history.
+    parts = _row(name, size, wanted, [replace(term, history=1) for term in terms], likely)
+    part = parts[0]
+    if len(parts) > 1:
+        lines = ("sensor: proprio", *zeros(size, "frames with a scan, which no card can make"))
+        part = Part(name=name, lines=lines)
+    if not steps:
+        part, steps = _noted(part, f"{CHECK} the file leaves the number of frames free"), 10
+    if not 2 <= steps <= 100:
+        return _noted(part, f"{CHECK} no card makes this axis of {steps}: export it without")
+    axis = ", axis: last" if last else ""
+    wrap = f"wrap: [{{wrapper: stack, steps: {steps}{axis}}}]"
+    if not terms or any(term.history != steps for term in terms):
+        wrap += f"  {CHECK} the oldest frame comes first"
+    ways = {name: (*lines, wrap) for name, lines in part.ways.items()}
+    return replace(part, lines=(*part.lines, wrap), ways=ways)
+
+
+def _argument(argument: ScriptInput, frame: int, said: str) -> Wanted:
+    """Return an argument of a scripted module that takes several."""
+    shape: tuple[int | None, ...] = (1, argument.size)
+    if argument.size is None:
+        scan = SCANS[0].size if is_scan(argument.name) else frame
+        shape = (1, None, None, None) if _IMAGE.search(argument.name) else (1, scan)
+    if argument.kind != "Tensor":
+        said = f"it is a {argument.kind}, which no card can feed: export it with tensors; {said}"
+    elif argument.size is not None:
+        said = f"the layer that it goes into takes {argument.size}; {said}"
+    return Wanted(
+        array=ArrayFacts(name=argument.name, shape=shape, dtype="float32"),
+        said=said,
+        known=argument.size is not None,
+    )
+
+
+def _batch(shape: Sequence[int | None]) -> int:
+    """Return the length of a fixed first axis before a row of numbers; 1 where it is free."""
+    return shape[0] or 1 if len(shape) == 2 else 1
+
+
+def _without_batch(shape: tuple[int | None, ...]) -> tuple[int | None, ...]:
+    return shape[1:] if shape[:1] in {(1,), (None,)} or len(shape) == 2 else shape
+
+
+def _size(shape: tuple[int | None, ...]) -> str:
+    return " x ".join("?" if n is None else str(n) for n in _without_batch(shape)) or "0"
+
+
+def _noted(part: Part, note: str) -> Part:
+    return replace(part, lines=(part.lines[0], note, *part.lines[1:]))
+
+
+def _image(array: ArrayFacts, shape: tuple[int | None, ...]) -> list[str]:
+    stack, (first, second, third) = shape[0] if len(shape) == 4 else None, shape[-3:]
+    chw = first in {1, 3, None}
+    height, width = (second, third) if chw else (first, second)
+    lines = [
+        "sensor: splat_rgb",
+        f"camera: ego  {CHECK} a camera of the robot",
+        f"width: {width or 80}",
+        f"height: {height or 45}",
+        RATE_LINE,
+        f"axes: {'chw' if chw else 'hwc'}",
+    ]
+    if stack:
+        lines.append(f"stack: {stack}")
+    if array.dtype == "uint8":
+        return [*lines, "dtype: uint8"]
+    return [*lines, "dtype: float32", f"mean: 0  {CHECK} (byte - mean) / std", "std: 255"]
+
+
+def _depth(shape: tuple[int | None, ...]) -> list[str]:
+    return [
+        "sensor: depth",
+        f"camera: ego  {CHECK} a camera of the robot, and its near and far",
+        f"width: {shape[1] or 80}",
+        f"height: {shape[0] or 45}",
+        RATE_LINE,
+    ]

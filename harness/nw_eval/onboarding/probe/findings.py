@@ -1,0 +1,228 @@
+"""What is wrong with a recording, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards import Card
+from nw_eval.cards.inputs import resolve_inputs
+from nw_eval.cards.joints import short_name
+from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
+from nw_eval.onboarding.probe.following import Followed, stands_still
+from nw_eval.onboarding.probe.parts import Part
+from nw_eval.onboarding.probe.recording import STUMBLES, Recording
+from nw_eval.robots import RobotSpec
+
+Array = NDArray[np.float64]
+
+_OFTEN = 0.2  # Share of control steps from which on a limit is a fault, not a moment.
+_MOVES = 0.05  # rad; a target that moves less tells nothing of how its joint follows.
+_LARGE = 30.0  # No scaled observation of a policy that learned is larger for long.
+_MAY_REST = {
+    "foot_contacts",
+    "applied_action",
+    "last_output",
+    "speed",
+    "command",
+    "direction",
+    "clock",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that a person should know."""
+
+    kind: Literal["fault", "note"]
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """A part's numbers over the second."""
+
+    part: Part
+    low: float
+    mean: float
+    high: float
+    constant: int
+    """How many of its numbers never changed."""
+    broken: int
+    """How many values were NaN or infinite."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers the policy gets of it."""
+        return len(self.part.indices)
+
+
+def measure(part: Part, recording: Recording) -> Range:
+    """Return the range of a part; of what is finite."""
+    whole = recording.observations[part.observation]
+    values = whole.reshape(len(whole), -1)[:, part.indices].astype(np.float64)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        finite = np.full(1, np.nan)
+    return Range(
+        part=part,
+        low=float(finite.min()),
+        mean=float(finite.mean()),
+        high=float(finite.max()),
+        constant=int((values == values[:1]).all(axis=0).sum()),
+        broken=int(values.size - np.isfinite(values).sum()),
+    )
+
+
+def observation_findings(ranges: list[Range], recording: Recording) -> list[Finding]:
+    """Return what is odd about the observations."""
+    found: list[Finding] = []
+    for value in ranges:
+        part = value.part
+        name = f"`{part.observation}`" + (f", {part.kind}" if part.kind else "")
+        if value.broken:
+            kind = "note" if part.kind == "lidar" else "fault"
+            found.append(Finding(kind=kind, text=f"{name}: {value.broken} values are NaN or inf"))
+        if value.constant == value.size and not part.is_fixed:
+            kind = "note" if part.kind in _MAY_REST else "fault"
+            text = f"{name}: dead, it reads {value.mean:z.4g} from beginning to end"
+            found.append(Finding(kind=kind, text=text))
+        largest = max(abs(value.low), abs(value.high))
+        if part.limits is not None and _share_at(part, recording) > _OFTEN:
+            low, high = part.limits
+            text = f"{name}: its limits {low:g}..{high:g} cut it off in most steps; mind the scale"
+            found.append(Finding(kind="fault", text=text))
+        elif largest > _LARGE and part.kind in _TERMS_OF_ORDER_ONE:
+            text = f"{name}: reaches {largest:.3g}; a scale may be missing"
+            found.append(Finding(kind="note", text=text))
+    return found
+
+
+def input_findings(card: Card, ranges: list[Range], recording: Recording) -> list[Finding]:
+    """Return which inputs are not what a checkpoint is likely to have been trained on."""
+    found: list[Finding] = []
+    files = [(card, recording.inputs)]
+    files += [(card.of_network(name), specs) for name, specs in recording.fed_inputs.items()]
+    for file, specs in files:
+        for spec, names in resolve_inputs(file, specs) if specs else ():
+            for name in (one for one in names if one in card.observations):
+                is_rgb = isinstance(card.observations[name], SplatRgbObservation)
+                is_bytes = recording.observations[name].dtype == np.uint8
+                if is_rgb and is_bytes and spec.dtype.kind == "f":
+                    text = f"`{name}` gives bytes 0..255 to a {spec.dtype} input; "
+                    found.append(Finding(kind="note", text=f"{text}`dtype: float32` gives 0..1"))
+    zeros: dict[str, int] = {}
+    for value in ranges:
+        name, observation = value.part.observation, card.observations[value.part.observation]
+        is_listed = isinstance(observation, ProprioObservation) and observation.terms is not None
+        if is_listed and value.part.kind == "constant" and value.low == value.high == 0.0:
+            zeros[name] = zeros.get(name, 0) + value.size
+    for name, count in zeros.items():
+        number = "1 zero" if count == 1 else f"{count} zeros"
+        text = f"`{name}` holds {number} in place of what the checkpoint was trained on"
+        found.append(Finding(kind="note", text=text))
+    return found
+
+
+_TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
+
+
+def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[Finding]:
+    """Return what is odd about the actions and what the motors made of them."""
+    found: list[Finding] = []
+    actions = recording.actions
+    if (actions == actions[:1]).all() and card.adapter != "zero":
+        text = "the action is the same at every step: the checkpoint does not hear its inputs"
+        found.append(Finding(kind="fault", text=text))
+    if card.control.clip is not None:
+        low, high = card.control.clip
+        cut = ((actions <= low) | (actions >= high)).mean(axis=0)
+        order = card.control.joints or list(robot.joints)
+        found += _by_joint(
+            cut, order, f"the action is at its limits {low:g}..{high:g} (`control.clip`)"
+        )
+    if card.control.action != "joint_torque":
+        ranges = np.array(robot.joint_ranges)
+        outside = (recording.targets < ranges[:, 0]) | (recording.targets > ranges[:, 1])
+        found += _by_joint(
+            outside.mean(axis=0), robot.joints, "the target is beyond the joint's range", note=True
+        )
+        if recording.stumbles:
+            found += _against(robot, recording)
+    strained = np.abs(recording.torques) >= 0.999 * recording.torque_limits
+    found += _by_joint(strained.mean(axis=0), robot.joints, "the motor is at its torque limit")
+    return found
+
+
+def body_findings(recording: Recording) -> list[Finding]:
+    """Return how the robot fared."""
+    if recording.outcome is not None:
+        words = {"fell": "fell over", "collided": "hit its head or trunk"}
+        text = f"it {words.get(recording.outcome, recording.outcome)} at {recording.seconds:.2f} s"
+        return [Finding(kind="fault", text=text)]
+    tilt = float(recording.tilt.max())
+    if tilt > STUMBLES:
+        return [Finding(kind="fault", text=f"it leans by {tilt:.2f} rad on the way")]
+    return []
+
+
+def command_findings(followed: list[Followed]) -> list[Finding]:
+    """Return which commands are missed; a fault where trials command it."""
+    missed = [one for one in followed if one.is_missed]
+    if stands_still(followed):
+        is_own = all(one.motion.is_own for one in followed)
+        kind = "fault" if is_own or any(one.motion.is_used for one in missed) else "note"
+        text = "it stands still" if is_own else "it stands still, whatever is commanded"
+        return [Finding(kind=kind, text=f"`command`: {text}")]
+    found: list[Finding] = []
+    for one in missed:
+        direction, asked, reached = one.words
+        text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:z.0%})"
+        text += ", and it fell" if one.fell else ""
+        scales = "" if one.motion.is_own else " and the `scale` of `command`"
+        text += f"; mind `control.scale`{scales}"
+        found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
+    return found
+
+
+def _against(robot: RobotSpec, recording: Recording) -> list[Finding]:
+    """Find joints that move away from their targets.
+
+    No card has negative gains, so the ground pushes them; that of walking policies does it too.
+    """
+    wanted = recording.targets - recording.positions[:-1]
+    moved = np.diff(recording.positions, axis=0)
+    found: list[Finding] = []
+    for index, joint in enumerate(robot.joints):
+        pull, motion = wanted[:, index], moved[:, index]
+        if np.ptp(recording.targets[:, index]) < _MOVES or motion.std() < 1e-4:
+            continue
+        agreement = float(np.corrcoef(pull, motion)[0, 1])
+        if agreement < -_OFTEN:
+            text = f"{short_name(joint)}: moves against its targets (correlation {agreement:.2f})"
+            found.append(Finding(kind="note", text=text))
+    return found
+
+
+def _by_joint(shares: Array, joints: Any, what: str, *, note: bool = False) -> list[Finding]:
+    often = [
+        f"{short_name(joint)} {share:.0%}"
+        for joint, share in zip(joints, shares.tolist(), strict=True)
+        if share > _OFTEN
+    ]
+    if not often:
+        return []
+    kind = "note" if note else "fault"
+    return [Finding(kind=kind, text=f"{what} in much of the second: {', '.join(often)}")]
+
+
+def _share_at(part: Part, recording: Recording) -> float:
+    if part.limits is None:
+        return 0.0
+    whole = recording.observations[part.observation]
+    values = whole.reshape(len(whole), -1)[:, part.indices]
+    low, high = part.limits
+    return float(((values <= low) | (values >= high)).mean())

@@ -1,0 +1,1 @@
+"""Cards that differ from a given one in one respect."""

@@ -1,0 +1,105 @@
+"""A change of a card as the lines that somebody has to write on it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from typing import Any, cast
+
+from pydantic import BaseModel
+
+from nw_eval.cards import Card
+from nw_eval.cards.joints import PerJoint
+from nw_eval.cards.observations import AnyObservation, ProprioObservation
+
+
+def changed_lines(old: Card, new: Card) -> list[str]:
+    """Return what is written differently: robot, `control` and observations.
+
+    Each line is the place of a key, and its new value in YAML; of `terms`, the entry that
+    changes, or all of them in another order.
+    """
+    fields = type(new.control).model_fields
+    lines = [] if new.robot == old.robot else [f"robot: {new.robot}"]
+    lines += [
+        f"control.{key}: {flow(value)}"
+        for key in fields
+        if (value := getattr(new.control, key)) != getattr(old.control, key)
+    ]
+    for name, observation in new.observations.items():
+        lines += _observation_lines(f"observations.{name}", old.observations[name], observation)
+    return lines
+
+
+def _observation_lines(place: str, old: AnyObservation, new: AnyObservation) -> list[str]:
+    lines = [] if new.rate == old.rate else [f"{place}.rate: {new.rate}"]
+    if not (isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)):
+        return lines
+    if old.layout != new.layout:
+        lines.append(f"{place}.terms: {flow(new.terms)}  # in place of `layout: {old.layout}`")
+    elif [term.term for term in old.frame_terms] != [term.term for term in new.frame_terms]:
+        lines.append(f"{place}.terms: {flow(new.terms)}")
+    else:
+        pairs = zip(old.frame_terms, new.frame_terms, strict=True)
+        lines += [f"{place}.terms: - {flow(term)}" for was, term in pairs if was != term]
+    if old.history != new.history:
+        lines.append(f"{place}.history: {flow(new.history)}")
+    return lines
+
+
+def flow(value: Any) -> str:
+    """Return a value of a card as YAML in one line, without what a key has by default."""
+    if isinstance(value, BaseModel):
+        fields = value.model_dump(exclude_defaults=True)
+        return flow({"term": fields.pop("term"), **fields} if "term" in fields else fields)
+    if isinstance(value, dict):
+        items = cast("dict[str, Any]", value).items()
+        return "{" + ", ".join(f"{flow(key)}: {flow(item)}" for key, item in items) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(flow(item) for item in cast("Sequence[Any]", value)) + "]"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    if isinstance(value, float):
+        return f"{value:z.9g}"
+    # Unquoted, some readers of YAML take a range such as 6:8 for a number of base 60, and the sign
+    # that a pattern such as ?L_hip begins with for one of their own.
+    text = str(value)
+    return json.dumps(text) if ":" in text or text.startswith(("?", "*")) else text
+
+
+def settings(model: BaseModel, *, but: Collection[str] = ()) -> list[str]:
+    """Return `key value` for every key of a card's part that has another value than by default."""
+    given = {**{key: getattr(model, key) for key in type(model).model_fields}, **_extra(model)}
+    defaults = type(model).model_fields
+    return [
+        f"{key} {flow(value)}"
+        for key, value in given.items()
+        if key not in but
+        and not (key in defaults and value == defaults[key].get_default(call_default_factory=True))
+    ]
+
+
+def _extra(model: BaseModel) -> dict[str, Any]:
+    return dict(model.model_extra or {})
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as a sentence lists them: `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def per_joint(names: Sequence[str], values: Sequence[float]) -> PerJoint:
+    """Return values for joints as a person would write them: one, by type, or by name.
+
+    Args:
+        names: short names, such as FR_hip.
+        values: one for each name.
+    """
+    plain = [float(f"{value:.9g}") + 0.0 for value in values]  # + 0.0: no negative zeros.
+    if len(set(plain)) == 1:
+        return plain[0]
+    written: dict[str, float] = {}
+    for kind in dict.fromkeys(name.rsplit("_", 1)[-1] for name in names):
+        own = {n: v for n, v in zip(names, plain, strict=True) if n.endswith(f"_{kind}")}
+        written |= {kind: next(iter(own.values()))} if len(set(own.values())) == 1 else own
+    return written

@@ -1,0 +1,1 @@
+"""What a TorchScript archive may hold."""

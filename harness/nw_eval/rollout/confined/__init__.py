@@ -1,0 +1,1 @@
+"""A stranger's files, opened in a process that may do nothing else."""

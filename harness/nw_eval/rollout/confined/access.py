@@ -1,0 +1,117 @@
+"""What a process may do that opens a policy: read its files and its scenes, and write logs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from nw_eval.cache import cache_dir
+from nw_eval.catalogue.whereabouts import scene_paths
+from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
+from nw_eval.errors import StoreError
+from nw_eval.policies.safety import Limits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from nw_eval.policies import Bundle
+    from nw_eval.rollout.job import Backend
+
+OPENING_SECONDS = 25
+"""Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
+
+
+def inspecting_rules(checkpoint: Path) -> Rules:
+    """Return the rules of a process that reads one checkpoint, without a card."""
+    return Rules(
+        reads=(checkpoint.resolve(),),
+        memory=memory_to_open(_size(checkpoint)),
+        seconds=OPENING_SECONDS,
+    )
+
+
+def folding_rules(checkpoint: Path, out: Path) -> Rules:
+    """Return the rules of a process that writes a checkpoint and files beside it as one file."""
+    return Rules(
+        reads=(checkpoint.resolve().parent,),
+        writes=(out.resolve().parent,),
+        memory=memory_to_open(Limits().file_bytes),
+        seconds=OPENING_SECONDS,
+    )
+
+
+def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
+    """Return the rules of a process that opens a bundle's checkpoint, and runs it once."""
+    return Rules(
+        reads=_files(bundle),
+        memory=memory_to_open(_size(*bundle.files)),
+        seconds=OPENING_SECONDS,
+        off=why_off(allow_code=allow_code),
+    )
+
+
+def running_rules(
+    bundle: Bundle,
+    *,
+    scenes: Iterable[str],
+    logs: Path | None = None,
+    allow_code: bool = False,
+    render: Backend = "cpu",
+    also: Sequence[Path] = (),
+) -> Rules:
+    """Return the rules of a process that runs trials.
+
+    Args:
+        bundle: the policy.
+        scenes: what `get_scene` understands of those that it runs in.
+        logs: the folder of their logs; None = none is written.
+        allow_code: whether Python code that the card names may be imported.
+        render: the splat backend.
+        also: further files that it reads.
+    """
+    places = tuple(dict.fromkeys(scenes))
+    return Rules(
+        reads=(
+            *_files(bundle),
+            *(folder for scene in places for folder in scene_paths(scene)),
+            *(path.resolve() for path in also),
+            *_cache(),
+        ),
+        writes=() if logs is None else (logs.resolve(),),
+        network="all" if bundle.card.adapter == "remote" else "none",
+        memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
+        off=why_off(allow_code=allow_code, render=render),
+    )
+
+
+def fence_in_server(bundle: Bundle) -> None:
+    """Fence this process in, which serves a policy, before it opens it.
+
+    It may listen, and connect to nobody; its memory has no limit, each client takes some.
+    """
+    raise_fence(reads=_files(bundle), writes=(), network="server")
+
+
+def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:
+    """Return why a process is not fenced in; empty if it is."""
+    if allow_code:
+        return "--allow-code"
+    return "--render cuda" if render == "cuda" else ""
+
+
+def _files(bundle: Bundle) -> tuple[Path, ...]:
+    return (bundle.folder.resolve(), *(path.resolve() for path in bundle.files))
+
+
+def _cache() -> tuple[Path, ...]:
+    try:
+        return (cache_dir(),)
+    except StoreError:  # It is no folder, or full; whoever needs it says so.
+        return ()
+
+
+def _size(*files: Path) -> int:
+    try:
+        return sum(path.stat().st_size for path in files)
+    except OSError:  # It is gone; whoever reads it says so.
+        return 0

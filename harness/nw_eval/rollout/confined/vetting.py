@@ -1,0 +1,76 @@
+"""Checks a bundle before a run, without ever opening its checkpoint in this process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from nw_eval.cards import physics_steps
+from nw_eval.errors import PolicyError
+from nw_eval.policies import Bundle, load_bundle
+from nw_eval.robots import get_robot
+from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.access import opening_rules
+from nw_eval.rollout.confined.isolated import call_isolated
+from nw_eval.sensors import check_card
+
+
+def vet_bundle(
+    bundle: Bundle, robot: str, *, protocol: str = "strict", allow_code: bool = False
+) -> Bundle:
+    """Check a card against robot, protocol and checkpoint.
+
+    Checkpoints, and Python code, are opened in a confined process.
+
+    Returns:
+        The bundle; a remote one with the digest of what its server says that it serves.
+
+    Raises:
+        PolicyError: as `sensors.check_bundle`; or the card does not fit the protocol, or what is
+            served.
+    """
+    physics_steps(bundle.card, protocol)
+    if bundle.card.adapter == "remote":
+        bundle = _asked(bundle, robot, allow_code=allow_code)
+    if bundle.checkpoint is None and not bundle.code_sha256:
+        # There is nothing of a stranger's to open but the card, and a server was asked already.
+        check_bundle(bundle, get_robot(robot), allow_code=allow_code)
+        return bundle
+    call_isolated(
+        _check,
+        subject=str(bundle.card_path),
+        rules=opening_rules(bundle, allow_code=allow_code),
+        card=str(bundle.card_path.resolve()),
+        checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        robot=robot,
+        allow_code=allow_code,
+    )
+    return bundle
+
+
+def _asked(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
+    """Return a remote bundle with the digest of what is served, which takes what the card makes."""
+    from nw_eval.policies.remote.client import ask_server  # Not everybody has websockets.
+
+    code_from = bundle.folder if allow_code else None
+    card = bundle.card_path
+    specs = check_card(bundle.card, get_robot(robot), where=card, code_from=code_from)
+    served = ask_server(bundle)
+    for spec in specs:
+        wanted = served.shapes.get(spec.name, spec.shape)
+        if wanted != spec.shape:
+            raise PolicyError(
+                f"{bundle.card_path}: `{spec.name}` is {_size(spec.shape)} numbers; on the served "
+                f"card it is {_size(wanted)}",
+                fix=f"the card makes {spec.reckoning}; copy `observations` from the served card",
+            )
+    return replace(bundle, checkpoint_sha256=served.digest)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(side) for side in shape)
+
+
+def _check(*, card: str, checkpoint: str | None, robot: str, allow_code: bool) -> None:
+    bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
+    check_bundle(bundle, get_robot(robot), allow_code=allow_code)

@@ -1,0 +1,129 @@
+"""Place, robot, trail and path as coloured points, for viewers that draw no `SceneUpdate` (Rerun).
+
+Points are few: they show where things are, while `/scene` shows what they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from numpy.typing import ArrayLike, NDArray
+
+from nw_eval.robots import RobotSpec, Shape
+from nw_eval.rollout.mcap.content.entities import OPEN, PLACE, REACHED, WORLD, Colour
+from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh, rotation_matrix
+
+Points = NDArray[np.floating]
+
+_FIELDS = (("x", 0), ("y", 4), ("z", 8), ("red", 12), ("green", 13), ("blue", 14), ("alpha", 15))
+_POINT = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
+
+_PLACE_POINTS = 3000
+_GRID = 128.0  # Points of a place stand on 1/128 m, whose zero bits compress.
+_PATH: Colour = (0.10, 0.45, 0.95, 1.0)
+_DOTS = 0.1  # m between two points of the trail
+# Steps of the additive recurrence that covers a square evenly (Roberts 2018, R2): no randomness.
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+@lru_cache(maxsize=8)
+def place_cloud(mesh: TriangleMesh) -> PointCloud:
+    """Return some thousand points on the static geometry, in the colours of its kinds."""
+    a, b, c = mesh.triangles.transpose(1, 0, 2)
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    # As many for each kind: a wide ground would leave nothing for the obstacle on it.
+    kinds, number = np.unique(mesh.kinds, return_inverse=True)
+    shares = np.cumsum(areas / np.bincount(number, areas)[number])
+    at = (np.arange(_PLACE_POINTS) + 0.5) * (len(kinds) / _PLACE_POINTS)
+    faces = np.minimum(np.searchsorted(shares, at), len(shares) - 1)
+    u, v = ((np.arange(1, _PLACE_POINTS + 1)[:, np.newaxis] * _R2) % 1.0).T
+    outside = u + v > 1.0
+    u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
+    points = a[faces] + u[:, None] * (b - a)[faces] + v[:, None] * (c - a)[faces]
+    palette = np.array([PLACE[kind] for kind in FACE_KINDS])
+    return _cloud(0, WORLD, np.rint(points * _GRID) / _GRID, palette[mesh.kinds[faces]])
+
+
+def robot_clouds(robot: RobotSpec) -> dict[str, PointCloud]:
+    """Return the corners of each body's boxes and the like, in the body's own frame."""
+    found: dict[str, PointCloud] = {}
+    for body in robot.bodies:
+        shapes = [shape for shape in robot.visuals if shape.body == body]
+        if shapes:
+            points = [_corners(shape) for shape in shapes]
+            colours = [[shape.rgba or (0.5, 0.5, 0.5, 1.0)] * 8 for shape in shapes]
+            found[body] = _cloud(0, body, np.concatenate(points), np.concatenate(colours))
+    return found
+
+
+def trail_cloud(time_ns: int, start: ArrayLike, trail: Points, *, reached: int) -> PointCloud:
+    """Return dots along the trail: green as far as the last waypoint that was reached.
+
+    Args:
+        time_ns: simulated time.
+        start: where the robot was put down, (3,) m.
+        trail: waypoints, (K, 3) m.
+        reached: how many of them are.
+    """
+    corners = np.concatenate([np.reshape(start, (1, 3)), trail])
+    dots: list[Points] = []
+    colours: list[Points] = []
+    for leg, (near, far) in enumerate(pairwise(corners)):
+        count = max(1, round(float(np.linalg.norm(far - near)) / _DOTS))
+        share = np.arange(1, count + 1)[:, np.newaxis] / count
+        dots.append(near + share * (far - near))
+        colours.append(np.tile(REACHED if leg < reached else OPEN, (count, 1)))
+    return _cloud(time_ns, WORLD, np.concatenate(dots), np.concatenate(colours))
+
+
+def path_cloud(time_ns: int, path: Sequence[Sequence[float]]) -> PointCloud:
+    """Return where the trunk's origin has been, (N, 3) m."""
+    return _cloud(time_ns, WORLD, np.asarray(path), np.tile(_PATH, (len(path), 1)))
+
+
+def cloud_points(message: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return what a cloud of this file holds: points (N, 3) m and colours (N, 4)."""
+    rows = np.frombuffer(message.data, _POINT)
+    return rows["xyz"], rows["rgba"]
+
+
+def _cloud(time_ns: int, frame: str, points: Points, colours: ArrayLike) -> PointCloud:
+    rows = np.empty(len(points), _POINT)
+    rows["xyz"] = points
+    rows["rgba"] = np.rint(np.asarray(colours) * 255.0)
+    fields = [
+        PackedElementField(
+            name=name,
+            offset=offset,
+            type=PackedElementField.UINT8 if offset >= 12 else PackedElementField.FLOAT32,
+        )
+        for name, offset in _FIELDS
+    ]
+    return PointCloud(
+        timestamp=stamp(time_ns),
+        frame_id=frame,
+        pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
+        point_stride=_POINT.itemsize,
+        fields=fields,
+        data=rows.tobytes(),
+    )
+
+
+def _corners(shape: Shape) -> Points:
+    """Return the eight corners of a shape's box in its body's frame, (8, 3) m."""
+    half = {
+        "cylinder": (shape.size[0], shape.size[0], shape.size[-1]),
+        "sphere": (shape.size[0],) * 3,
+    }.get(shape.kind, shape.size)
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return signs * np.asarray(half) @ rotation_matrix(shape.quat).T + np.asarray(shape.position)

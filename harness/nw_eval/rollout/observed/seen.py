@@ -1,0 +1,123 @@
+"""Writes down what the policy was given: numbers as they are, and images as pictures.
+
+Each observation is written when it is new: at its own rate, after its latency, behind noise and
+wrappers. What is held between two samples is not repeated.
+"""
+
+from __future__ import annotations
+
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from nw_eval.cards.observations import ProprioObservation
+from nw_eval.cards.observations.wraps import Flatten, PluginWrap
+from nw_eval.cards.terms import term_size
+from nw_eval.rollout.mcap.layout import layout_json
+from nw_eval.rollout.observed.views import View, topic_names, views_of
+from nw_eval.rollout.pictures.cameras import LOG_TOPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.cards import Card
+    from nw_eval.robots import RobotSpec
+    from nw_eval.rollout.mcap.trial_log import TrialLog
+    from nw_eval.sensors.sensor import Sensor
+    from nw_eval.sim import World
+
+MANY = 4096
+"""More numbers than this, as a laser scanner gives, are kept where images are."""
+
+
+class Seen:
+    """What one trial's policy is given.
+
+    Args:
+        card: whose observations they are.
+        sensors: the trial's, by name.
+        world: carries the cameras.
+        log: where it is written.
+    """
+
+    def __init__(
+        self, *, card: Card, sensors: Mapping[str, Sensor], world: World, log: TrialLog
+    ) -> None:
+        self._sensors = sensors
+        self._world = world
+        self._log = log
+        # An image that was flattened is a row of numbers.
+        self._views = {
+            view.observation: view
+            for view in views_of(card)
+            if len(sensors[view.observation].shape) > 1
+        }
+        self._names = topic_names(card)
+        self._terms = {
+            name: _terms(name, spec, sensors[name].shape)
+            for name, spec in card.observations.items()
+            if name not in self._views
+        }
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The observations that are pictures."""
+        return tuple(self._views.values())
+
+    def calibrate(self) -> None:
+        """Write the calibration of every camera, if its pictures can be kept."""
+        for view in self.views:
+            pinhole = view.pinhole(self._world.robot.cameras[view.mount])
+            if pinhole is not None and self._log.takes_images:
+                self._log.calibration(
+                    self._world.time,
+                    view.topic,
+                    mount=view.mount,
+                    size=(pinhole.width, pinhole.height),
+                    focal=(pinhole.fx, pinhole.fy),
+                    center=(pinhole.cx, pinhole.cy),
+                )
+
+    def record(self, observation: Mapping[str, NDArray[Any]]) -> None:
+        """Write what is new of a control step's observations."""
+        for name, array in observation.items():
+            if not self._sensors[name].fresh:
+                continue
+            if name in self._views:
+                self._pictures(self._views[name], array)
+            elif array.size <= MANY:
+                terms = self._terms[name]
+                self._log.numbers(self._world.time, self._names[name], array, terms=terms)
+            else:
+                self._log.many_numbers(self._world.time, self._names[name], array)
+
+    def _pictures(self, view: View, array: NDArray[Any]) -> None:
+        if not self._log.takes_images:
+            return
+        pictures = view.pictures(array)
+        for number, (form, image) in enumerate(pictures):
+            topic = view.topic if len(pictures) == 1 else f"{view.topic}/{number}"
+            self._log.picture(self._world.time, topic, image, mount=view.mount, form=form)
+
+
+def layout_of(card: Card, robot: RobotSpec) -> str:
+    """Return the Foxglove layout for logs of a policy, as JSON."""
+    views = views_of(card)
+    # What somebody else's wrapper leaves of an image is known in a trial only.
+    sure = [v for v in views if not any(isinstance(w, Flatten | PluginWrap) for w in v.spec.wrap)]
+    pictures = [view.topic for view in sure] if views else [LOG_TOPIC]
+    cameras = {view.observation for view in views}
+    numbers = [topic for name, topic in topic_names(card).items() if name not in cameras]
+    return layout_json(trunk=robot.bodies[0], pictures=pictures, observations=numbers)
+
+
+def _terms(name: str, spec: object, shape: tuple[int, ...]) -> tuple[tuple[str, int], ...]:
+    """Return name and size of the parts of a row: the card's terms, where they are all of it."""
+    size = prod(shape)
+    if isinstance(spec, ProprioObservation):
+        terms = tuple((term.term, term_size(term)) for term in spec.frame_terms)
+        is_whole = spec.select is None and spec.history is None and not spec.wrap
+        if is_whole and sum(count for _, count in terms) == size:
+            return terms
+    return ((name, size),)

@@ -1,0 +1,114 @@
+"""Sheets of pictures: a trial at six moments, and scenes from the robot's eye and from outside."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nw_eval.cache import atomic_path
+from nw_eval.errors import StoreError
+from nw_eval.robots import get_robot
+from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.pictures.third_person import Spectator
+from nw_eval.rollout.prepare import open_trial
+from nw_eval.sensors.drawing.sheet import Cell, draw_sheet
+from nw_eval.sim import World
+from nw_eval.splat.render import open_renderer
+from nw_eval.splat.store import open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from nw_eval.rollout.replaying.replay import Recording
+    from nw_eval.scenes import Scene
+
+_MOMENTS = 6
+_VIEW = (400, 225)
+_EGO = "ego"
+_ROBOT = "go1"
+_SETTLING = 40  # control steps until a robot that was put down stands
+
+
+def contact_sheet(recording: Recording) -> bytes:
+    """Draw a recorded trial at six moments: from outside, and what the robot's camera saw.
+
+    Returns:
+        A PNG.
+
+    Raises:
+        StoreError: the log has no states.
+    """
+    states = recording.log.states()
+    if not states:
+        raise StoreError(f"{recording.path} has no recorded states", fix="run the trial again")
+    chosen = np.unique(np.linspace(0, len(states) - 1, _MOMENTS).round().astype(int))
+    width, height = _VIEW
+    cells: list[Cell] = []
+    with open_trial(recording.job, Library(), StageClock()) as trial:
+        splat = None if trial.scene.splat is None else trial.renderer()
+        spectator = Spectator(trial.scene, splat)
+        drawn = _as_drawn(trial.scene)
+        world, trail = trial.episode.world, trial.episode.progress.waypoints
+        for index in chosen:
+            trial.episode.restore(states[index])
+            progress = trial.episode.progress
+            label = f"{world.time:.2f} s, {progress.reached} of {progress.total} waypoints"
+            views = [
+                spectator.beside(world, trail, width=width, height=height),
+                spectator.aboard(world, trail, _EGO, width=width, height=height),
+            ]
+            cells.append(Cell(name=label, images=views))
+    return draw_sheet(cells, across=len(cells) // 2 or 1, title=_title(recording, drawn))
+
+
+def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) -> None:
+    """Draw each scene twice: from outside, and through the camera of a Go1 at its start.
+
+    Raises:
+        StoreError: the picture cannot be written.
+    """
+    height = width * 9 // 16
+    cells: list[Cell] = []
+    robot = get_robot(_ROBOT)
+    for scene in scenes:
+        splat = None
+        if scene.splat is not None:
+            splat = open_renderer(open_store(scene.splat_store()), "cpu")
+        spectator = Spectator(scene, splat)
+        with World(robot, scene) as world:
+            for _ in range(_SETTLING):
+                world.step(robot.default_pose)
+            views = [
+                spectator.beside(world, scene.trail, width=width, height=height),
+                spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
+            ]
+        caption = f"{scene.title}{_as_drawn(scene)}"
+        cells.append(Cell(name=scene.name, caption=caption, images=views))
+    write_picture(draw_sheet(cells, across=max(1, round(len(cells) ** 0.5))), path)
+
+
+def write_picture(picture: bytes, path: Path) -> None:
+    """Write a PNG to a file, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(picture)
+
+
+def _as_drawn(scene: Scene) -> str:
+    return "" if scene.splat is not None else " (no splat: its mesh is drawn)"
+
+
+def _title(recording: Recording, drawn: str) -> str:
+    """Return which trial this was and how it ended."""
+    said, job = recording.verdict, recording.job
+    end = said.get("outcome") or said.get("error_type") or "no outcome"
+    reason = said.get("end_reason") or said.get("error_text")
+    end = f"{end} ({reason})" if reason else end
+    trial = f"{job.trial.scene}, trial {job.trial.index:03d}"
+    return f"{trial} of {job.policy_name or job.policy}: {end}{drawn}"

@@ -1,0 +1,1 @@
+"""What of a mesh a height field alone would get wrong."""

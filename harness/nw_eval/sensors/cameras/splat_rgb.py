@@ -1,0 +1,127 @@
+"""Camera images of the scene's splat, as the policy sees them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.observations import SplatRgbObservation
+from nw_eval.robots import CameraMount, RobotSpec
+from nw_eval.sensors.cameras.splat_image import average_blocks
+from nw_eval.sensors.cameras.view import require_camera
+from nw_eval.sensors.drawing.cones import TrailCones
+from nw_eval.sensors.drawing.insert import insert
+from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
+from nw_eval.sensors.place import Place
+from nw_eval.sensors.sensor import Moment
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.composite import paste
+from nw_eval.splat.render import Renderer
+
+# The published image: 80 x 45 from the middles of the 16 x 16 cells of a 1280 x 720 view.
+_PUBLISHED_SIZE = (1280, 720)
+_PUBLISHED_PIXELS = Pixels(stride=16, block=2, offset=7)
+
+
+class SplatRgb:
+    """Images of the splat from a camera of the robot, with cones and robot where the card asks.
+
+    A measurement is one image (H, W, 3) of bytes; axes, type and stack of the card are a link
+    behind it, `splat_image.Arrange`.
+    """
+
+    unit = "rgb"
+    is_image = True
+
+    def __init__(self, name: str, observation: SplatRgbObservation, robot: RobotSpec) -> None:
+        """Prepare the camera.
+
+        Args:
+            name: of the observation, for errors.
+            observation: from the card.
+            robot: whose camera it is.
+
+        Raises:
+            PolicyError: the robot has no such camera.
+        """
+        require_camera(name, observation.camera, robot)
+        self._observation = observation
+        self._mount: CameraMount = robot.cameras[observation.camera]
+        self._published = observation.sampling == "published"
+        self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
+        pinhole = self._camera(np.eye(4))
+        self._directions = ray_directions(pinhole, self._pixels)
+        self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
+        self._cones = TrailCones()
+        self._renderer: Renderer | None = None
+        self.coverage: float | None = None
+        self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
+        self.dtype = np.dtype(np.uint8)
+
+    def attach(self, place: Place) -> None:
+        """Open the renderer of the scene's splat.
+
+        Raises:
+            SceneError: the scene has none.
+        """
+        self._renderer = place.renderer()
+        self._rays = place.rays
+        self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
+
+    def reset(self) -> None:
+        """Forget how much the last image was covered."""
+        self.coverage = None
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Render an image."""
+        assert self._renderer is not None, "attach comes before measure"
+        T_world_camera = moment.world.camera_pose(self._observation.camera)
+        # The splat's scale stays in the matrix: the renderer then measures depth in metres.
+        image = self._renderer.render(
+            self._camera(self._T_splat_world @ T_world_camera), self._pixels
+        )
+        self.coverage = float(image.alpha.mean())
+        trail = moment.progress.waypoints
+        if self._published and self._observation.cones:
+            seen = cone_mask(
+                self._directions,
+                T_world_camera,
+                cones=self._cones.on(trail),
+                static=self._rays(),
+                robot=moment.world,
+            )
+            image = paste(image, *seen)
+        elif self._observation.cones or self._observation.robot:
+            overlay = draw(
+                self._directions,
+                T_world_camera,
+                cones=self._cones.on(trail) if self._observation.cones else None,
+                robot=moment.world if self._observation.robot else None,
+                static=self._rays(),
+                pitch=self._pitch,
+            )
+            image = insert(
+                image,
+                overlay,
+                directions=self._directions,
+                T_world_camera=T_world_camera,
+                static=self._rays(),
+            )
+        return average_blocks(image.bytes()) if self._published else image.bytes()
+
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Return the last coverage."""
+        return {} if self.coverage is None else {"coverage": np.array(self.coverage)}
+
+    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
+        """Go back to a coverage."""
+        self.coverage = float(memory["coverage"]) if memory else None
+
+    def _camera(self, T: NDArray[np.float64]) -> Camera:
+        width, height = self._observation.width, self._observation.height
+        if self._published:
+            width, height = _PUBLISHED_SIZE
+        return Camera.from_fovy(width=width, height=height, fovy=self._mount.fovy, T_world_camera=T)

@@ -1,0 +1,174 @@
+"""What is not in a splat but in the picture: cones and the robot's own body, by ray casting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.scenes.rays import RayScene
+from nw_eval.sensors.drawing.cones import Cones, shade
+from nw_eval.sim import World
+from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.cameras.pixels import Pixels
+
+_THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
+_NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])
+"""Where the rays of an outline's pixel go, in pixels from its centre."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overlay:
+    """Drawn objects at the pixels of an image: the arguments of `splat.composite`."""
+
+    rgb: NDArray[np.float32]
+    """(H, W, 3)."""
+    depth: NDArray[np.float32]
+    """(H, W) m along the optical axis, inf = nothing."""
+    coverage: NDArray[np.float32]
+    """(H, W), share of the pixel in which something is drawn, 0 to 1."""
+
+
+def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:
+    """Return unit directions through pixel centres in camera axes, (H, W, 3)."""
+    x = (pixels.indices(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (pixels.indices(camera.height) + 0.5 - camera.cy) / camera.fy
+    directions = np.ones((len(y), len(x), 3))
+    directions[..., 0] = x
+    directions[..., 1] = y[:, np.newaxis]
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def draw(
+    directions: NDArray[np.float64],
+    T_world_camera: NDArray[np.float64],
+    *,
+    cones: Cones | None,
+    robot: World | None,
+    static: RayScene | None = None,
+    is_aboard: bool = True,
+    pitch: tuple[float, float] | None = None,
+) -> Overlay:
+    """Cast one ray for each pixel and keep the nearest object; nine where an object ends.
+
+    An object ends where the scene's geometry hides it, too: that is exact, as a splat's depth is
+    not. Beside the ground, one is mistaken for the other otherwise.
+
+    Args:
+        directions: (H, W, 3) from `ray_directions`.
+        T_world_camera: (4, 4), a rotation and metres.
+        cones: drawn unless None.
+        robot: the world whose robot is drawn.
+        static: the scene's geometry, which hides objects; None = nothing does.
+        is_aboard: the robot carries the camera, so its trunk is left out.
+        pitch: 1 / fx and 1 / fy of the camera, for soft edges; None = hard ones.
+    """
+
+    def shoot(rays: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return depth along the axis (N,), inf = nothing, and colour (N, 3)."""
+        turned, origin = rays @ T_world_camera[:3, :3].T, T_world_camera[:3, 3]
+        distance, colour = _nearest(turned, origin, cones, robot, is_aboard)
+        if static is not None:
+            distance[_hidden(static, origin, turned, distance)] = np.inf
+        return distance * rays[:, 2], colour
+
+    shape = directions.shape[:2]
+    flat_depth, flat_colour = shoot(directions.reshape(-1, 3))
+    depth, colour = flat_depth.reshape(shape), flat_colour.reshape(*shape, 3)
+    coverage = np.isfinite(depth).astype(np.float32)
+    edge = _edges(coverage > 0.0)
+    if pitch is not None and edge.any():
+        centre = directions[edge] / directions[edge][:, 2:]
+        rays = centre[:, np.newaxis] + _NINE * (*pitch, 0.0)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        near, seen = shoot(rays.reshape(-1, 3))
+        hit = np.isfinite(near).reshape(-1, len(_NINE))
+        count = hit.sum(axis=1)
+        weight = (hit / np.maximum(count, 1)[:, np.newaxis]).astype(np.float64)
+        finite = np.where(np.isfinite(near), near, 0.0).reshape(hit.shape)
+        coverage[edge] = count / len(_NINE)
+        depth[edge] = np.where(count > 0, (finite * weight).sum(axis=1), np.inf)
+        colour[edge] = (seen.reshape(*hit.shape, 3) * weight[..., np.newaxis]).sum(axis=1)
+    return Overlay(
+        rgb=np.where(coverage[..., np.newaxis] > 0.0, colour, 0.0).astype(np.float32),
+        depth=depth.astype(np.float32),
+        coverage=coverage,
+    )
+
+
+def _nearest(
+    rays: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    cones: Cones | None,
+    robot: World | None,
+    is_aboard: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Return distance (N,), inf = nothing, and colour (N, 3) of the nearest object on each ray."""
+    distance = np.full(len(rays), np.inf)
+    colour = np.zeros((len(rays), 3), dtype=np.float32)
+    if cones is not None:
+        distance, colour = cones.cast(origin, rays)
+    if robot is not None:
+        hit = robot.ray_robot(origin, rays, exclude="trunk" if is_aboard else "nothing")
+        nearer = hit.distance < distance
+        light = shade(hit.normal[nearer, 2:])
+        colour[nearer] = robot.geom_rgba[hit.geom[nearer], :3] * light
+        distance[nearer] = hit.distance[nearer]
+    return distance, colour
+
+
+def _hidden(
+    static: RayScene,
+    origin: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    distance: NDArray[np.float64],
+) -> NDArray[np.intp]:
+    """Return which of the rays that met an object at `distance` (N,) meet the scene before it."""
+    met = np.flatnonzero(np.isfinite(distance))  # Few pixels: only they are asked about.
+    before = static.distance(np.broadcast_to(origin, (len(met), 3)), rays[met]) < distance[met]
+    return met[before]
+
+
+def _edges(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) that lie beside a pixel on the other side of an outline."""
+    edge = np.zeros_like(inside)
+    for axis in (0, 1):
+        ahead = np.diff(inside, axis=axis)
+        first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        edge[first] |= ahead
+        edge[second] |= ahead
+    return edge
+
+
+def cone_mask(
+    directions: NDArray[np.float64],
+    T_world_camera: NDArray[np.float64],
+    *,
+    cones: Cones,
+    static: RayScene,
+    robot: World,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return cones as the published evaluation sees them: hidden by geometry, not by the splat.
+
+    Args:
+        directions: (H, W, 3) from `ray_directions`.
+        T_world_camera: (4, 4), a rotation and metres.
+        cones: what is looked for.
+        static: the scene's geometry, which hides cones.
+        robot: the world whose robot hides cones, but for the trunk that carries the camera.
+
+    Returns:
+        colour (H, W, 3), and (H, W) where a cone is the nearest thing.
+    """
+    rays = directions.reshape(-1, 3) @ T_world_camera[:3, :3].T
+    origin = T_world_camera[:3, 3]
+    distance, colour = cones.cast(origin, rays)
+    mask = np.isfinite(distance)
+    mask[_hidden(static, origin, rays, distance)] = False
+    hit = np.flatnonzero(mask)
+    hidden = robot.ray_robot(origin, rays[hit], exclude="trunk").distance < distance[hit]
+    mask[hit[hidden]] = False
+    shape = directions.shape[:2]
+    return colour.reshape(*shape, 3), mask.reshape(shape)

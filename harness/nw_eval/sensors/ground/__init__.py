@@ -1,0 +1,1 @@
+"""Sensors of the ground and of what stands on it."""

@@ -1,0 +1,1 @@
+"""Cameras: pose, lens, pixels, presets."""

@@ -1,0 +1,1 @@
+"""Films and portraits of a splat."""

@@ -1,0 +1,89 @@
+"""Recordings made by hand, and a stage that hands them out: no policy, no physics."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nw_eval.cards import load_card
+from nw_eval.onboarding.probe.recording import Recording
+
+PERIOD = 0.02
+POLICIES = Path(__file__).resolve().parents[3] / "policies"
+
+
+def walked(
+    velocity=(0.0, 0.0, 0.0),
+    *,
+    seconds=2.0,
+    tilt=0.1,
+    travelled=1.0,
+    outcome=None,
+    sees_images=False,
+):
+    """A recording of a robot at one velocity, (3,), or at one for each step, (T, 3)."""
+    steps = round(seconds / PERIOD)
+    return Recording(
+        observations={},
+        actions=np.zeros((steps, 12)),
+        targets=np.zeros((steps, 12)),
+        positions=np.zeros((steps + 1, 12)),
+        torques=np.zeros((steps, 12)),
+        torque_limits=np.ones(12),
+        tilt=np.full(steps, tilt),
+        velocity=np.broadcast_to(np.asarray(velocity, dtype=float), (steps, 3)),
+        period=PERIOD,
+        travelled=travelled,
+        seconds=seconds,
+        outcome=outcome,
+        inputs=(),
+        sees_images=sees_images,
+    )
+
+
+class HandMade:
+    """A stage on which `walk(card, seconds)` says what happens; `asked` counts the recordings."""
+
+    def __init__(self, walk):
+        self.walk = walk
+        self.asked = 0
+
+    def record(self, card, *, seconds, level=math.inf):  # noqa: ARG002 - it leans as it is made.
+        self.asked += 1
+        return self.walk(card, seconds)
+
+
+def obeys(card, shares=(1.0, 1.0, 1.0), **more):
+    """A recording of a robot that reaches shares of what its card commands."""
+    constant = card.command.source == "constant"
+    asked = card.command.velocity if constant else (card.command.speed, 0.0, 0.0)
+    return walked(np.multiply(asked, shares), **more)
+
+
+@pytest.fixture(scope="session")
+def commanded():
+    """The card of a policy that sees its command."""
+    return load_card(POLICIES / "examples" / "playground-go1" / "policy.yaml")
+
+
+@pytest.fixture(scope="session")
+def uncommanded():
+    """The card of a policy that sees none."""
+    return load_card(POLICIES / "go1-parkour" / "policy.yaml")
+
+
+@pytest.fixture(name="walked", scope="session")
+def _walked():
+    return walked
+
+
+@pytest.fixture(name="obeys", scope="session")
+def _obeys():
+    return obeys
+
+
+@pytest.fixture(scope="session")
+def stage_on_which():
+    """Return a maker of stages: `stage_on_which(walk)`."""
+    return HandMade

@@ -1,0 +1,75 @@
+"""What is said of recordings that somebody made by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nw_eval.cards import Card
+from nw_eval.cards.inputs import InputSpec
+from nw_eval.onboarding.probe.findings import action_findings, input_findings
+from nw_eval.robots import get_robot
+
+GO1 = get_robot("go1")
+
+
+def bytes_of(walked, uncommanded, given, wanted):
+    """What is noted of images of one type that go into an input of another type."""
+    plain = uncommanded.model_dump(by_alias=True)
+    plain["observations"] = {"rgb": {"sensor": "splat_rgb", "dtype": given}}
+    image = np.zeros((100, 45, 80, 3), dtype=given)
+    spec = InputSpec(name="image", shape=(1, 45, 80, 3), dtype=np.dtype(wanted))
+    inputs = () if wanted is None else (spec,)
+    made = replace(walked(), observations={"rgb": image}, inputs=inputs)
+    card = Card.model_validate(plain | {"inputs": None})
+    return [(finding.kind, finding.text) for finding in input_findings(card, [], made)]
+
+
+def test_bytes_that_go_into_an_input_of_floats_are_noted(walked, uncommanded):
+    text = "`rgb` gives bytes 0..255 to a float32 input; `dtype: float32` gives 0..1"
+    assert bytes_of(walked, uncommanded, "uint8", "float32") == [("note", text)]
+
+
+def test_bytes_that_go_into_a_network_of_floats_are_noted_too(walked, uncommanded):
+    plain = uncommanded.model_dump(by_alias=True)
+    plain["observations"] = {"rgb": {"sensor": "splat_rgb"}}
+    checkpoint = {"file": "encoder.onnx"}
+    encoder = {"adapter": "onnx", "checkpoint": checkpoint, "inputs": ["rgb"]}
+    card = Card.model_validate(plain | {"networks": {"encoder": encoder}, "inputs": ["encoder"]})
+    specs = [
+        (InputSpec(name="image", shape=(1, 45, 80, 3), dtype=np.dtype("float32")),),
+        (InputSpec(name="latent", shape=(1, 8), dtype=np.dtype("float32")),),
+    ]
+    made = replace(
+        walked(),
+        observations={"rgb": np.zeros((100, 45, 80, 3), np.uint8)},
+        fed_inputs={"encoder": specs[0]},
+        inputs=specs[1],
+    )
+    (finding,) = input_findings(card, [], made)
+    assert "`rgb` gives bytes 0..255 to a float32 input" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"), [("uint8", "uint8"), ("float32", "float32"), ("uint8", None)]
+)
+def test_images_of_the_inputs_own_type_are_not(walked, uncommanded, given, wanted):
+    assert bytes_of(walked, uncommanded, given, wanted) == []
+
+
+@pytest.mark.parametrize(
+    ("swing", "tilt", "said"),
+    [(0.04, 0.5, []), (0.06, 0.5, ["note"]), (0.06, 0.1, [])],
+    ids=["still", "stumbles", "walks"],
+)
+def test_that_a_joint_moves_against_its_targets_is_noted_of_who_stumbles(
+    walked, uncommanded, swing, tilt, said
+):
+    wave = np.sin(np.arange(101) * 0.3)
+    targets, positions = np.zeros((100, 12)), np.zeros((101, 12))
+    targets[:, 4] = swing / 2 * wave[:-1]
+    positions[1:, 4] = -0.3 * np.cumsum(targets[:, 4])
+    made = replace(walked(tilt=tilt), targets=targets, positions=positions)
+    found = action_findings(uncommanded, GO1, made)
+    words = "FL_thigh: moves against its targets"
+    assert [one.kind for one in found if words in one.text] == said
