@@ -45,8 +45,8 @@ class Problem:
         return _with_fix(clean(f"{where}: {self.message}", at_most=_LONGEST), self.fix)
 
 
-def _with_fix(said: str, fix: str | None) -> str:
-    return said if fix is None else f"{said}; {clean(fix)}"
+def _with_fix(message: str, fix: str | None) -> str:
+    return message if fix is None else f"{message}; {clean(fix)}"
 
 
 class NwEvalError(Exception):

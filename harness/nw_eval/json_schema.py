@@ -27,11 +27,11 @@ class _Described(GenerateJsonSchema):
     def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
         result = super().model_schema(schema)
         model: type[BaseModel] = schema["cls"]
-        told = _field_docstrings(model)
+        docstrings = _field_docstrings(model)
         for name, field in model.model_fields.items():
             key = result["properties"][field.alias or name]
-            if name in told:
-                key["description"] = told[name]
+            if name in docstrings:
+                key["description"] = docstrings[name]
             elif "const" in key:  # `term: ang_vel` means what its class is.
                 key["description"] = result["description"]
         return result
@@ -39,7 +39,7 @@ class _Described(GenerateJsonSchema):
 
 def _field_docstrings(model: type[BaseModel]) -> dict[str, str]:
     """Return the strings that stand under the fields of a model and its bases, by name."""
-    told: dict[str, str] = {}
+    docstrings: dict[str, str] = {}
     for cls in reversed(model.__mro__):
         if cls is BaseModel or not issubclass(cls, BaseModel):
             continue
@@ -51,7 +51,7 @@ def _field_docstrings(model: type[BaseModel]) -> dict[str, str]:
                     ast.AnnAssign(target=ast.Name(id=name)),
                     ast.Expr(value=ast.Constant(value=str(text))),
                 ):
-                    told[name] = inspect.cleandoc(text)
+                    docstrings[name] = inspect.cleandoc(text)
                 case _:
                     pass
-    return told
+    return docstrings

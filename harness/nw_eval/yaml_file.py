@@ -292,10 +292,10 @@ def _without_echoes(
 def _either(messages: Sequence[str]) -> str:
     """Join what was expected instead, and say what was given only once."""
     split = [message.rpartition(", got ") for message in dict.fromkeys(messages)]
-    given = {got for _, _, got in split}
-    if len(given) > 1 or not all(expected for expected, _, _ in split):
+    values = {got for _, _, got in split}
+    if len(values) > 1 or not all(expected for expected, _, _ in split):
         return ", or ".join(dict.fromkeys(messages))
-    return f"{', or '.join(expected for expected, _, _ in split)}, got {given.pop()}"
+    return f"{', or '.join(expected for expected, _, _ in split)}, got {values.pop()}"
 
 
 def _explain(detail: ErrorDetails) -> tuple[str, str | None]:

@@ -9,8 +9,8 @@ import pytest
 
 from nw_eval.built_in.bake.generate import generate
 from nw_eval.built_in.lights import LIGHTS
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.outdoors import scenery as outdoors
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.splat import BuiltInSplat
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes.rays import RayScene
@@ -22,13 +22,13 @@ from nw_eval.splat.store import digest, open_store
 
 def tiny_place():
     """A bar on a lawn beside a bush, in the evening light of a lamp."""
-    stage = Stage("tiny", LIGHTS["dusk"], indoor=False, eyes=[(0, 0, 0.3), (2, 0, 0.3)])
-    stage.ground("grass/green", (-2, 4), (-2, 2))
-    stage.lawn((-1, 2), (-1, 1), "grass/green")
-    stage.box((1, 1.3), (-0.5, 0.5), (0, 0.2), "brick/red", kind="obstacle")
-    outdoors.bush(stage, 2.5, 1.2, 0.4)
-    outdoors.lamp_post(stage, 2.0, -1.5, lit=True)
-    return stage.place()
+    builder = PlaceBuilder("tiny", LIGHTS["dusk"], indoor=False, eyes=[(0, 0, 0.3), (2, 0, 0.3)])
+    builder.ground("grass/green", (-2, 4), (-2, 2))
+    builder.lawn((-1, 2), (-1, 1), "grass/green")
+    builder.box((1, 1.3), (-0.5, 0.5), (0, 0.2), "brick/red", kind="obstacle")
+    outdoors.bush(builder, 2.5, 1.2, 0.4)
+    outdoors.lamp_post(builder, 2.0, -1.5, lit=True)
+    return builder.place()
 
 
 def test_the_same_place_gives_the_same_bytes():

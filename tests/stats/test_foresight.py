@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nw_eval.stats import Course, evidence_above, shares_after, shares_at
+from nw_eval.stats import SceneCounts, evidence_above, shares_after, shares_at
 from nw_eval.stats.courses import chances_at, ends
 
 # The hurdles suite as it was measured, ten trials in each of 16 scenes: the waypoints of a scene,
@@ -28,24 +28,26 @@ HURDLES = [
 ]
 
 
-def seen(counts: list[list[int]], **changes: bool) -> list[Course]:
-    return [Course(counts=np.array(each, dtype=np.int64), **changes) for each in counts]
+def seen(counts: list[list[int]], **changes: bool) -> list[SceneCounts]:
+    return [SceneCounts(counts=np.array(each, dtype=np.int64), **changes) for each in counts]
 
 
-def success(courses: list[Course]) -> float:
+def success(courses: list[SceneCounts]) -> float:
     return float(np.mean([course.counts @ course.values / course.trials for course in courses]))
 
 
-def decided(courses: list[Course], bar: float) -> bool:
+def decided(courses: list[SceneCounts], bar: float) -> bool:
     values = [np.repeat(course.values, course.counts) for course in courses]
     failures = [1.0 - group for group in values]
     return evidence_above(values, bar) >= 20.0 or evidence_above(failures, 1.0 - bar) >= 20.0
 
 
-def run(courses: list[Course], chances: np.ndarray, rng: np.random.Generator) -> list[Course]:
+def run(
+    courses: list[SceneCounts], chances: np.ndarray, rng: np.random.Generator
+) -> list[SceneCounts]:
     """A run of the same length by a policy of these chances."""
     return [
-        Course(counts=rng.multinomial(course.trials, ends(chance, len(course.counts) - 1)))
+        SceneCounts(counts=rng.multinomial(course.trials, ends(chance, len(course.counts) - 1)))
         for course, chance in zip(courses, chances, strict=True)
     ]
 
@@ -103,7 +105,7 @@ def test_a_scene_that_is_judged_alone_can_only_convict() -> None:
     counts = [[2, 2, 2, 4], *[[0, 0, 0, 20]] * 9]
     together = shares_at(seen(counts), 0.9, bar=0.75, confidence=0.95)
     alone = [
-        *(Course(counts=course.counts, alone=True) for course in seen(counts[:1])),
+        *(SceneCounts(counts=course.counts, alone=True) for course in seen(counts[:1])),
         *seen(counts[1:]),
     ]
     apart = shares_at(alone, 0.9, bar=0.75, confidence=0.95)
@@ -135,7 +137,7 @@ def test_the_chance_to_be_decided_comes_true_as_often_as_it_says(
         for times in (2, 3, 4):
             more = run(courses, chances, rng)
             pairs = zip(whole, more, strict=True)
-            whole = [Course(counts=a.counts + b.counts) for a, b in pairs]
+            whole = [SceneCounts(counts=a.counts + b.counts) for a, b in pairs]
             if times != 3:
                 chance = shares_after(first, times, bar=bar, confidence=0.95)
                 said.append(chance.passed + chance.regressed)

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from nw_eval.built_in.lights import LIGHTS
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.crowns import crown_mesh
 from nw_eval.built_in.places.parts import Place
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.splat import BuiltInSplat
 from nw_eval.scenes.mesh import TriangleMesh, merge, quad_mesh
 from nw_eval.scenes.scene import Box, Plane, Scene, Spawn, Task, Vector
@@ -37,8 +37,8 @@ class Course(Protocol):
         """Return the waypoints, metres."""
         ...
 
-    def build(self, stage: Stage) -> None:
-        """Put the obstacles on the stage."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build the obstacles."""
         ...
 
 
@@ -50,8 +50,8 @@ class Setting(Protocol):
         """Whether a roof keeps sky and sun out."""
         ...
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the place on the stage, round a trail of `length` metres along x."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the place, round a trail of `length` metres along x."""
         ...
 
 
@@ -88,10 +88,10 @@ class Entry:
         eyes = [(0.0, 0.0, up), *((x, y, z + up) for x, y, z in trail)]
         light = LIGHTS[self.light]
         light = replace(light, exposure=light.exposure * self.exposure)
-        stage = Stage(self.name, light, indoor=self.setting.indoor, eyes=eyes)
-        self.setting.build(stage, trail[-1][0])
-        self.course.build(stage)
-        return stage.place()
+        builder = PlaceBuilder(self.name, light, indoor=self.setting.indoor, eyes=eyes)
+        self.setting.build(builder, trail[-1][0])
+        self.course.build(builder)
+        return builder.place()
 
     def _trail(self) -> tuple[Vector, ...]:
         """Return the waypoints to a nanometre, whatever the C library makes of sines."""

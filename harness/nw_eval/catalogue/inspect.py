@@ -7,11 +7,11 @@ from pathlib import Path
 from nw_eval.catalogue.find import get_scene
 from nw_eval.errors import SceneError
 from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import Finding, unreadable
+from nw_eval.scenes.health.finding import SceneFinding, unreadable
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
 
 
-def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> tuple[Finding, ...]:
+def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
     """Return all that is wrong or remarkable about a scene, errors first; raises nothing.
 
     Args:

@@ -8,27 +8,27 @@ import numpy as np
 
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.results.row import Row
-from nw_eval.stats import Course, Groups, shares_after, shares_at, trials_to_certify
+from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_to_certify
 from nw_eval.suite.model import Gate
 
 DROP = 0.10
 """How much worse "a worse policy" is where the suite names no `max_drop`."""
 
 
-def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -> list[Course]:
+def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -> list[SceneCounts]:
     """Return what was seen in each scene that counts, as waypoints reached."""
-    found: list[Course] = []
+    found: list[SceneCounts] = []
     for item in scores:
         rows = [row for row in groups[item.scene] if row.success is not None]
         if item.tier != "informational" and rows:
             waypoints = max(1, *(row.waypoints_total for row in rows))
             reached = np.array([row.waypoints_reached for row in rows])
             counts = np.bincount(reached, minlength=waypoints + 1).astype(np.int64)
-            found.append(Course(counts=counts, alone=item.tier == "critical"))
+            found.append(SceneCounts(counts=counts, alone=item.tier == "critical"))
     return found
 
 
-def chance_to_pass(seen: list[Course], gate: Gate, success: float) -> float | None:
+def chance_to_pass(seen: list[SceneCounts], gate: Gate, success: float) -> float | None:
     """Return how often runs like this one pass a policy of that true success; None if never asked.
 
     That is so without a bar, without trials, or with a success that no policy has.
@@ -38,7 +38,7 @@ def chance_to_pass(seen: list[Course], gate: Gate, success: float) -> float | No
     return shares_at(seen, success, bar=gate.success_rate, confidence=gate.confidence).passed
 
 
-def advice(groups: Groups, seen: list[Course], gate: Gate, bar: float) -> str:
+def advice(groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float) -> str:
     """Return in words what more trials may bring to a run that was not decided."""
     n = sum(len(values) for values in groups)
     enough = trials_to_certify(bar, gate.confidence)

@@ -105,18 +105,18 @@ class Bundle:
     @property
     def origin(self) -> str:
         """What the digests say, short and in words."""
-        told: list[str] = []
+        words: list[str] = []
         if self.checkpoint_sha256 == NOTHING and self.card.adapter == "remote":
-            told.append("the server gives no digest")
+            words.append("the server gives no digest")
         elif self.card.adapter == "remote":
-            told.append(f"served {self.checkpoint_sha256[:16]}")
+            words.append(f"served {self.checkpoint_sha256[:16]}")
         elif self.files:
-            told.append(self.checkpoint_digest[:16])
+            words.append(self.checkpoint_digest[:16])
         if self.code_sha256 == NOTHING:
-            told.append("no code in the card's folder")
+            words.append("no code in the card's folder")
         elif self.code_sha256:
-            told.append(f"code {self.code_sha256[:16]}")
-        return ", ".join(told) or "no checkpoint"
+            words.append(f"code {self.code_sha256[:16]}")
+        return ", ".join(words) or "no checkpoint"
 
     @property
     def digest(self) -> str:

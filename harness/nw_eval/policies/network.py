@@ -16,7 +16,7 @@ Wanted = Sequence[str | int | None]
 """Outputs of a file, by name or by place among those that feed no state; None = the first one."""
 
 
-class Network(Protocol):
+class OpenNetwork(Protocol):
     """A file of weights in one trial, on one thread, with batch 1 and without randomness."""
 
     @property
@@ -28,11 +28,11 @@ class Network(Protocol):
         """Begin a trial with the memory that the file holds."""
         ...
 
-    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
+    def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Return the outputs that it was opened for; they may change with the next call.
 
         Args:
-            given: by the names that the card's `inputs` have, without a batch axis.
+            observation: by the names that the card's `inputs` have, without a batch axis.
 
         Raises:
             TrialError: it failed.

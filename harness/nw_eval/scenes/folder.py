@@ -64,13 +64,13 @@ Far = Annotated[float, Field(ge=-limits.MESH_REACH, le=limits.MESH_REACH)]
 Line = Annotated[str, AfterValidator(_line)]
 
 
-class _Model(BaseModel):
+class _FolderModel(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True
     )
 
 
-class _Box(_Model):
+class _Box(_FolderModel):
     """One solid box; see `nw_eval.scenes.Box`."""
 
     center: Point
@@ -87,14 +87,14 @@ class _Box(_Model):
     """Its class in `semantics` images: an obstacle of the trail, the place itself, or clutter."""
 
 
-class _Collision(_Model):
+class _Collision(_FolderModel):
     """`collision.yaml`: a place as boxes on a ground plane."""
 
     boxes: tuple[_Box, ...] = Field(max_length=limits.SOLIDS)
     """The solids; the plane of the scene's `ground` is there without saying so."""
 
 
-class _Spawn(_Model):
+class _Spawn(_FolderModel):
     """Where the robot starts. The jitters are half widths of uniform draws, one for each trial."""
 
     position: Point = (0.0, 0.0, 0.0)
@@ -109,7 +109,7 @@ class _Spawn(_Model):
     """rad."""
 
 
-class _Similarity(_Model):
+class _Similarity(_FolderModel):
     """What maps splat points to world metres: scale, then rotation, then translation."""
 
     scale: float = Field(default=1.0, ge=limits.SCALES[0], le=limits.SCALES[1])
@@ -126,7 +126,7 @@ class _Similarity(_Model):
         return transform
 
 
-class _SceneFile(_Model):
+class _SceneFile(_FolderModel):
     """`scene.yaml`: a place, what can be touched there, its looks, and the trail through it."""
 
     version: Literal[1] = Field(alias="nw-scene")

@@ -10,7 +10,7 @@ from nw_eval.splat.image import Image
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class FrameCoverage:
     """What share of a frame is splat rather than background.
 
     Attributes:
@@ -24,10 +24,10 @@ class Coverage:
     lower_half: float
 
 
-def measure_coverage(image: Image) -> Coverage:
+def measure_coverage(image: Image) -> FrameCoverage:
     """Return the coverage of a frame."""
     covered = image.alpha >= 0.5
-    return Coverage(
+    return FrameCoverage(
         mean_alpha=float(image.alpha.mean(dtype=np.float64)),
         covered=float(covered.mean()),
         lower_half=float(covered[covered.shape[0] // 2 :].mean()),

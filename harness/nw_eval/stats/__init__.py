@@ -11,15 +11,15 @@ from nw_eval.stats.betting import (
 )
 from nw_eval.stats.binomial import wilson
 from nw_eval.stats.bootstrap import mean_of_scenes
-from nw_eval.stats.courses import Course
+from nw_eval.stats.courses import SceneCounts
 from nw_eval.stats.foresight import Shares, shares_after, shares_at
 from nw_eval.stats.interval import Estimate, Interval
 
 __all__ = [
-    "Course",
     "Estimate",
     "Groups",
     "Interval",
+    "SceneCounts",
     "Shares",
     "evidence_above",
     "lower_bound",

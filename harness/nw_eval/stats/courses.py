@@ -20,7 +20,7 @@ _STEPS = 60  # Halvings: beyond the precision of a double.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class SceneCounts:
     """What was seen in one scene."""
 
     counts: NDArray[np.int64]
@@ -55,7 +55,7 @@ def ends(chances: Floats, waypoints: int) -> Floats:
     return np.concatenate([reached[..., :-1] * (1.0 - chances[..., None]), reached[..., -1:]], -1)
 
 
-def chances_at(courses: list[Course], mean: float) -> Floats:
+def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     """Return the chances, shape (S,), of a policy whose success is `mean`, scenes weighted equally.
 
     The odds of all scenes as seen are multiplied by the one factor that gives this mean.
@@ -82,7 +82,9 @@ def chances_at(courses: list[Course], mean: float) -> Floats:
     return at(high)
 
 
-def likely_chances(courses: list[Course], repetitions: int, rng: np.random.Generator) -> Floats:
+def likely_chances(
+    courses: list[SceneCounts], repetitions: int, rng: np.random.Generator
+) -> Floats:
     """Return draws of what the chances may be after what was seen, shape (repetitions, S).
 
     Each scene's is a draw from its Beta distribution.
@@ -91,7 +93,7 @@ def likely_chances(courses: list[Course], repetitions: int, rng: np.random.Gener
     return np.stack(draws, axis=1)
 
 
-def _weights(courses: list[Course]) -> list[tuple[float, float]]:
+def _weights(courses: list[SceneCounts]) -> list[tuple[float, float]]:
     """Return how often waypoints were passed and failed in each scene, and a little more.
 
     The little is half a waypoint each, shared among all scenes, as `bootstrap` shares its

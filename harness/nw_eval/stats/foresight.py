@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.stats.betting import log_bets, log_mixture
-from nw_eval.stats.courses import Course, Floats, chances_at, ends, likely_chances
+from nw_eval.stats.courses import Floats, SceneCounts, chances_at, ends, likely_chances
 
 RUNS = 2000
 """Simulated runs: the standard error of a share is at most 1.1 %."""
@@ -27,7 +27,7 @@ class Shares(NamedTuple):
     regressed: float
 
 
-def shares_at(courses: list[Course], mean: float, *, bar: float, confidence: float) -> Shares:
+def shares_at(courses: list[SceneCounts], mean: float, *, bar: float, confidence: float) -> Shares:
     """Return how often runs like this one end, of a policy whose true success is `mean`.
 
     Runs have the same scenes and as many trials in each, with fresh starts.
@@ -42,7 +42,9 @@ def shares_at(courses: list[Course], mean: float, *, bar: float, confidence: flo
     return _judge([_draw(courses, chances, 1, _rng(courses))], courses, bar, confidence)
 
 
-def shares_after(courses: list[Course], times: int, *, bar: float, confidence: float) -> Shares:
+def shares_after(
+    courses: list[SceneCounts], times: int, *, bar: float, confidence: float
+) -> Shares:
     """Return how often this run ends so, once there are `times` as many trials in every scene.
 
     The true success is not known, but drawn anew for each simulated run from what it may be after
@@ -54,13 +56,13 @@ def shares_after(courses: list[Course], times: int, *, bar: float, confidence: f
     return _judge([fresh, seen], courses, bar, confidence)
 
 
-def _rng(courses: list[Course]) -> np.random.Generator:
+def _rng(courses: list[SceneCounts]) -> np.random.Generator:
     content = sha256(b"".join(course.counts.astype("<i8").tobytes() + b"|" for course in courses))
     return np.random.Generator(np.random.PCG64(int.from_bytes(content.digest()[:16], "little")))
 
 
 def _draw(
-    courses: list[Course], chances: Floats, times: int, rng: np.random.Generator
+    courses: list[SceneCounts], chances: Floats, times: int, rng: np.random.Generator
 ) -> list[NDArray[np.int64]]:
     """Return counts of ends in each scene, shape (runs, k + 1)."""
     return [
@@ -70,7 +72,7 @@ def _draw(
 
 
 def _judge(
-    parts: list[list[NDArray[np.int64]]], courses: list[Course], bar: float, confidence: float
+    parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> Shares:
     """Return how many runs pass and are convicted; a run's counts are the sum of its parts."""
     counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]

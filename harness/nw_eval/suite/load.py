@@ -21,7 +21,7 @@ class Draft:
     """A suite file as far as it could be read, so that one fault does not hide another."""
 
     source: Source
-    said: Mapping[str, Any]
+    settings: Mapping[str, Any]
     """The file's settings, right or wrong."""
     problems: tuple[Problem, ...]
     """What is wrong with the file itself, in its order."""
@@ -36,8 +36,8 @@ class Draft:
     @property
     def scenes(self) -> dict[int, str]:
         """The entries of `scenes` that can be looked for, each once, by their place in the list."""
-        told = self.said.get("scenes")
-        entries = cast("Sequence[Any]", told) if isinstance(told, list | tuple) else ()
+        listed = self.settings.get("scenes")
+        entries = cast("Sequence[Any]", listed) if isinstance(listed, list | tuple) else ()
         found: dict[str, int] = {}
         for index, entry in enumerate(entries):
             if isinstance(entry, str) and entry:
@@ -47,20 +47,20 @@ class Draft:
     @property
     def tiers(self) -> tuple[str, ...]:
         """The names and globs of `gate.tiers`."""
-        gate = self.said.get("gate")
+        gate = self.settings.get("gate")
         tiers = cast("dict[str, Any]", gate).get("tiers") if isinstance(gate, dict) else None
         return tuple(cast("dict[str, Any]", tiers)) if isinstance(tiers, dict) else ()
 
     def text(self, key: str) -> str | None:
         """Return a setting of the file, if it is text."""
-        told = self.said.get(key)
-        return told if isinstance(told, str) and told else None
+        value = self.settings.get(key)
+        return value if isinstance(value, str) and value else None
 
 
 def draft_of(suite: Suite) -> Draft:
     """Return a suite that was read already as a draft without problems."""
     return Draft(
-        source=suite.source, said=suite.model_dump(by_alias=True), problems=(), suite=suite
+        source=suite.source, settings=suite.model_dump(by_alias=True), problems=(), suite=suite
     )
 
 
@@ -96,7 +96,7 @@ def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
         problems += [p for p in more if not (p.line in lines and "None" in p.message)]
     return Draft(
         source=source,
-        said=file.data,
+        settings=file.data,
         problems=tuple(sorted(problems, key=lambda problem: (problem.line, problem.column))),
         suite=None if problems else suite,
     )
@@ -121,16 +121,16 @@ def find_suite(name_or_path: str | Path, search: Path | None = None) -> Path:
     Raises:
         UsageError: there is no such suite; names the nearest one.
     """
-    asked = str(name_or_path)
+    name = str(name_or_path)
     known = available("suites", search)
-    if asked in known:
-        return known[asked]
-    path = Path(asked)
+    if name in known:
+        return known[name]
+    path = Path(name)
     if search is not None and not path.is_absolute():
         path = search / path
     kind = what_is(path)
     if kind == "file":
         return path
     if kind == "folder":
-        raise UsageError(f"{asked!r} is a folder, not a suite file", fix=nearest(asked, known))
-    raise UsageError(f"no suite {asked!r}", fix=nearest(path.stem, known))
+        raise UsageError(f"{name!r} is a folder, not a suite file", fix=nearest(name, known))
+    raise UsageError(f"no suite {name!r}", fix=nearest(path.stem, known))

@@ -190,12 +190,12 @@ class Suite(_Strict):
         change with policy, gate, record, name, scenes or the number of trials: raising `trials`
         keeps the earlier ones, and two policies meet the same ones.
         """
-        said = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
+        fields = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
         # What is not used is left out, so that new axes and switches keep old digests.
-        said["perturb"] = {axis: values for axis, values in said["perturb"].items() if values}
-        if said["episode"]["contact_termination"]:
-            del said["episode"]["contact_termination"]
-        return digest_of(said)
+        fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
+        if fields["episode"]["contact_termination"]:
+            del fields["episode"]["contact_termination"]
+        return digest_of(fields)
 
     @property
     def content_digest(self) -> str:

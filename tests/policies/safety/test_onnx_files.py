@@ -9,7 +9,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety import Limits, check_onnx
+from nw_eval.policies.safety import FileLimits, check_onnx
 
 
 def model(*, weight: TensorProto | None = None, nodes=()) -> bytes:
@@ -88,9 +88,9 @@ def test_a_tensor_that_claims_more_than_the_file_holds_is_refused(tensor, reason
 
 def test_limits_and_noise_are_refused():
     with pytest.raises(PolicyError, match="over the limit"):
-        check_onnx(model(), "p.onnx", Limits(file_bytes=100))
+        check_onnx(model(), "p.onnx", FileLimits(file_bytes=100))
     with pytest.raises(PolicyError, match="more than 0 tensors"):
-        check_onnx(model(), "p.onnx", Limits(tensors=0))
+        check_onnx(model(), "p.onnx", FileLimits(tensors=0))
     data = model()
     rng = np.random.default_rng(0)
     refused = 0

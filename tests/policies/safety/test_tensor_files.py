@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety import Limits, file_kind, read_tensors, tensor_facts, tensors_below
+from nw_eval.policies.safety import FileLimits, file_kind, read_tensors, tensor_facts, tensors_below
 
 
 def saved(value: object) -> bytes:
@@ -130,11 +130,11 @@ def test_safetensors_are_read():
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
-        (Limits(file_bytes=1000), "over the limit of 0 MiB"),
-        (Limits(members=3), "members, over the limit of 3"),
-        (Limits(unpacked_bytes=1000), "unpacks to"),
-        (Limits(tensor_bytes=1000), "tensors up to 'b'"),
-        (Limits(index_bytes=50), "'data.pkl' has"),
+        (FileLimits(file_bytes=1000), "over the limit of 0 MiB"),
+        (FileLimits(members=3), "members, over the limit of 3"),
+        (FileLimits(unpacked_bytes=1000), "unpacks to"),
+        (FileLimits(tensor_bytes=1000), "tensors up to 'b'"),
+        (FileLimits(index_bytes=50), "'data.pkl' has"),
     ],
 )
 def test_each_limit_is_kept(limits, reason):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Literal
 
-from nw_eval.built_in.places.stage import SIDES_AND_TOP, Stage
+from nw_eval.built_in.places.builder import SIDES_AND_TOP, PlaceBuilder
 from nw_eval.scenes.scene import Vector
 
 DEPTH = 0.4064
@@ -66,22 +66,22 @@ class Gaps:
             return (*middles, (spans[-1][1] + 1.4, 0.0, self.floor))
         return (*middles, (self._end()[0] + 1.2, 0.0, 0.0))
 
-    def build(self, stage: Stage) -> None:
-        """Put the platforms on the stage, whose ground lies at z = 0."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build the platforms, whose ground lies at z = 0."""
         half = _START_WIDTH / 2
-        self._platform(stage, (-_START, self.edge), (-half, half), 0)
+        self._platform(builder, (-_START, self.edge), (-half, half), 0)
         for index, span in enumerate(self.spans()):
             y = self._shift(index)
-            self._platform(stage, span, (y - self.width / 2, y + self.width / 2), index + 1)
+            self._platform(builder, span, (y - self.width / 2, y + self.width / 2), index + 1)
         if self.last == "platform":
-            self._platform(stage, self._end(), (-half, half), len(self.gaps))
+            self._platform(builder, self._end(), (-half, half), len(self.gaps))
 
     def _platform(
-        self, stage: Stage, x: tuple[float, float], y: tuple[float, float], index: int
+        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], index: int
     ) -> None:
         texture = (1.7 * index, 0.31 * index)
         thick = DEPTH if self.thickness is None else self.thickness
-        stage.box(
+        builder.box(
             x,
             y,
             (DEPTH - thick, DEPTH),
@@ -97,7 +97,7 @@ class Gaps:
         inset = 0.08
         for leg_x in (x[0] + inset, x[1] - inset - _LEG):
             for leg_y in (y[0] + inset, y[1] - inset - _LEG):
-                stage.box(
+                builder.box(
                     (leg_x, leg_x + _LEG),
                     (leg_y, leg_y + _LEG),
                     (0.0, DEPTH - thick),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nw_eval.built_in.places.stage import Stage
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.scenes.scene import Vector
 
 
@@ -51,11 +51,11 @@ class Hurdles:
         last = middles[-1] if middles else 0.0
         return (*tops, (last + self.finish, 0.0, 0.0))
 
-    def build(self, stage: Stage) -> None:
-        """Put the bars on the stage."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build the bars."""
         for index, (x, height) in enumerate(zip(self.middles(), self.heights, strict=True)):
             y = self._shift(index)
-            stage.box(
+            builder.box(
                 (x - self.length / 2, x + self.length / 2),
                 (y - self.width / 2, y + self.width / 2),
                 (0.0, height),

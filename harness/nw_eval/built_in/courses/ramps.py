@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from nw_eval.built_in.courses.slopes import THICKNESS, pitched_board, rolled_board
-from nw_eval.built_in.places.stage import Stage
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.scenes.scene import Vector
 
 # Height of the lower edge of a leaning board above the ground, metres.
@@ -57,15 +57,15 @@ class Boards:
             points.append(((low + high) / 2, side * y, z))
         return (*points, (self._span(len(self.angles) - 1)[1] + 1.0, 0.0, 0.0))
 
-    def build(self, stage: Stage) -> None:
-        """Put boards and props on the stage."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build boards and props."""
         for index, degrees in enumerate(self.angles):
             x = self._span(index)
             side = self._side(index)
             angle = math.radians(degrees)
             z = self._middle(degrees)
             rolled_board(
-                stage, x, side * self.offset, z, self.width, side * angle, self.material,
+                builder, x, side * self.offset, z, self.width, side * angle, self.material,
                 texture=(1.3 * index, 0.0),
             )  # fmt: skip
             # Props stand under the outer part; the board's underside clears their inner edge.
@@ -74,7 +74,7 @@ class Boards:
             top = z + inner * math.tan(angle) - 1.05 * THICKNESS / math.cos(angle)
             y = tuple(sorted((side * (self.offset + inner), side * (self.offset + outer))))
             for end in (x[0] + 0.08, x[1] - 0.20):
-                stage.box(
+                builder.box(
                     (end, end + 0.12), (y[0], y[1]), (0.0, top), self.props, kind="structure",
                     fine=0.8,
                 )  # fmt: skip
@@ -134,22 +134,22 @@ class Humps:
         start, run, deck, _ = self._humps()[-1]
         return (*points, (start + 2 * run + deck + 1.0, 0.0, 0.0))
 
-    def build(self, stage: Stage) -> None:
-        """Put slopes and decks on the stage."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build slopes and decks."""
         for index, (start, run, deck, height) in enumerate(self._humps()):
             y = (self._shift(index) - self.width / 2, self._shift(index) + self.width / 2)
             crest, brink = start + run, start + run + deck
             texture = (2.1 * index, 0.0)
             pitched_board(
-                stage, (start, crest), (0.0, height), y, self.material, treads=self.treads,
+                builder, (start, crest), (0.0, height), y, self.material, treads=self.treads,
                 texture=texture,
             )  # fmt: skip
-            stage.box(
+            builder.box(
                 (crest, brink), y, (0.0, height), self.body, top=self.top or self.material,
                 kind="obstacle", fine=0.7, texture=texture,
             )  # fmt: skip
             pitched_board(
-                stage, (brink, brink + run), (height, 0.0), y, self.material, treads=self.treads,
+                builder, (brink, brink + run), (height, 0.0), y, self.material, treads=self.treads,
                 texture=texture,
             )  # fmt: skip
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from nw_eval.built_in.places.builder import ALL_FACES, PlaceBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
-from nw_eval.built_in.places.stage import ALL_FACES, Stage
 
 THICKNESS = 0.04
 """Of a board, metres."""
@@ -15,7 +15,7 @@ _TREAD_EVERY, _TREAD, _TREAD_MARGIN = 0.24, 0.06, 0.05
 
 
 def pitched_board(
-    stage: Stage,
+    builder: PlaceBuilder,
     x: Pair,
     z: Pair,
     y: Pair,
@@ -27,7 +27,7 @@ def pitched_board(
     """Lay a board whose upper surface runs from one height to another along the trail.
 
     Args:
-        stage: what to lay it on.
+        builder: of the place that it is part of.
         x: where its upper surface starts and ends, metres.
         z: the heights there.
         y: from and to.
@@ -41,7 +41,7 @@ def pitched_board(
     # The middle lies half a thickness below the middle of the upper surface, across the slope.
     middle_x = (x[0] + x[1]) / 2 + half * math.sin(slope)
     middle_z = (z[0] + z[1]) / 2 - half * math.cos(slope)
-    stage.box(
+    builder.box(
         (middle_x - length / 2, middle_x + length / 2),
         y,
         (middle_z - half, middle_z + half),
@@ -74,7 +74,7 @@ def _treads(length: float, width: float, material: str) -> list[Decal]:
 
 
 def rolled_board(
-    stage: Stage,
+    builder: PlaceBuilder,
     x: Pair,
     y: float,
     z: float,
@@ -87,7 +87,7 @@ def rolled_board(
     """Lay a board along the trail that leans to one side.
 
     Args:
-        stage: what to lay it on.
+        builder: of the place that it is part of.
         x: from and to.
         y: of the middle of its upper surface, metres.
         z: height of that middle, metres.
@@ -99,7 +99,7 @@ def rolled_board(
     half = THICKNESS / 2
     middle_y = y + half * math.sin(roll)
     middle_z = z - half * math.cos(roll)
-    stage.box(
+    builder.box(
         x,
         (middle_y - width / 2, middle_y + width / 2),
         (middle_z - half, middle_z + half),

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from nw_eval.built_in.places.stage import ALL_FACES, SIDES_AND_TOP, Stage
+from nw_eval.built_in.places.builder import ALL_FACES, SIDES_AND_TOP, PlaceBuilder
 from nw_eval.scenes.scene import Vector
 
 # Thickness of a tread without a riser, metres.
@@ -16,7 +16,7 @@ _ARRIVAL = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Step:
+class _Tread:
     """One tread: its middle, the direction one walks over it, its depth and its height."""
 
     x: float
@@ -77,16 +77,16 @@ class Stairs:
         on_steps = tuple((step.x, step.y, step.height) for step in steps[:-1:2])
         return (*on_steps, self._past_edge(_ARRIVAL))
 
-    def build(self, stage: Stage) -> None:
-        """Put steps and landing on the stage."""
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build steps and landing."""
         steps = self._steps()
         for index, step in enumerate(steps[:-1]):
-            self._tread(stage, step, index)
+            self._tread(builder, step, index)
         edge = self._past_edge(0.0)
         length = _ARRIVAL + self.beyond
         middle = self._past_edge(length / 2)
         width = self.landing_width or self.width
-        stage.box(
+        builder.box(
             (middle[0] - length / 2, middle[0] + length / 2),
             (middle[1] - width / 2, middle[1] + width / 2),
             (0.0, edge[2]),
@@ -99,7 +99,7 @@ class Stairs:
         )
         if self.parapet > 0.0:
             wall = self._past_edge(length - 0.08)
-            stage.box(
+            builder.box(
                 (wall[0] - 0.08, wall[0] + 0.08),
                 (wall[1] - width / 2, wall[1] + width / 2),
                 (edge[2], edge[2] + self.parapet),
@@ -109,9 +109,9 @@ class Stairs:
             )
         if self.sides != "none" or self.open_risers:
             for side in (-1, 1):
-                self._side(stage, side)
+                self._side(builder, side)
 
-    def _tread(self, stage: Stage, step: _Step, index: int) -> None:
+    def _tread(self, builder: PlaceBuilder, step: _Tread, index: int) -> None:
         # Wedges: a turned tread reaches a little under the next one, so that no crack opens on
         # the outer side.
         spare = 0.5 * self.width * math.tan(abs(self.turn))
@@ -121,7 +121,7 @@ class Stairs:
         along = (front + back) / 2
         middle = (step.x + along * math.cos(step.yaw), step.y + along * math.sin(step.yaw))
         half = (back - front) / 2
-        stage.box(
+        builder.box(
             (middle[0] - half, middle[0] + half),
             (middle[1] - self.width / 2, middle[1] + self.width / 2),
             (step.height - thick, step.height),
@@ -134,7 +134,7 @@ class Stairs:
             texture=(0.41 * index, 0.17 * index),
         )
 
-    def _side(self, stage: Stage, side: int) -> None:
+    def _side(self, builder: PlaceBuilder, side: int) -> None:
         """Build what runs along one side: stringer, stepped wall, or posts with a rail."""
         for index, step in enumerate(self._steps()[:-1]):
             out = side * (self.width / 2 + 0.06)
@@ -144,7 +144,7 @@ class Stairs:
             if self.sides == "walls":
                 low, high = 0.0, step.height + 0.30
             if self.sides != "rails" or self.open_risers:
-                stage.box(
+                builder.box(
                     (x - step.depth / 2, x + step.depth / 2),
                     (y - 0.06, y + 0.06),
                     (max(low, 0.0), high),
@@ -154,7 +154,7 @@ class Stairs:
                     fine=0.9,
                 )
             if self.sides == "rails" and index % 2 == 0:
-                stage.box(
+                builder.box(
                     (x - 0.02, x + 0.02),
                     (y - 0.02, y + 0.02),
                     (0.0, step.height + 0.85),
@@ -164,16 +164,16 @@ class Stairs:
                     fine=0.9,
                 )
         if self.sides == "rails":
-            self._rail(stage, side)
+            self._rail(builder, side)
 
-    def _rail(self, stage: Stage, side: int) -> None:
+    def _rail(self, builder: PlaceBuilder, side: int) -> None:
         """Lay a hand rail on the posts of one side of a straight flight."""
         first, last = self._steps()[0], self._steps()[-1]
         run, rise = last.x - first.x, last.height - first.height
         length, slope = math.hypot(run, rise), math.atan2(rise, run)
         x, z = (first.x + last.x) / 2, (first.height + last.height) / 2 + 0.86
         y = side * (self.width / 2 + 0.06)
-        stage.box(
+        builder.box(
             (x - length / 2, x + length / 2),
             (y - 0.025, y + 0.025),
             (z - 0.02, z + 0.02),
@@ -195,16 +195,16 @@ class Stairs:
             last.height,
         )
 
-    def _steps(self) -> tuple[_Step, ...]:
+    def _steps(self) -> tuple[_Tread, ...]:
         """Return all steps; the last is the beginning of the landing."""
-        steps: list[_Step] = []
+        steps: list[_Tread] = []
         depths = dict(self.landings)
         x, y, yaw, height = self.first, 0.0, 0.0, 0.0
         for index, rise in enumerate(self.rises):
             height += rise
             depth = depths.get(index, self.depth)
             steps.append(
-                _Step(
+                _Tread(
                     x=x + depth / 2 * math.cos(yaw),
                     y=y + depth / 2 * math.sin(yaw),
                     yaw=yaw,

@@ -1,1 +1,1 @@
-"""Kinds of places: one parametric builder each, composed on a stage from common furniture."""
+"""Kinds of places: one parametric builder each, composed from common furniture."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.scenes.scene import Vector
 
 _THICKNESS = 0.12
 
 
 def room_shell(
-    stage: Stage,
+    builder: PlaceBuilder,
     x: Pair,
     y: Pair,
     height: float,
@@ -30,8 +30,8 @@ def room_shell(
     measured from its left end as somebody in the room sees it, and from the floor; the floor's
     are in world coordinates.
     """
-    stage.ground(floor, x, y, decals=floor_decals)
-    stage.quad(
+    builder.ground(floor, x, y, decals=floor_decals)
+    builder.quad(
         (x[0], y[0], height),
         (0.0, y[1] - y[0], 0.0),
         (x[1] - x[0], 0.0, 0.0),
@@ -52,7 +52,7 @@ def room_shell(
             if skirting is None
             else (Decal(rect=(0.0, 0.0, length, 0.09), material=skirting, fine=0.8),)
         )
-        stage.box(
+        builder.box(
             across,
             along,
             (0.0, height),
@@ -64,15 +64,15 @@ def room_shell(
 
 
 def window_lamp(
-    stage: Stage, corner: Vector, u: Vector, v: Vector, brightness: float = 0.75
+    builder: PlaceBuilder, corner: Vector, u: Vector, v: Vector, brightness: float = 0.75
 ) -> None:
     """Let daylight in through a window: `u` x `v` points into the room."""
-    sky = stage.light.horizon
-    stage.lamp(corner, u, v, (sky[0] * brightness, sky[1] * brightness, sky[2] * brightness))
+    sky = builder.light.horizon
+    builder.lamp(corner, u, v, (sky[0] * brightness, sky[1] * brightness, sky[2] * brightness))
 
 
 def house(
-    stage: Stage,
+    builder: PlaceBuilder,
     x: Pair,
     y: Pair,
     height: float,
@@ -95,7 +95,7 @@ def house(
     """Build a house as one box whose `face` looks at the trail, with a grid of windows.
 
     Args:
-        stage: what to build it on.
+        builder: of the place that it is part of.
         x: from and to.
         y: from and to.
         height: metres.
@@ -148,7 +148,7 @@ def house(
                 Decal(rect=(u0, v0, u0 + size[0], v0 + size[1]), material=windows, fine=0.5)
             )
     decals += extra
-    stage.box(
+    builder.box(
         x,
         y,
         (0.0, height),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from nw_eval.onboarding.drafting.frames import frames_of
 from nw_eval.onboarding.drafting.guessed import Likely, guessed_parts
 from nw_eval.onboarding.drafting.guesses import SCANS, is_scan
-from nw_eval.onboarding.drafting.vectors import Part, named_parts, zeros
+from nw_eval.onboarding.drafting.vectors import ObservationDraft, named_parts, zeros
 from nw_eval.onboarding.reading.exporter import ExportedTerm
 from nw_eval.onboarding.reading.facts import ArrayFacts, CheckpointFacts
 from nw_eval.onboarding.reading.script import ScriptInput
@@ -23,7 +23,7 @@ class Wanted:
     """An input that a card must feed."""
 
     array: ArrayFacts
-    said: str
+    reason: str
     """How its size is known, for a comment."""
     known: bool = True
     """Whether the size is in the file."""
@@ -39,33 +39,37 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     """Return the inputs of a checkpoint; where its format does not say them, likely ones."""
     if facts.inputs:
         return tuple(
-            Wanted(array=array, said=f"terms are guessed from the size, {_size(array.shape)}")
+            Wanted(array=array, reason=f"terms are guessed from the size, {_size(array.shape)}")
             for array in facts.inputs
         )
     layers = [tensor for tensor in facts.tensors if len(tensor.shape) == 2]
     first = re.compile(r"(^|\.)(0\.)?weight(_ih_l0)?$")
     sizes = [tensor.shape[1] for tensor in layers if first.search(tensor.name)]
     known = [size for size in sizes if frames_of(size)]
-    said = (
+    reason = (
         f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
         if layers
         else "it has no linear layer that would tell, so 48 is assumed"
     )
     if len(facts.script) > 1:
-        return tuple(_argument(argument, min(known, default=48), said) for argument in facts.script)
+        return tuple(
+            _argument(argument, min(known, default=48), reason) for argument in facts.script
+        )
     direct = facts.script[0].size if facts.script else None
     if direct is not None:
-        said = f"the layer that its one input goes into takes {direct}; {said}"
+        reason = f"the layer that its one input goes into takes {direct}; {reason}"
     else:
         what = "of what size its input is" if facts.script else "how many inputs it takes, of what"
-        said = f"the file does not say {what}; {said}"
+        reason = f"the file does not say {what}; {reason}"
     array = ArrayFacts(
         name="obs", shape=(1, direct or max(known or sizes or [48])), dtype="float32"
     )
-    return (Wanted(array=array, said=said),)
+    return (Wanted(array=array, reason=reason),)
 
 
-def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> tuple[Part, ...]:
+def parts_of(
+    wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely
+) -> tuple[ObservationDraft, ...]:
     """Return the observations that make an input together, in their order.
 
     Args:
@@ -77,7 +81,7 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> t
     batch, shape = _batch(array.shape), _without_batch(array.shape)
     if wanted.seen:
         lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)
-        return (Part(name=name, lines=tuple(lines)),)
+        return (ObservationDraft(name=name, lines=tuple(lines)),)
     if len(shape) == 2:
         return (_rows(wanted, shape, terms, likely),)
     size = shape[0] or 0 if shape else 0
@@ -93,18 +97,18 @@ def parts_of(wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely) -> t
 
 def _row(
     name: str, size: int, wanted: Wanted, terms: Sequence[ExportedTerm], likely: Likely
-) -> tuple[Part, ...]:
-    said = wanted.said
+) -> tuple[ObservationDraft, ...]:
+    reason = wanted.reason
     if terms and not is_scan(wanted.array.name):
         if parts := named_parts(name, size, terms):
             return parts
-        said = f"the file names no terms of its {size} numbers"
-    return guessed_parts(name, size, said, likely)
+        reason = f"the file names no terms of its {size} numbers"
+    return guessed_parts(name, size, reason, likely)
 
 
 def _rows(
     wanted: Wanted, shape: Sequence[int | None], terms: Sequence[ExportedTerm], likely: Likely
-) -> Part:
+) -> ObservationDraft:
     """Return an observation of frames that stand on an axis of their own."""
     name, (steps, size) = key(wanted.array.name), (n or 0 for n in shape)
     last = not terms and bool(frames_of(steps)) and not frames_of(size)
@@ -114,7 +118,7 @@ def _rows(
     part = parts[0]
     if len(parts) > 1:
         lines = ("sensor: proprio", *zeros(size, "frames with a scan, which no card can make"))
-        part = Part(name=name, lines=lines)
+        part = ObservationDraft(name=name, lines=lines)
     if not steps:
         part, steps = _noted(part, f"{CHECK} the file leaves the number of frames free"), 10
     if not 2 <= steps <= 100:
@@ -127,19 +131,21 @@ def _rows(
     return replace(part, lines=(*part.lines, wrap), ways=ways)
 
 
-def _argument(argument: ScriptInput, frame: int, said: str) -> Wanted:
+def _argument(argument: ScriptInput, frame: int, reason: str) -> Wanted:
     """Return an argument of a scripted module that takes several."""
     shape: tuple[int | None, ...] = (1, argument.size)
     if argument.size is None:
         scan = SCANS[0].size if is_scan(argument.name) else frame
         shape = (1, None, None, None) if _IMAGE.search(argument.name) else (1, scan)
     if argument.kind != "Tensor":
-        said = f"it is a {argument.kind}, which no card can feed: export it with tensors; {said}"
+        reason = (
+            f"it is a {argument.kind}, which no card can feed: export it with tensors; {reason}"
+        )
     elif argument.size is not None:
-        said = f"the layer that it goes into takes {argument.size}; {said}"
+        reason = f"the layer that it goes into takes {argument.size}; {reason}"
     return Wanted(
         array=ArrayFacts(name=argument.name, shape=shape, dtype="float32"),
-        said=said,
+        reason=reason,
         known=argument.size is not None,
     )
 
@@ -157,7 +163,7 @@ def _size(shape: tuple[int | None, ...]) -> str:
     return " x ".join("?" if n is None else str(n) for n in _without_batch(shape)) or "0"
 
 
-def _noted(part: Part, note: str) -> Part:
+def _noted(part: ObservationDraft, note: str) -> ObservationDraft:
     return replace(part, lines=(part.lines[0], note, *part.lines[1:]))
 
 

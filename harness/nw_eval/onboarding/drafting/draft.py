@@ -14,7 +14,7 @@ from nw_eval.onboarding.drafting.guesses import is_scan
 from nw_eval.onboarding.drafting.known import known_observations
 from nw_eval.onboarding.drafting.motors import control_lines
 from nw_eval.onboarding.drafting.others import other_layouts
-from nw_eval.onboarding.drafting.vectors import Part
+from nw_eval.onboarding.drafting.vectors import ObservationDraft
 from nw_eval.onboarding.reading.facts import EXPORT, CheckpointFacts, inspect_checkpoint
 from nw_eval.onboarding.reading.text import CHECK, plain, quoted, slug
 from nw_eval.robots import RobotSpec, get_robot
@@ -98,8 +98,8 @@ def _checkpoint(facts: CheckpointFacts, folder: Path | None) -> list[str]:
     file = path.relative_to(base).as_posix() if beside else path.name
     lines = ["checkpoint:", f"  file: {quoted(file)}"]
     if not beside:
-        said = "it does not lie beside this card: copy it there, or give --checkpoint"
-        lines.insert(1, f"  {CHECK} {said}")
+        note = "it does not lie beside this card: copy it there, or give --checkpoint"
+        lines.insert(1, f"  {CHECK} {note}")
     return [*lines, f"  sha256: {facts.sha256}"]
 
 
@@ -115,13 +115,13 @@ def _summary(facts: CheckpointFacts) -> list[str]:
     return lines
 
 
-def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[Part]]:
+def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[ObservationDraft]]:
     """Return command, observations, inputs and output as lines; and the observations."""
     if (known := known_observations(facts)) is not None:
         _refuse_unknown(layout, [], facts.path)
         return known, []
-    made = _parts(facts, layout)
-    parts = [part for several in made.values() for part in several]
+    by_input = _parts(facts, layout)
+    parts = [part for several in by_input.values() for part in several]
     body = ["observations:"]
     for part in parts:
         body += [f"  {part.name}:", *(f"    {line}" for line in part.lines)]
@@ -131,7 +131,7 @@ def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[P
     if len(parts) > 1:
         inputs = (
             f"{quoted(name)}: [{', '.join(part.name for part in several)}]"
-            for name, several in made.items()
+            for name, several in by_input.items()
         )
         body += ["", f"inputs: {{{', '.join(inputs)}}}"]
     if len(facts.outputs) > 1:
@@ -140,33 +140,33 @@ def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[P
     return body, parts
 
 
-def _parts(facts: CheckpointFacts, layout: str | None) -> dict[str, list[Part]]:
+def _parts(facts: CheckpointFacts, layout: str | None) -> dict[str, list[ObservationDraft]]:
     """Return the observations that make each input, all of one layout where they can be."""
     likely = Likely(names=(layout,)) if layout else likely_layouts(facts)
-    made = _parts_of_layout(facts, likely)
-    fits = [part.fits[0] for several in made.values() for part in several if part.fits]
+    by_input = _parts_of_layout(facts, likely)
+    fits = [part.fits[0] for several in by_input.values() for part in several if part.fits]
     if fits and not likely.names:
         # Frames before the present one tell more than a frame alone.
         frame, _ = max(fits, key=lambda fit: fit[1])
-        made = _parts_of_layout(facts, Likely(names=(frame.name,)))
-    _refuse_unknown(layout, [part for several in made.values() for part in several], facts.path)
-    return made
+        by_input = _parts_of_layout(facts, Likely(names=(frame.name,)))
+    _refuse_unknown(layout, [part for several in by_input.values() for part in several], facts.path)
+    return by_input
 
 
-def _parts_of_layout(facts: CheckpointFacts, likely: Likely) -> dict[str, list[Part]]:
+def _parts_of_layout(facts: CheckpointFacts, likely: Likely) -> dict[str, list[ObservationDraft]]:
     terms = facts.exporter.observation_terms if facts.exporter else ()
-    made: dict[str, list[Part]] = {}
+    by_input: dict[str, list[ObservationDraft]] = {}
     names: set[str] = set()
     for wanted in wanted_inputs(facts):
         # The exporter's terms are those of the first input that is no image and no scan.
         plain_row = not (wanted.seen or is_scan(wanted.array.name))
         parts = parts_of(wanted, terms if plain_row else (), likely)
-        made[wanted.array.name] = [_renamed(part, names) for part in parts]
+        by_input[wanted.array.name] = [_renamed(part, names) for part in parts]
         terms = () if plain_row else terms
-    return made
+    return by_input
 
 
-def _refuse_unknown(layout: str | None, parts: Sequence[Part], path: Path) -> None:
+def _refuse_unknown(layout: str | None, parts: Sequence[ObservationDraft], path: Path) -> None:
     known = dict.fromkeys(frame.name for part in parts for frame, _ in part.fits)
     if layout is not None and layout not in known:
         raise PolicyError(
@@ -175,7 +175,7 @@ def _refuse_unknown(layout: str | None, parts: Sequence[Part], path: Path) -> No
         )
 
 
-def _renamed(part: Part, taken: set[str]) -> Part:
+def _renamed(part: ObservationDraft, taken: set[str]) -> ObservationDraft:
     """Return a part by a name that no other has, which is then taken."""
     name, count = part.name, 2
     while name in taken:

@@ -38,7 +38,7 @@ class Frame:
     name: str
     """What `init --layout` calls it."""
     source: str
-    told: str
+    traits: str
     """What tells it from other layouts of its size."""
     size: int
     terms: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Frame:
 _GYM = Frame(
     name="legged-gym",
     source="legged_gym",
-    told="velocities times 2, angular ones times 0.25, joint velocities times 0.05; all clipped",
+    traits="velocities times 2, angular ones times 0.25, joint velocities times 0.05; all clipped",
     family="isaac-gym",
     joints=LEG_BY_LEG,
     gains=(20, 0.5),
@@ -84,7 +84,7 @@ _GYM = Frame(
 _LAB = Frame(
     name="isaac-lab",
     source="Isaac Lab",
-    told="no scales, nothing clipped; joints type by type: four hips, four thighs, four calves",
+    traits="no scales, nothing clipped; joints type by type: four hips, four thighs, four calves",
     family="isaac-lab",
     joints=TYPE_BY_TYPE,
     gains=(25, 0.5),
@@ -96,7 +96,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="parkour53",
         source="extreme-parkour, LucidSim",
-        told="heading in place of a velocity command",
+        traits="heading in place of a velocity command",
         size=53,
         layout="parkour53",
         history="order: oldest_first, by: step",
@@ -104,7 +104,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="playground",
         source="MuJoCo Playground, mjlab",
-        told="the command comes last; no scales; actions times 0.5",
+        traits="the command comes last; no scales; actions times 0.5",
         family="mujoco",
         joints=RIGHT_FIRST,
         scale="0.5",
@@ -124,7 +124,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="himloco",
         source="HIMLoco, rl_sar",
-        told="the command comes first; scales and clips of legged_gym; six frames, newest first",
+        traits="the command comes first; scales and clips of legged_gym; six frames, newest first",
         family="isaac-gym",
         joints=LEG_BY_LEG,
         gains=(40, 1),
@@ -143,7 +143,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="unitree-rl-lab",
         source="unitree_rl_lab",
-        told="angular velocity times 0.2, joint velocities times 0.05; joints as Isaac Lab",
+        traits="angular velocity times 0.2, joint velocities times 0.05; joints as Isaac Lab",
         family="isaac-lab",
         joints=TYPE_BY_TYPE,
         gains=(25, 0.5),
@@ -160,7 +160,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="robot-lab",
         source="robot_lab",
-        told="scales of legged_gym but for the command, which has none; hips move half as far",
+        traits="scales of legged_gym but for the command, which has none; hips move half as far",
         family="isaac-lab",
         joints=RIGHT_FIRST,
         scale="{hip: 0.125, thigh: 0.25, calf: 0.25}",
@@ -172,7 +172,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="genesis",
         source="Genesis",
-        told="terms of legged_gym, joints right leg first, straight hips, actions one step late",
+        traits="terms of legged_gym, joints right leg first, straight hips, actions one step late",
         family="isaac-gym",
         joints=RIGHT_FIRST,
         pose="{hip: 0, F?_thigh: 0.8, R?_thigh: 1.0, calf: -1.5}",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from nw_eval.onboarding.drafting.frames import Frame, frames_of
 from nw_eval.onboarding.drafting.guesses import SCANS, frames_before_a_scan, is_scan
-from nw_eval.onboarding.drafting.vectors import Part, scan_lines, zeros
+from nw_eval.onboarding.drafting.vectors import ObservationDraft, scan_lines, zeros
 from nw_eval.onboarding.reading.facts import CheckpointFacts
 from nw_eval.onboarding.reading.text import CHECK, number
 
@@ -35,27 +35,29 @@ def likely_layouts(facts: CheckpointFacts) -> Likely:
     return Likely()
 
 
-def guessed_parts(name: str, size: int, said: str, likely: Likely) -> tuple[Part, ...]:
+def guessed_parts(
+    name: str, size: int, reason: str, likely: Likely
+) -> tuple[ObservationDraft, ...]:
     """Return observations that make `size` numbers together, guessed from that number.
 
     Args:
         name: the checkpoint's name of the input, as a key.
         size: its numbers; 0 if it is free.
-        said: how the size is known, for the comment.
+        reason: how the size is known, for the comment.
         likely: layouts that are taken before others.
     """
     if is_scan(name) or (not frames_of(size) and any(scan.size == size for scan in SCANS)):
-        return (Part(name=name, lines=tuple(scan_lines(size or SCANS[0].size))),)
+        return (ObservationDraft(name=name, lines=tuple(scan_lines(size or SCANS[0].size))),)
     fits, scan = frames_of(size), None
     if not fits:
         fits, scan = frames_before_a_scan(size)
-    note = f"{CHECK} {said}"
+    note = f"{CHECK} {reason}"
     if not fits:
         note += (
             "; no known layout has it, so these are zeros" if size else ": the file leaves it free"
         )
         lines = ("sensor: proprio", note, *zeros(max(size, 1)))
-        return (Part(name=name, lines=lines),)
+        return (ObservationDraft(name=name, lines=lines),)
     fits = sorted(fits, key=lambda fit: fit[0].name not in likely.names)
     frame, count = fits[0]
     after = f" + {scan.size} heights" if scan else ""
@@ -68,12 +70,12 @@ def guessed_parts(name: str, size: int, said: str, likely: Likely) -> tuple[Part
     lines = ("sensor: proprio", note, *ways[frame.name])
     if count > 1:
         lines = (*lines[:-1], f"{lines[-1]}  {CHECK} oldest_first? by: term?")
-    body = Part(name=name, lines=lines, ways=ways, fits=tuple(fits))
+    body = ObservationDraft(name=name, lines=lines, ways=ways, fits=tuple(fits))
     if scan is None:
         return (body,)
     heights = {frame.name: tuple(scan_lines(scan.size, frame=frame)) for frame, _ in fits}
     own = heights[frame.name]
-    return (body, Part(name=f"{name}_scan", lines=own, ways=heights))
+    return (body, ObservationDraft(name=f"{name}_scan", lines=own, ways=heights))
 
 
 def frame_lines(frame: Frame, count: int) -> list[str]:

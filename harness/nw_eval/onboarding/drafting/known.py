@@ -75,13 +75,13 @@ def _act(facts: CheckpointFacts) -> list[str]:
     proprio = (
         "layout: parkour53" if size == 53 else f"terms: [{{term: constant, values: {[0] * size}}}]"
     )
-    said = f"{CHECK} {size} numbers" if size == 53 else zeros_note(size)
+    note = f"{CHECK} {size} numbers" if size == 53 else zeros_note(size)
     lines = [
         "# CHECK: the weights do not say how many attention heads share them",
         f"options: {{heads: 8, ensemble: 0.01, query_every: 1}}  # a chunk has {chunk} actions",
         "",
         "observations:",
-        f"  proprio: {{sensor: proprio, {proprio}}}  {said}",
+        f"  proprio: {{sensor: proprio, {proprio}}}  {note}",
     ]
     if images:
         lines += [

@@ -50,8 +50,8 @@ def control_lines(
         if values:
             lines.append(f"  {name}: {per_joint(values)}")
         elif name in theirs:
-            said = f"{of} the {robot.name}'s own is {number(own)}"
-            lines.append(f"  {name}: {theirs[name]}  {said}")
+            note = f"{of} the {robot.name}'s own is {number(own)}"
+            lines.append(f"  {name}: {theirs[name]}  {note}")
         else:
             lines.append(f"  {name}: {number(own)}  {CHECK} the {robot.name}'s own")
     if known.default_joint_pos or known.joint_stiffness:
@@ -61,8 +61,8 @@ def control_lines(
         ("armature", number(robot.armature), "kg m^2"),
         ("friction_loss", number(robot.friction_loss), "N m"),
     ):
-        said = f"{unit}; not in the file: the {robot.name}'s own is used"
-        lines.append(f"  # {name}: {own}  {CHECK} {said}")
+        note = f"{unit}; not in the file: the {robot.name}'s own is used"
+        lines.append(f"  # {name}: {own}  {CHECK} {note}")
     late = theirs.get("delay_steps", "0")
     lines.append(f"  delay_steps: {late}  {CHECK} control steps between an action and its effect")
     return lines
@@ -71,16 +71,16 @@ def control_lines(
 def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
     """Return what a layout's training says of actions and motors, as a card writes it."""
     joints = frame.joints or [short_name(joint) for joint in robot.joints]
-    said = {"scale": frame.scale, "joints": f"[{', '.join(joints)}]"}
+    values = {"scale": frame.scale, "joints": f"[{', '.join(joints)}]"}
     if frame.clip is not None:
-        said["clip"] = number(frame.clip)
+        values["clip"] = number(frame.clip)
     if frame.pose is not None:
-        said["default_pose"] = frame.pose
+        values["default_pose"] = frame.pose
     if frame.gains is not None:
-        said["kp"], said["kd"] = map(number, frame.gains)
+        values["kp"], values["kd"] = map(number, frame.gains)
     if frame.delay:
-        said["delay_steps"] = str(frame.delay)
-    return said
+        values["delay_steps"] = str(frame.delay)
+    return values
 
 
 def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> list[str]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from nw_eval.onboarding.drafting.motors import published
-from nw_eval.onboarding.drafting.vectors import Part
+from nw_eval.onboarding.drafting.vectors import ObservationDraft
 from nw_eval.onboarding.reading.text import CHECK
 from nw_eval.robots import RobotSpec
 
 
-def other_layouts(parts: Sequence[Part], robot: RobotSpec) -> list[str]:
+def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[str]:
     """Return lines that say each of them in full; none where there is but one.
 
     Args:
@@ -31,9 +31,9 @@ def other_layouts(parts: Sequence[Part], robot: RobotSpec) -> list[str]:
         "# `nw-eval policies check` tells which of them walks.",
     ]
     for name, frame in others.items():
-        lines += ["#", f"# {name} ({frame.source}): {frame.told}", "#   control:"]
-        said = published(frame, robot)
-        lines += [f"#     {key}: {value}" for key, value in said.items()]
+        lines += ["#", f"# {name} ({frame.source}): {frame.traits}", "#   control:"]
+        values = published(frame, robot)
+        lines += [f"#     {key}: {value}" for key, value in values.items()]
         lines.append("#   observations:")
         for part in parts:
             if name in part.ways:

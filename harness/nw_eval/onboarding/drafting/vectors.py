@@ -14,7 +14,7 @@ from nw_eval.onboarding.reading.text import CHECK, in_brackets, number
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class ObservationDraft:
     """One observation: its name on the card, and the lines below that."""
 
     name: str
@@ -25,7 +25,9 @@ class Part:
     """Frames that it may hold, and how many of each: what the lines have first."""
 
 
-def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Part, ...]:
+def named_parts(
+    name: str, size: int, terms: Sequence[ExportedTerm]
+) -> tuple[ObservationDraft, ...]:
     """Return observations of the terms that an exporter names, in its order.
 
     Terms of one history stand in one observation; a scan of heights is one of its own. Empty where
@@ -38,7 +40,7 @@ def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Pa
     total = sum(width * (term.history or 1) for term, width in rows)
     size = size or total  # A free size is that of the terms.
     left_out = [term.name for term, width in zip(terms, sizes, strict=True) if not width]
-    parts: list[Part] = []
+    parts: list[ObservationDraft] = []
     for group in groups:
         first, width = group[0]
         if is_scan(first.name):
@@ -49,20 +51,20 @@ def named_parts(name: str, size: int, terms: Sequence[ExportedTerm]) -> tuple[Pa
             own = name
         if any(part.name == own for part in parts):
             own = f"{own}_{len(parts) + 1}"
-        parts.append(Part(name=own, lines=tuple(lines)))
+        parts.append(ObservationDraft(name=own, lines=tuple(lines)))
     notes = _missing(terms)
     if left_out and all(term.name in TERM_OF or is_scan(term.name) for term, _ in rows):
         notes.append(f"{CHECK} no numbers are left for {', '.join(left_out)}")
     if len(groups) == 1 and total < size and size % total == 0 and terms[0].history is None:
         times = size // total
         history = f"history: {{steps: {times}, by: term}}  {CHECK} {size} = {times} x {total}"
-        parts[0] = Part(name=parts[0].name, lines=(*parts[0].lines, history))
+        parts[0] = ObservationDraft(name=parts[0].name, lines=(*parts[0].lines, history))
     elif total != size:
         notes.append(f"{CHECK} these terms make {total} numbers, the checkpoint wants {size}")
     if not parts:
         return ()
     sensor, *others = parts[0].lines
-    return (Part(name=parts[0].name, lines=(sensor, *notes, *others)), *parts[1:])
+    return (ObservationDraft(name=parts[0].name, lines=(sensor, *notes, *others)), *parts[1:])
 
 
 def zeros(size: int, what: str = "what the checkpoint really sees") -> list[str]:

@@ -38,6 +38,6 @@ class Metered:
         """
         if self.spent >= self._simulated or monotonic() >= self._deadline:
             raise SpentError
-        made = self._stage.record(card, seconds=seconds, level=level)
-        self.spent += made.seconds
-        return made
+        recording = self._stage.record(card, seconds=seconds, level=level)
+        self.spent += recording.seconds
+        return recording

@@ -7,7 +7,7 @@ from typing import Literal
 
 from nw_eval.cards import Card
 from nw_eval.onboarding.probe.budget import Metered, SpentError
-from nw_eval.onboarding.probe.findings import Finding, command_findings
+from nw_eval.onboarding.probe.findings import ProbeFinding, command_findings
 from nw_eval.onboarding.probe.following import (
     Followed,
     Motion,
@@ -24,7 +24,7 @@ from nw_eval.robots import RobotSpec
 
 def compare(
     stage: Metered, card: Card, robot: RobotSpec, recording: Recording
-) -> tuple[list[Followed], list[Finding]]:
+) -> tuple[list[Followed], list[ProbeFinding]]:
     """Return what becomes of commands under a card, and if another card does better.
 
     A card that mends everything is a fault even where trials command nothing of what is missed:
@@ -45,10 +45,10 @@ def compare(
             written.append(one)  # noqa: PERF402 - what was before a cut is kept.
     except SpentError:
         return written, [*command_findings(written), _cut(stage, "fault", "every command")]
-    found = [] if recording.stumbles else command_findings(written)
+    findings = [] if recording.stumbles else command_findings(written)
     if not recording.sees_images:
-        found += _others(stage, card, robot, written, stumbles=recording.stumbles)
-    return ([] if recording.stumbles else written), found
+        findings += _others(stage, card, robot, written, stumbles=recording.stumbles)
+    return ([] if recording.stumbles else written), findings
 
 
 def _tried(card: Card, recording: Recording) -> list[Motion]:
@@ -63,13 +63,13 @@ def _tried(card: Card, recording: Recording) -> list[Motion]:
 
 def _others(
     stage: Metered, card: Card, robot: RobotSpec, written: Sequence[Followed], *, stumbles: bool
-) -> list[Finding]:
+) -> list[ProbeFinding]:
     """Return the other card that helps most, or that none does."""
     is_bad = stumbles or any(one.is_missed or one.stumbled for one in written)
     if not written or not (is_bad or any(one.is_weak for one in written)):
         return []
     best: Attempt | None = None
-    cut: list[Finding] = []
+    cut: list[ProbeFinding] = []
     try:
         for attempt in attempts(stage, card, robot, written, thorough=is_bad):
             best = attempt
@@ -79,15 +79,15 @@ def _others(
         is_fault = is_bad and best.mends
         does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
         text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
-        return [Finding(kind="fault" if is_fault else "note", text=text), *cut]
+        return [ProbeFinding(kind="fault" if is_fault else "note", text=text), *cut]
     if cut or not is_bad:
         return cut
     nearest = "none comes nearer than the card as it is"
     if best is not None:
         nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
-    return [Finding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}")]
+    return [ProbeFinding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}")]
 
 
-def _cut(stage: Metered, kind: Literal["fault", "note"], what: str) -> Finding:
+def _cut(stage: Metered, kind: Literal["fault", "note"], what: str) -> ProbeFinding:
     text = f"cut off after {stage.spent:.0f} s of simulation: not {what} was tried"
-    return Finding(kind=kind, text=text)
+    return ProbeFinding(kind=kind, text=text)

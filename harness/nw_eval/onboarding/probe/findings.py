@@ -34,7 +34,7 @@ _MAY_REST = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class ProbeFinding:
     """Something that a person should know."""
 
     kind: Literal["fault", "note"]
@@ -77,33 +77,35 @@ def measure(part: Part, recording: Recording) -> Range:
     )
 
 
-def observation_findings(ranges: list[Range], recording: Recording) -> list[Finding]:
+def observation_findings(ranges: list[Range], recording: Recording) -> list[ProbeFinding]:
     """Return what is odd about the observations."""
-    found: list[Finding] = []
+    findings: list[ProbeFinding] = []
     for value in ranges:
         part = value.part
         name = f"`{part.observation}`" + (f", {part.kind}" if part.kind else "")
         if value.broken:
             kind = "note" if part.kind == "lidar" else "fault"
-            found.append(Finding(kind=kind, text=f"{name}: {value.broken} values are NaN or inf"))
+            findings.append(
+                ProbeFinding(kind=kind, text=f"{name}: {value.broken} values are NaN or inf")
+            )
         if value.constant == value.size and not part.is_fixed:
             kind = "note" if part.kind in _MAY_REST else "fault"
             text = f"{name}: dead, it reads {value.mean:z.4g} from beginning to end"
-            found.append(Finding(kind=kind, text=text))
+            findings.append(ProbeFinding(kind=kind, text=text))
         largest = max(abs(value.low), abs(value.high))
         if part.limits is not None and _share_at(part, recording) > _OFTEN:
             low, high = part.limits
             text = f"{name}: its limits {low:g}..{high:g} cut it off in most steps; mind the scale"
-            found.append(Finding(kind="fault", text=text))
+            findings.append(ProbeFinding(kind="fault", text=text))
         elif largest > _LARGE and part.kind in _TERMS_OF_ORDER_ONE:
             text = f"{name}: reaches {largest:.3g}; a scale may be missing"
-            found.append(Finding(kind="note", text=text))
-    return found
+            findings.append(ProbeFinding(kind="note", text=text))
+    return findings
 
 
-def input_findings(card: Card, ranges: list[Range], recording: Recording) -> list[Finding]:
+def input_findings(card: Card, ranges: list[Range], recording: Recording) -> list[ProbeFinding]:
     """Return which inputs are not what a checkpoint is likely to have been trained on."""
-    found: list[Finding] = []
+    findings: list[ProbeFinding] = []
     files = [(card, recording.inputs)]
     files += [(card.of_network(name), specs) for name, specs in recording.fed_inputs.items()]
     for file, specs in files:
@@ -113,7 +115,9 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
                 is_bytes = recording.observations[name].dtype == np.uint8
                 if is_rgb and is_bytes and spec.dtype.kind == "f":
                     text = f"`{name}` gives bytes 0..255 to a {spec.dtype} input; "
-                    found.append(Finding(kind="note", text=f"{text}`dtype: float32` gives 0..1"))
+                    findings.append(
+                        ProbeFinding(kind="note", text=f"{text}`dtype: float32` gives 0..1")
+                    )
     zeros: dict[str, int] = {}
     for value in ranges:
         name, observation = value.part.observation, card.observations[value.part.observation]
@@ -123,79 +127,79 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
     for name, count in zeros.items():
         number = "1 zero" if count == 1 else f"{count} zeros"
         text = f"`{name}` holds {number} in place of what the checkpoint was trained on"
-        found.append(Finding(kind="note", text=text))
-    return found
+        findings.append(ProbeFinding(kind="note", text=text))
+    return findings
 
 
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
 
 
-def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[Finding]:
+def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[ProbeFinding]:
     """Return what is odd about the actions and what the motors made of them."""
-    found: list[Finding] = []
+    findings: list[ProbeFinding] = []
     actions = recording.actions
     if (actions == actions[:1]).all() and card.adapter != "zero":
         text = "the action is the same at every step: the checkpoint does not hear its inputs"
-        found.append(Finding(kind="fault", text=text))
+        findings.append(ProbeFinding(kind="fault", text=text))
     if card.control.clip is not None:
         low, high = card.control.clip
         cut = ((actions <= low) | (actions >= high)).mean(axis=0)
         order = card.control.joints or list(robot.joints)
-        found += _by_joint(
+        findings += _by_joint(
             cut, order, f"the action is at its limits {low:g}..{high:g} (`control.clip`)"
         )
     if card.control.action != "joint_torque":
         ranges = np.array(robot.joint_ranges)
         outside = (recording.targets < ranges[:, 0]) | (recording.targets > ranges[:, 1])
-        found += _by_joint(
+        findings += _by_joint(
             outside.mean(axis=0), robot.joints, "the target is beyond the joint's range", note=True
         )
         if recording.stumbles:
-            found += _against(robot, recording)
+            findings += _against(robot, recording)
     strained = np.abs(recording.torques) >= 0.999 * recording.torque_limits
-    found += _by_joint(strained.mean(axis=0), robot.joints, "the motor is at its torque limit")
-    return found
+    findings += _by_joint(strained.mean(axis=0), robot.joints, "the motor is at its torque limit")
+    return findings
 
 
-def body_findings(recording: Recording) -> list[Finding]:
+def body_findings(recording: Recording) -> list[ProbeFinding]:
     """Return how the robot fared."""
     if recording.outcome is not None:
         words = {"fell": "fell over", "collided": "hit its head or trunk"}
         text = f"it {words.get(recording.outcome, recording.outcome)} at {recording.seconds:.2f} s"
-        return [Finding(kind="fault", text=text)]
+        return [ProbeFinding(kind="fault", text=text)]
     tilt = float(recording.tilt.max())
     if tilt > STUMBLES:
-        return [Finding(kind="fault", text=f"it leans by {tilt:.2f} rad on the way")]
+        return [ProbeFinding(kind="fault", text=f"it leans by {tilt:.2f} rad on the way")]
     return []
 
 
-def command_findings(followed: list[Followed]) -> list[Finding]:
+def command_findings(followed: list[Followed]) -> list[ProbeFinding]:
     """Return which commands are missed; a fault where trials command it."""
     missed = [one for one in followed if one.is_missed]
     if stands_still(followed):
         is_own = all(one.motion.is_own for one in followed)
         kind = "fault" if is_own or any(one.motion.is_used for one in missed) else "note"
         text = "it stands still" if is_own else "it stands still, whatever is commanded"
-        return [Finding(kind=kind, text=f"`command`: {text}")]
-    found: list[Finding] = []
+        return [ProbeFinding(kind=kind, text=f"`command`: {text}")]
+    findings: list[ProbeFinding] = []
     for one in missed:
-        direction, asked, reached = one.words
-        text = f"`command`: {asked} {direction}, {reached} reached ({one.ratio:z.0%})"
+        direction, commanded, reached = one.words
+        text = f"`command`: {commanded} {direction}, {reached} reached ({one.ratio:z.0%})"
         text += ", and it fell" if one.fell else ""
         scales = "" if one.motion.is_own else " and the `scale` of `command`"
         text += f"; mind `control.scale`{scales}"
-        found.append(Finding(kind="fault" if one.motion.is_used else "note", text=text))
-    return found
+        findings.append(ProbeFinding(kind="fault" if one.motion.is_used else "note", text=text))
+    return findings
 
 
-def _against(robot: RobotSpec, recording: Recording) -> list[Finding]:
+def _against(robot: RobotSpec, recording: Recording) -> list[ProbeFinding]:
     """Find joints that move away from their targets.
 
     No card has negative gains, so the ground pushes them; that of walking policies does it too.
     """
     wanted = recording.targets - recording.positions[:-1]
     moved = np.diff(recording.positions, axis=0)
-    found: list[Finding] = []
+    findings: list[ProbeFinding] = []
     for index, joint in enumerate(robot.joints):
         pull, motion = wanted[:, index], moved[:, index]
         if np.ptp(recording.targets[:, index]) < _MOVES or motion.std() < 1e-4:
@@ -203,11 +207,11 @@ def _against(robot: RobotSpec, recording: Recording) -> list[Finding]:
         agreement = float(np.corrcoef(pull, motion)[0, 1])
         if agreement < -_OFTEN:
             text = f"{short_name(joint)}: moves against its targets (correlation {agreement:.2f})"
-            found.append(Finding(kind="note", text=text))
-    return found
+            findings.append(ProbeFinding(kind="note", text=text))
+    return findings
 
 
-def _by_joint(shares: Array, joints: Any, what: str, *, note: bool = False) -> list[Finding]:
+def _by_joint(shares: Array, joints: Any, what: str, *, note: bool = False) -> list[ProbeFinding]:
     often = [
         f"{short_name(joint)} {share:.0%}"
         for joint, share in zip(joints, shares.tolist(), strict=True)
@@ -216,7 +220,7 @@ def _by_joint(shares: Array, joints: Any, what: str, *, note: bool = False) -> l
     if not often:
         return []
     kind = "note" if note else "fault"
-    return [Finding(kind=kind, text=f"{what} in much of the second: {', '.join(often)}")]
+    return [ProbeFinding(kind=kind, text=f"{what} in much of the second: {', '.join(often)}")]
 
 
 def _share_at(part: Part, recording: Recording) -> float:

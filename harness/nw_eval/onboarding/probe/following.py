@@ -53,7 +53,7 @@ class Motion:
     """Whether the card's own source commands it, in place of a constant velocity."""
 
     @property
-    def asked(self) -> float:
+    def size(self) -> float:
         """Size of the command, m/s or rad/s."""
         return abs(self.velocity[self.axis])
 
@@ -89,8 +89,8 @@ class Followed:
     def words(self) -> tuple[str, str, str]:
         """The direction, what was commanded, what was reached."""
         unit = _UNITS[self.motion.axis]
-        reached = self.ratio * self.motion.asked
-        return self.motion.words, f"{self.motion.asked:g} {unit}", f"{reached:z.2f} {unit}"
+        reached = self.ratio * self.motion.size
+        return self.motion.words, f"{self.motion.size:g} {unit}", f"{reached:z.2f} {unit}"
 
 
 def motions(card: Card) -> list[Motion]:
@@ -178,21 +178,21 @@ def follow(
         constant = ConstantCommand(source="constant", velocity=velocity)
         commanded = card if is_own else card.model_copy(update={"command": constant})
         try:
-            made = stage.record(commanded, seconds=_SECONDS, level=level)
+            recording = stage.record(commanded, seconds=_SECONDS, level=level)
         except PolicyFailedError as error:
             if error.kind not in {"action", "diverged"}:
                 raise
             # It ran away, as some do once the robot lies on its back.
             yield from (Followed(motion=one, ratio=0.0, fell=False, stumbled=True) for one in same)
             continue
-        settled = made.velocity[round(_SETTLED / made.period) :]
+        settled = recording.velocity[round(_SETTLED / recording.period) :]
         reached = settled.mean(axis=0) if len(settled) else np.zeros(3)
         for motion in same:
             yield Followed(
                 motion=motion,
                 ratio=float(reached[motion.axis]) / velocity[motion.axis],
-                fell=made.outcome == "fell",
-                stumbled=made.stumbles,
+                fell=recording.outcome == "fell",
+                stumbled=recording.stumbles,
             )
 
 

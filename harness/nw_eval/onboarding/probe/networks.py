@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nw_eval.cards import Card
-from nw_eval.onboarding.probe.findings import Finding
+from nw_eval.onboarding.probe.findings import ProbeFinding
 from nw_eval.onboarding.probe.recording import Recording
 
 
@@ -34,15 +34,15 @@ def network_rows(card: Card, recording: Recording) -> list[tuple[str, ...]]:
     return [heading, *rows] if rows else []
 
 
-def network_findings(card: Card, recording: Recording) -> list[Finding]:
+def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
     """Return which networks do not hear what they are given."""
-    found: list[Finding] = []
+    findings: list[ProbeFinding] = []
     for name, output in _outputs(card):
         values = recording.given[output]
         if len(values) > 1 and (values == values[:1]).all():
             text = f"network `{name}`: `{output}` is the same at every step: "
-            found.append(Finding(kind="fault", text=f"{text}it does not hear its inputs"))
-    return found
+            findings.append(ProbeFinding(kind="fault", text=f"{text}it does not hear its inputs"))
+    return findings
 
 
 def _outputs(card: Card) -> Iterator[tuple[str, str]]:

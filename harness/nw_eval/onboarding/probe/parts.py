@@ -45,14 +45,14 @@ def parts_of(card: Card, robot: RobotSpec, specs: tuple[ObservationSpec, ...]) -
         robot: whose joints the terms count.
         specs: from `sensors.check_card`.
     """
-    found: list[Part] = []
+    parts: list[Part] = []
     for spec in specs:
         observation = card.observations[spec.name]
         if isinstance(observation, ProprioObservation) and not observation.wrap:
-            found += _terms(spec.name, observation, card, robot)
+            parts += _terms(spec.name, observation, card, robot)
         else:
-            found.append(_whole(spec, observation))
-    return found
+            parts.append(_whole(spec, observation))
+    return parts
 
 
 def _whole(spec: ObservationSpec, observation: AnyObservation) -> Part:
@@ -121,8 +121,8 @@ def _form(term: AnyTerm) -> str:
         words.append(f"{term.offset:+g}")
     if isinstance(term, Constant):
         words.append(_runs(term.values))
-    said = {"term", "scale", "offset", "clip", "copies"}
-    words += settings(term, but=said | {"values"} if isinstance(term, Constant) else said)
+    shown = {"term", "scale", "offset", "clip", "copies"}
+    words += settings(term, but=shown | {"values"} if isinstance(term, Constant) else shown)
     return " ".join(words)
 
 

@@ -83,8 +83,8 @@ def _probe(
     *, card: str, checkpoint: str | None, scene: str, allow_code: bool
 ) -> dict[str, str | bool]:
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
-    told = probe_here(bundle, scene=scene, allow_code=allow_code)
-    return {"text": told.text, "passed": told.passed}
+    report = probe_here(bundle, scene=scene, allow_code=allow_code)
+    return {"text": report.text, "passed": report.passed}
 
 
 def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -> ProbeReport:
@@ -113,8 +113,8 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     ]
     if scene == FLAT:
         metered = Metered(stage, simulated=_BUDGET, deadline=deadline)
-        followed, found = compare(metered, card, robot, recording)
-        findings += found
+        followed, others = compare(metered, card, robot, recording)
+        findings += others
     faults = sum(finding.kind == "fault" for finding in findings)
     lines = [
         f"{bundle.name}: {recording.seconds:.2f} s in {scene}, {recording.travelled:.2f} m",
@@ -190,9 +190,9 @@ def command_table(followed: list[Followed]) -> list[str]:
         return []
     rows: list[tuple[str, ...]] = [("command", "asked", "reached", "share")]
     for one in followed:
-        direction, asked, reached = one.words
+        direction, commanded, reached = one.words
         ending = ", fell" if one.fell else ", stumbled" if one.stumbled else ""
-        rows.append((direction, asked, reached + ending, f"{one.ratio:z.2f}"))
+        rows.append((direction, commanded, reached + ending, f"{one.ratio:z.2f}"))
     return [*aligned(rows, right={3}), ""]
 
 

@@ -55,7 +55,7 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
     lines = [
         f"{card.name}: {card.title}" if card.title else card.name,
         f"card        {clean(path)}",
-        f"licence     {card.licence or 'not said'}",
+        f"licence     {card.licence or 'not expected'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
         *(f"{key:10}  {clean(words)}" for key, words in _weights(card, path, checkpoint)),
@@ -71,12 +71,12 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _weights(card: Card, path: Path, given: Path | None) -> list[tuple[str, str]]:
+def _weights(card: Card, path: Path, checkpoint: Path | None) -> list[tuple[str, str]]:
     """Return what to say of the checkpoint, and of each network that feeds it."""
     try:
-        bundle = load_bundle(path, checkpoint=given)
+        bundle = load_bundle(path, checkpoint=checkpoint)
     except PolicyError as error:
-        if given is not None or card.checkpoint is None:
+        if checkpoint is not None or card.checkpoint is None:
             raise
         own = f"{card.checkpoint.file}: not usable: {error}"
         named = card.networks.items()
@@ -84,16 +84,16 @@ def _weights(card: Card, path: Path, given: Path | None) -> list[tuple[str, str]
     words = "none"
     if bundle.checkpoint is not None and card.checkpoint is not None:
         own = Weights(bundle.checkpoint, bundle.checkpoint_sha256)
-        words = _file(own, given or card.checkpoint.file)
-        said = card.checkpoint.sha256 or own.sha256
-        if said != own.sha256:
-            words += f", not the card's {said[:16]}"
-    told = [("checkpoint", words)]
+        words = _file(own, checkpoint or card.checkpoint.file)
+        expected = card.checkpoint.sha256 or own.sha256
+        if expected != own.sha256:
+            words += f", not the card's {expected[:16]}"
+    rows = [("checkpoint", words)]
     for name, weights in bundle.networks.items():
         network = card.networks[name]
         words = f"{_file(weights, network.checkpoint.file)}, {network.adapter}"
-        told.append(("network", f"{name}: {words}, {network.rate or card.control.rate} Hz"))
-    return told
+        rows.append(("network", f"{name}: {words}, {network.rate or card.control.rate} Hz"))
+    return rows
 
 
 def _file(weights: Weights, name: str | Path) -> str:

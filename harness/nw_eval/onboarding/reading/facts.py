@@ -16,7 +16,7 @@ from nw_eval.onboarding.reading.script import ScriptInput, script_inputs
 from nw_eval.policies.onnx.recurrence import state_pairs
 from nw_eval.policies.safety import (
     FileKind,
-    Limits,
+    FileLimits,
     TensorFacts,
     check_onnx,
     check_torchscript,
@@ -76,10 +76,10 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
     where = str(path)
     try:
         size = path.stat().st_size
-        if size > Limits().file_bytes:
+        if size > FileLimits().file_bytes:
             raise PolicyError(
                 f"{where}: the file has {size / 2**20:.0f} MiB, over the limit of "
-                f"{Limits().file_bytes // 2**20}",
+                f"{FileLimits().file_bytes // 2**20}",
                 fix="export the actor alone",
             )
         data = path.read_bytes()

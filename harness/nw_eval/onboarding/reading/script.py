@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety import Limits, TensorFacts, open_archive
+from nw_eval.policies.safety import FileLimits, TensorFacts, open_archive
 from nw_eval.policies.safety.objects import Record, read_objects
 
 _CODE_BYTES = 2**20
@@ -41,7 +41,7 @@ def script_inputs(
         tensors: the file's, for sizes.
     """
     archive = open_archive(data, where)
-    index = archive.read("data.pkl", at_most=Limits().index_bytes)
+    index = archive.read("data.pkl", at_most=FileLimits().index_bytes)
     module = read_objects(index, where)
     if not isinstance(module, Record):
         return ()

@@ -69,11 +69,11 @@ def flow(value: Any) -> str:
 
 def settings(model: BaseModel, *, but: Collection[str] = ()) -> list[str]:
     """Return `key value` for every key of a card's part that has another value than by default."""
-    given = {**{key: getattr(model, key) for key in type(model).model_fields}, **_extra(model)}
+    values = {**{key: getattr(model, key) for key in type(model).model_fields}, **_extra(model)}
     defaults = type(model).model_fields
     return [
         f"{key} {flow(value)}"
-        for key, value in given.items()
+        for key, value in values.items()
         if key not in but
         and not (key in defaults and value == defaults[key].get_default(call_default_factory=True))
     ]

@@ -75,10 +75,10 @@ class ActPolicy(NetworkPolicy):
         self._queue.clear()
         self._step = 0
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Predict if it is time to, and return the blend for this step."""
         if self._step % self._options.query_every == 0:
-            chunk = self._network(given["proprio"], given.get("images"))
+            chunk = self._network(inputs["proprio"], inputs.get("images"))
             self._queue.add(chunk.numpy().astype(np.float64))
         self._step += 1
         return torch.from_numpy(self._queue.take())

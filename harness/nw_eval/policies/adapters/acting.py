@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.policies.network import Network
+from nw_eval.policies.network import OpenNetwork
 from nw_eval.policies.policy import Observation, checked_action
 
 
 class ActingNetwork:
     """A network that was opened for one output, whose numbers are checked as an action."""
 
-    def __init__(self, network: Network, *, joints: int, policy: str) -> None:
+    def __init__(self, network: OpenNetwork, *, joints: int, policy: str) -> None:
         self._network = network
         self._joints = joints
         self._policy = policy

@@ -64,10 +64,10 @@ class ExpertPolicy(NetworkPolicy):
         self._network = ParkourExpert.from_tensors(tensors, str(bundle.checkpoint))
         super().__init__(bundle, (*_BODY, input_spec("scandots", SCANDOTS)), joints=joints)
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Return the actor's output."""
-        history = given["history"].view(1, HISTORY, PROPRIO)
-        return self._network(given["proprio"], given["scandots"], history)
+        history = inputs["history"].view(1, HISTORY, PROPRIO)
+        return self._network(inputs["proprio"], inputs["scandots"], history)
 
 
 class StudentPolicy(NetworkPolicy):
@@ -86,17 +86,17 @@ class StudentPolicy(NetworkPolicy):
         self._seen = torch.zeros(1, LATENT + 2)
         self._step = 0
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Look if it is time to, then act on what was seen last."""
         if self._step % self._options.depth_every == 0:
             self._seen, self._hidden = self._network.see(
-                given["depth"], given["proprio"], self._hidden
+                inputs["depth"], inputs["proprio"], self._hidden
             )
         self._step += 1
         return self._network(
-            given["proprio"],
+            inputs["proprio"],
             self._seen,
-            given["history"].view(1, HISTORY, PROPRIO),
+            inputs["history"].view(1, HISTORY, PROPRIO),
             steer_by_depth=self._options.steer_by_depth,
         )
 

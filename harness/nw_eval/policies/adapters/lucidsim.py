@@ -32,9 +32,9 @@ class LucidSimPolicy(NetworkPolicy):
         inputs = (input_spec("proprio", None), input_spec("frames", FRAMES, *IMAGE))
         super().__init__(bundle, inputs, joints=joints)
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Return the action token's projection."""
-        proprio = given["proprio"]
+        proprio = inputs["proprio"]
         numbers = proprio.shape[-1]
         if numbers not in {PROPRIO, FRAMES * PROPRIO}:
             raise TrialError(
@@ -43,5 +43,5 @@ class LucidSimPolicy(NetworkPolicy):
                 fix="use `layout: parkour53` on the card",
             )
         vectors = proprio.view(-1, PROPRIO).expand(FRAMES, PROPRIO)
-        feeds = {"proprio": vectors.numpy(), "frames": given["frames"][0].numpy()}
+        feeds = {"proprio": vectors.numpy(), "frames": inputs["frames"][0].numpy()}
         return torch.from_numpy(self._session.run(None, feeds)[0])

@@ -64,16 +64,16 @@ class OnnxNetwork:
         except PolicyError as error:
             raise PolicyError(f"{bundle.where}: {clean(error)}") from None
         feeding = [self._fed_by[spec.name] for spec in self._recurrent]
-        given = [node for node in outputs if node.name not in feeding]
-        names = [str(node.name) for node in given]
+        free = [node for node in outputs if node.name not in feeding]
+        names = [str(node.name) for node in free]
         if not names:
             raise PolicyError(
                 f"{bundle.where}: every output of the checkpoint feeds an input, none is an action",
                 fix="say on the card which ones do: `recurrent: {input: output}`",
             )
         places = [place_of(one, names, bundle) for one in wanted]
-        self.wanted = tuple((names[place], tuple(given[place].shape)) for place in places)
-        self._asked = [*dict.fromkeys([*(name for name, _ in self.wanted), *feeding])]
+        self.wanted = tuple((names[place], tuple(free[place].shape)) for place in places)
+        self._outputs = [*dict.fromkeys([*(name for name, _ in self.wanted), *feeding])]
         self.reset(0)
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
@@ -83,20 +83,22 @@ class OnnxNetwork:
             for spec in self._recurrent
         }
 
-    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
+    def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the graph once."""
         if self._session is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        feeds = self._assemble(given)
+        feeds = self._assemble(observation)
         feeds.update(self._memory)
         try:
-            values = self._session.run(self._asked, feeds)
+            values = self._session.run(self._outputs, feeds)
         except Exception as error:
             raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
-        made = {name: np.asarray(value) for name, value in zip(self._asked, values, strict=True)}
+        results = {
+            name: np.asarray(value) for name, value in zip(self._outputs, values, strict=True)
+        }
         for spec in self._recurrent:
-            self._memory[spec.name] = made[self._fed_by[spec.name]]
-        return tuple(made[name] for name, _ in self.wanted)
+            self._memory[spec.name] = results[self._fed_by[spec.name]]
+        return tuple(results[name] for name, _ in self.wanted)
 
     def state(self) -> bytes:
         """Return the recurrent state."""
@@ -145,12 +147,12 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     targets = {
         node.name: tuple(s if isinstance(s, int) else None for s in node.shape) for node in outputs
     }
-    said = bundle.card.recurrent
-    if said is None:
+    named = bundle.card.recurrent
+    if named is None:
         observed = {name for name, _ in bundle.card.input_parts()}
         pairs = state_pairs(inputs, targets)
         return {source: target for source, target in pairs.items() if source not in observed}
-    for source, target in said.items():
+    for source, target in named.items():
         for kind, name, known in (("input", source, inputs), ("output", target, targets)):
             if name not in known:
                 raise PolicyError(
@@ -163,7 +165,7 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
                 f"output {target!r} {targets[target]}",
                 fix="name the output that is the input's next value",
             )
-    return dict(said)
+    return dict(named)
 
 
 def _open(bundle: Bundle) -> ort.InferenceSession:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Stateless:
+class StatelessPolicy:
     """A policy whose action depends on the present observation only."""
 
     def reset(self, seed: int) -> None:

@@ -49,9 +49,9 @@ class TorchExportNetwork(TorchNetwork):
         )
         super().__init__(bundle, inputs)
 
-    def outputs(self, given: dict[str, Tensor]) -> list[Tensor]:
+    def outputs(self, inputs: dict[str, Tensor]) -> list[Tensor]:
         """Run the graph once."""
-        outputs = self._graph.run([given[spec.name] for spec in self._graph.inputs])
+        outputs = self._graph.run([inputs[spec.name] for spec in self._graph.inputs])
         return [outputs[place] for place in self._places]
 
     def forget(self) -> None:

@@ -64,11 +64,11 @@ class TorchScriptNetwork:
         if self._module is not None:
             write_state(self._module, self._slots, self._first)
 
-    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
+    def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the module once."""
         if self._module is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        tensors = [torch.from_numpy(array) for array in self._assemble(given).values()]
+        tensors = [torch.from_numpy(array) for array in self._assemble(observation).values()]
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)

@@ -6,11 +6,11 @@ import numpy as np
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.policies.adapters.stateless import Stateless
+from nw_eval.policies.adapters.stateless import StatelessPolicy
 from nw_eval.policies.policy import Observation
 
 
-class ZeroPolicy(Stateless):
+class ZeroPolicy(StatelessPolicy):
     """Answers every observation with zeros: the robot holds its default pose."""
 
     inputs: tuple[InputSpec, ...] = ()

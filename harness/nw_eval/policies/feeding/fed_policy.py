@@ -58,13 +58,13 @@ class FedPolicy:
             ActionError: a network gave inf or NaN, or as the policy.
             TrialError: a network, or the policy, failed otherwise.
         """
-        given = dict(observation)
+        inputs = dict(observation)
         for feeder in self.feeders:
             if self._actions % feeder.every == 0:
-                self.held |= feeder.run(given)
-            given |= {name: self.held[name] for name in feeder.outputs}
+                self.held |= feeder.run(inputs)
+            inputs |= {name: self.held[name] for name in feeder.outputs}
         self._actions += 1
-        return self.policy.act(given)
+        return self.policy.act(inputs)
 
     def state(self) -> bytes:
         """Return what all of them remember, what is held, and how many actions there were."""

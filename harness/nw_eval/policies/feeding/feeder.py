@@ -11,13 +11,13 @@ from nw_eval.cards.networks import NetworkOutput
 from nw_eval.cards.observations.proprio import selected_indices
 from nw_eval.errors import ActionError, TrialError
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.network import Network, Wanted
+from nw_eval.policies.network import OpenNetwork, Wanted
 from nw_eval.policies.policy import Observation
 
 Array = NDArray[Any]
 
 
-def open_network(bundle: Bundle, wanted: Wanted) -> Network:
+def open_network(bundle: Bundle, wanted: Wanted) -> OpenNetwork:
     """Open one file of a bundle for some of its outputs.
 
     Args:
@@ -56,14 +56,14 @@ class Feeder:
         wanted = [output.output for output in self.outputs.values()]
         self.network = open_network(self.bundle, wanted)
 
-    def run(self, given: Observation) -> dict[str, Array]:
+    def run(self, observation: Observation) -> dict[str, Array]:
         """Ask it; return what it gives by name, each in memory of its own.
 
         Raises:
             ActionError: an output is not finite.
             TrialError: it failed, or `select` or `scale` does not fit an output.
         """
-        raw = self.network.run(given)
+        raw = self.network.run(observation)
         return {
             name: self._finite(name, _picked(name, output, array))
             for (name, output), array in zip(self.outputs.items(), raw, strict=True)

@@ -79,7 +79,7 @@ class Act(nn.Module):
         self.decoder = Decoder(sizes)
         self.action_head = nn.Linear(width, sizes.actions)
         if sizes.normalized:
-            self.normalize = Normalize(sizes)
+            self.normalize = Statistics(sizes)
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, Tensor], where: str, *, heads: int) -> Act:
@@ -124,7 +124,7 @@ class Act(nn.Module):
         return actions
 
 
-class Normalize(nn.Module):
+class Statistics(nn.Module):
     """Statistics of what goes in and comes out."""
 
     def __init__(self, sizes: ActSizes) -> None:

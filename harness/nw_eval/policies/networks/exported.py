@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies.safety import Archive, Limits, file_kind, open_archive, read_tensors
+from nw_eval.policies.safety import Archive, FileLimits, file_kind, open_archive, read_tensors
 from nw_eval.policies.safety.guards import GUARDED
 from nw_eval.policies.safety.torchscript.operators import (
     FACTORIES,
@@ -82,7 +82,7 @@ class _Step:
 class ExportedGraph:
     """A graph and its tensors. Tensors that the graph writes to are its recurrent state."""
 
-    def __init__(self, data: bytes, where: str, limits: Limits | None = None) -> None:
+    def __init__(self, data: bytes, where: str, limits: FileLimits | None = None) -> None:
         """Read a file.
 
         Args:
@@ -94,7 +94,7 @@ class ExportedGraph:
             PolicyError: it is something else, damaged, has dynamic shapes, or an operator that is
                 not allowed.
         """
-        limits = limits or Limits()
+        limits = limits or FileLimits()
         if file_kind(data, where) != "torch-export":
             raise PolicyError(
                 f"{where}: not a torch.export file",
@@ -189,15 +189,15 @@ class ExportedGraph:
         with torch.no_grad():
             for step in self._steps:
                 try:
-                    given = {name: find(values) for name, find in step.arguments.items()}
-                    made = _store(values, step, step.operator(**given))
+                    operands = {name: find(values) for name, find in step.arguments.items()}
+                    size = _store(values, step, step.operator(**operands))
                 except (RuntimeError, TypeError, KeyError, ValueError, IndexError) as error:
                     reason = " ".join(str(error).split())[:160]
                     raise TrialError(
                         f"operator {step.name} of the graph failed: {reason}"
                     ) from error
                 if device == "meta":
-                    taken += made
+                    taken += size
                     if taken > _LARGEST:
                         raise TrialError(f"operator {step.name} of the graph makes {taken} numbers")
             for target, source in self._mutations:
@@ -223,7 +223,7 @@ class ExportedGraph:
             self._tensors[name].copy_(state[name])
 
 
-def _read(archive: Archive, limits: Limits) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def _read(archive: Archive, limits: FileLimits) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """Return the program and its tensors by their names in the module."""
     where = archive.where
     names = archive.names()
@@ -250,7 +250,7 @@ def _read(archive: Archive, limits: Limits) -> tuple[dict[str, Any], dict[str, T
     return _json(archive, models[0], limits), tensors
 
 
-def _json(archive: Archive, name: str, limits: Limits) -> dict[str, Any]:
+def _json(archive: Archive, name: str, limits: FileLimits) -> dict[str, Any]:
     try:
         return json.loads(archive.read(name, at_most=limits.index_bytes))
     except RecursionError:
@@ -258,7 +258,7 @@ def _json(archive: Archive, name: str, limits: Limits) -> dict[str, Any]:
 
 
 def _payload(
-    archive: Archive, folder: str, name: str, entry: dict[str, Any], limits: Limits
+    archive: Archive, folder: str, name: str, entry: dict[str, Any], limits: FileLimits
 ) -> Tensor:
     """Read one tensor, whose numbers must lie in the file."""
     where = archive.where

@@ -43,17 +43,17 @@ def build(
         for name, tensor in network.state_dict().items()
         if not any(word in name for word in unused)
     }
-    given = {
+    saved = {
         name: tensor for name, tensor in tensors.items() if not any(word in name for word in unused)
     }
     faults = [
-        f"{name!r} is missing" for name in needed if name not in given
+        f"{name!r} is missing" for name in needed if name not in saved
     ] + [
-        f"{name!r} is unknown ({nearest(name, needed)})" for name in given if name not in needed
+        f"{name!r} is unknown ({nearest(name, needed)})" for name in saved if name not in needed
     ] + [
-        f"{name!r} has shape {tuple(given[name].shape)}, not {tuple(tensor.shape)}"
+        f"{name!r} has shape {tuple(saved[name].shape)}, not {tuple(tensor.shape)}"
         for name, tensor in needed.items()
-        if name in given and given[name].shape != tensor.shape
+        if name in saved and saved[name].shape != tensor.shape
     ]  # fmt: skip
     if faults:
         shown = "; ".join(faults[:4]) + (f"; and {len(faults) - 4} more" * (len(faults) > 4))
@@ -61,7 +61,7 @@ def build(
             f"{where}: the weights are not those of {network.__class__.__name__}: {shown}",
             fix="check `adapter` on the card, and which network the file was saved from",
         )
-    cast = {name: _as(given[name], like) for name, like in needed.items()}
+    cast = {name: _as(saved[name], like) for name, like in needed.items()}
     network.load_state_dict(cast, assign=True, strict=False)
     return network.eval().requires_grad_(requires_grad=False)
 

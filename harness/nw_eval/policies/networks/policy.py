@@ -46,7 +46,7 @@ class TorchNetwork:
             raise PolicyError(f"{bundle.where}: {error}") from None
         self.forget()
 
-    def outputs(self, given: dict[str, Tensor]) -> Sequence[Tensor]:
+    def outputs(self, inputs: dict[str, Tensor]) -> Sequence[Tensor]:
         """Return what it gives for inputs by name, each with a leading axis of 1."""
         raise NotImplementedError
 
@@ -64,7 +64,7 @@ class TorchNetwork:
         """Begin a trial."""
         self.forget()
 
-    def run(self, given: Observation) -> tuple[NDArray[Any], ...]:
+    def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the network once.
 
         Raises:
@@ -72,7 +72,7 @@ class TorchNetwork:
         """
         if not self._open:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        inputs = {name: torch.from_numpy(x) for name, x in self._assemble(given).items()}
+        inputs = {name: torch.from_numpy(x) for name, x in self._assemble(observation).items()}
         try:
             with torch.inference_mode():
                 outputs = self.outputs(inputs)
@@ -110,13 +110,13 @@ class NetworkPolicy(TorchNetwork):
         super().__init__(bundle, inputs)
         self._joints = joints
 
-    def infer(self, given: dict[str, Tensor]) -> Tensor:
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Return the raw action for inputs by name, each with a leading axis of 1."""
         raise NotImplementedError
 
-    def outputs(self, given: dict[str, Tensor]) -> Sequence[Tensor]:
+    def outputs(self, inputs: dict[str, Tensor]) -> Sequence[Tensor]:
         """Return the raw action alone."""
-        return (self.infer(given),)
+        return (self.infer(inputs),)
 
     def act(self, observation: Observation) -> Action:
         """Run the network once.

@@ -11,7 +11,7 @@ from pathlib import Path
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.inside import OutsideError, inside
-from nw_eval.policies.safety import Limits, check_onnx
+from nw_eval.policies.safety import FileLimits, check_onnx
 from nw_eval.policies.safety.onnx.fields import ONNX
 from nw_eval.policies.safety.onnx.protobuf import Message, Reader, encoded
 
@@ -54,7 +54,7 @@ class _Fold:
         self._path = path
         self._reader = Reader(ONNX)
         self._files: dict[Path, memoryview] = {}
-        self._left = Limits().file_bytes
+        self._left = FileLimits().file_bytes
 
     def model(self) -> bytes:
         """Return the whole file anew."""
@@ -83,13 +83,13 @@ class _Fold:
     def _fetch(self, tensor: Message) -> None:
         """Give a tensor its numbers."""
         entries = [self._reader.read(e, "Entry") for e in tensor.views("external_data")]
-        said = {entry.text("key"): entry.text("value") for entry in entries}
+        place = {entry.text("key"): entry.text("value") for entry in entries}
         name = clean(tensor.text("name"), at_most=100)
-        file = clean(said.get("location", ""), at_most=200)
+        file = clean(place.get("location", ""), at_most=200)
         try:
-            numbers = self._read(inside(self._path.parent, said.get("location", "")))
-            start = int(said.get("offset", 0))
-            size = int(said.get("length", len(numbers) - start))
+            numbers = self._read(inside(self._path.parent, place.get("location", "")))
+            start = int(place.get("offset", 0))
+            size = int(place.get("length", len(numbers) - start))
         except (OutsideError, ValueError) as error:
             raise PolicyError(
                 f"{self._path}: tensor {name!r} lies in {file!r}, which cannot be used: {error}",
@@ -111,7 +111,7 @@ class _Fold:
                 if size > self._left:
                     raise PolicyError(
                         f"{path}: the policy's files have over "
-                        f"{Limits().file_bytes // 2**20} MiB together",
+                        f"{FileLimits().file_bytes // 2**20} MiB together",
                         fix="export the actor alone",
                     )
                 self._left -= size

@@ -290,8 +290,8 @@ def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joi
                 f"it is {own[key]}",
                 fix="copy `control` from the served card",
             )
-    said = {name: shape for name, shape in sizes.items() if shape is not None}
-    shapes = {name: tuple(int(side) for side in shape) for name, shape in said.items()}
+    known = {name: shape for name, shape in sizes.items() if shape is not None}
+    shapes = {name: tuple(int(side) for side in shape) for name, shape in known.items()}
     return Served(digest=digest, shapes=shapes)
 
 

@@ -179,8 +179,8 @@ def _turned_away(connection: ServerConnection, request: Request, host: str) -> R
     A page can have its own host's name point here (DNS rebinding); whoever listens for other
     machines goes by names that are not known here.
     """
-    asked = request.headers.get_all("Host")
-    if not _is_here(host) or (len(asked) == 1 and _is_here(_host_of(asked[0]))):
+    hosts = request.headers.get_all("Host")
+    if not _is_here(host) or (len(hosts) == 1 and _is_here(_host_of(hosts[0]))):
         return None
     return connection.respond(421, "ask for localhost\n")
 

@@ -67,11 +67,11 @@ def decode(data: bytes | str) -> dict[str, Any]:
     """
     if isinstance(data, str):
         raise ValueError("it is text, not bytes")  # noqa: TRY004 - one error for all faults.
-    made = count(1)
+    entries = count(1)
 
     def counted(value: Any) -> Any:
         # A byte can be an empty list of 60 bytes: what a message may unpack to is limited, too.
-        if next(made) > _ENTRIES:
+        if next(entries) > _ENTRIES:
             raise ValueError(f"it holds more than {_ENTRIES} maps and lists")
         return _from_map(value) if isinstance(value, dict) else value
 

@@ -1,7 +1,7 @@
 """Reading checkpoints that nobody vouches for.
 
 Nothing here unpickles, imports or runs what a file contains. Archives, their pickled index and
-every tensor's place and size are checked against `Limits` before memory is taken for them; what
+every tensor's place and size are checked against `FileLimits` before memory is taken for them; what
 fails is a `PolicyError` that says what the file is and how to export it.
 
     kind        what a file is, by its first bytes and its members
@@ -20,7 +20,7 @@ fails is a `PolicyError` that says what the file is and how to export it.
 
 from nw_eval.policies.safety.archive import Archive, open_archive
 from nw_eval.policies.safety.kind import FileKind, file_kind
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.onnx.file import check_onnx
 from nw_eval.policies.safety.tensors import (
     TensorFacts,
@@ -33,7 +33,7 @@ from nw_eval.policies.safety.torchscript.file import check_torchscript
 __all__ = [
     "Archive",
     "FileKind",
-    "Limits",
+    "FileLimits",
     "TensorFacts",
     "check_onnx",
     "check_torchscript",

@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 
 ZIP_FAULTS = (
     zipfile.BadZipFile,
@@ -76,7 +76,7 @@ class Archive:
             ) from None
 
 
-def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archive:
+def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> Archive:
     """Check the members of a zip file and open it.
 
     Args:
@@ -88,7 +88,7 @@ def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archi
         PolicyError: no archive, a damaged one, too many or too large members, a compression that
             only a bomb has, a name that points outside, a link, an encrypted or repeated member.
     """
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     if len(data) > limits.file_bytes:
         raise PolicyError(
             f"{where}: the file has {_mib(len(data))}, over the limit of {_mib(limits.file_bytes)}",
@@ -133,7 +133,7 @@ def open_archive(data: bytes, where: str, limits: Limits | None = None) -> Archi
     return Archive(where=where, zip=archive, root=_root(seen))
 
 
-def _fault(member: zipfile.ZipInfo, limits: Limits) -> str | None:
+def _fault(member: zipfile.ZipInfo, limits: FileLimits) -> str | None:
     path = PurePosixPath(member.filename)
     raw = member.orig_filename
     if path.is_absolute() or ".." in path.parts or "\\" in raw or ":" in raw or "\0" in raw:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class FileLimits:
     """Bounds that are checked before memory is allocated.
 
     The largest policy of this field has some 100 MB; these leave room, and no more than that.

@@ -16,7 +16,7 @@ from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 
 STORAGES = {
     "DoubleStorage": "float64",
@@ -122,7 +122,7 @@ class _RefusedError(Exception):
     """The index asks for something that no description of tensors needs."""
 
 
-def read_objects(index: bytes, where: str, limits: Limits | None = None) -> Any:
+def read_objects(index: bytes, where: str, limits: FileLimits | None = None) -> Any:
     """Return the objects that an index describes.
 
     Args:
@@ -139,13 +139,13 @@ def read_objects(index: bytes, where: str, limits: Limits | None = None) -> Any:
     return read_index(index, where, limits).tree
 
 
-def read_index(index: bytes, where: str, limits: Limits | None = None) -> Index:
+def read_index(index: bytes, where: str, limits: FileLimits | None = None) -> Index:
     """Return what `read_objects` does, and all that was described on the way.
 
     Raises:
         PolicyError: as `read_objects`.
     """
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     machine = _Machine()
     try:
         for opcode, argument, _ in pickletools.genops(index):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.objects import ITEM_BYTES
 
 _DTYPES = {
@@ -26,7 +26,7 @@ _DTYPES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class TensorEntry:
     """A tensor, and where in the file its numbers are: bytes `start` to `stop`."""
 
     name: str
@@ -36,7 +36,7 @@ class Entry:
     stop: int
 
 
-def read_header(data: bytes, where: str, limits: Limits) -> tuple[Entry, ...]:
+def read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEntry, ...]:
     """Read and check the header.
 
     Raises:
@@ -76,9 +76,9 @@ def read_header(data: bytes, where: str, limits: Limits) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def _entry(name: str, fields: dict[str, Any], begin: int) -> Entry:
+def _entry(name: str, fields: dict[str, Any], begin: int) -> TensorEntry:
     start, stop = (begin + int(offset) for offset in fields["data_offsets"])
-    return Entry(
+    return TensorEntry(
         name=name,
         shape=tuple(int(size) for size in fields["shape"]),
         dtype=_DTYPES[fields["dtype"]],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.archive import Archive, open_archive
 from nw_eval.policies.safety.kind import file_kind, kind_said
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.members import SCRIPT_MEMBERS, STATE_MEMBERS, check_members
 from nw_eval.policies.safety.objects import (
     ITEM_BYTES,
@@ -37,7 +37,9 @@ class TensorFacts:
     dtype: str
 
 
-def tensor_facts(data: bytes, where: str, limits: Limits | None = None) -> tuple[TensorFacts, ...]:
+def tensor_facts(
+    data: bytes, where: str, limits: FileLimits | None = None
+) -> tuple[TensorFacts, ...]:
     """Describe all tensors of a state dict, safetensors or TorchScript file.
 
     Nothing is executed and no tensor is read, so this needs neither torch nor memory.
@@ -45,7 +47,7 @@ def tensor_facts(data: bytes, where: str, limits: Limits | None = None) -> tuple
     Raises:
         PolicyError: as `read_tensors`.
     """
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     if file_kind(data, where) == "safetensors":
         entries = read_header(data, where, limits)
         return tuple(TensorFacts(name=e.name, shape=e.shape, dtype=e.dtype) for e in entries)
@@ -57,7 +59,9 @@ def tensor_facts(data: bytes, where: str, limits: Limits | None = None) -> tuple
     )
 
 
-def read_tensors(data: bytes, where: str, limits: Limits | None = None) -> dict[str, torch.Tensor]:
+def read_tensors(
+    data: bytes, where: str, limits: FileLimits | None = None
+) -> dict[str, torch.Tensor]:
     """Read a state dict, or several of them in one file.
 
     Args:
@@ -75,7 +79,7 @@ def read_tensors(data: bytes, where: str, limits: Limits | None = None) -> dict[
     """
     import torch
 
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     kind = file_kind(data, where)
     if kind == "safetensors":
         return {
@@ -109,7 +113,7 @@ def tensors_below(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str,
 
 
 def checked_tree(
-    data: bytes, where: str, limits: Limits, members: re.Pattern[str]
+    data: bytes, where: str, limits: FileLimits, members: re.Pattern[str]
 ) -> tuple[Archive, Index]:
     """Open a torch archive and read its index; all its tensors lie in the file.
 
@@ -134,7 +138,7 @@ def checked_tree(
     return archive, index
 
 
-def check_references(index: Index, archive: Archive, folder: str, limits: Limits) -> None:
+def check_references(index: Index, archive: Archive, folder: str, limits: FileLimits) -> None:
     """Check all tensors of an index, also those that its result no longer holds.
 
     Args:
@@ -160,7 +164,7 @@ def check_references(index: Index, archive: Archive, folder: str, limits: Limits
         _check_reference("a tensor", ref, archive, folder)
 
 
-def leaves(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
+def leaves(tree: Any, where: str, limits: FileLimits) -> Iterator[tuple[str, TensorRef]]:
     """Give every tensor with its name, and stop where they are too many or too large.
 
     Raises:
@@ -178,7 +182,7 @@ def leaves(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorR
         yield name, ref
 
 
-def _references(tree: Any, where: str, limits: Limits) -> Iterator[tuple[str, TensorRef]]:
+def _references(tree: Any, where: str, limits: FileLimits) -> Iterator[tuple[str, TensorRef]]:
     """Walk dicts, lists and scripted objects; an index can repeat parts, so steps are counted."""
     left = [limits.tensors * 4]
 

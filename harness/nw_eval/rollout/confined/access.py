@@ -8,7 +8,7 @@ from nw_eval.cache import cache_dir
 from nw_eval.catalogue.whereabouts import scene_paths
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.errors import StoreError
-from nw_eval.policies.safety import Limits
+from nw_eval.policies.safety import FileLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -35,7 +35,7 @@ def folding_rules(checkpoint: Path, out: Path) -> Rules:
     return Rules(
         reads=(checkpoint.resolve().parent,),
         writes=(out.resolve().parent,),
-        memory=memory_to_open(Limits().file_bytes),
+        memory=memory_to_open(FileLimits().file_bytes),
         seconds=OPENING_SECONDS,
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import FACE_KINDS, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Scene
@@ -34,7 +34,7 @@ _LEAST_INSIDE = 0.02
 _AROUND = 2.0
 
 
-def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[Finding, ...]:
+def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
     """Return what is wrong or remarkable about a scene.
 
     Args:
@@ -59,14 +59,14 @@ def _heights(scene: Scene, rays: RayScene, xy: Values) -> Values:
     return np.where(np.isneginf(heights) & (field > scene.ground.z + _ABOVE_VOID), field, heights)
 
 
-def _spawn(scene: Scene, rays: RayScene) -> list[Finding]:
+def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     x, y, z = scene.spawn.position
     here = np.array([[x, y]])
     floor = float(_heights(scene, rays, here)[0])
     place = (x, y, z)
     if _looks_down(scene, rays, x, y, z):
         return [
-            Finding(
+            SceneFinding(
                 code="inside_out",
                 severity="error",
                 message=f"the faces under the spawn ({x:.2f}, {y:.2f}) look down: the mesh is "
@@ -77,7 +77,7 @@ def _spawn(scene: Scene, rays: RayScene) -> list[Finding]:
         ]
     if not np.isfinite(floor):
         return [
-            Finding(
+            SceneFinding(
                 code="no_floor_under_spawn",
                 severity="error",
                 message=f"there is no surface under the spawn ({x:.2f}, {y:.2f})",
@@ -85,10 +85,10 @@ def _spawn(scene: Scene, rays: RayScene) -> list[Finding]:
                 place=place,
             )
         ]
-    findings: list[Finding] = []
+    findings: list[SceneFinding] = []
     if abs(floor) > _FLOOR:
         findings.append(
-            Finding(
+            SceneFinding(
                 code="floor_offset",
                 severity="warning",
                 message=f"the floor under the spawn is at z = {floor:.3f} m, not at 0",
@@ -114,7 +114,7 @@ def _spawn(scene: Scene, rays: RayScene) -> list[Finding]:
     if highest > level + _CLEARANCE or inside:
         found = "a solid" if inside else f"something {highest - level:.2f} m high"
         findings.append(
-            Finding(
+            SceneFinding(
                 code="spawn_blocked",
                 severity="error",
                 message=f"{found} is where the robot starts, at ({x:.2f}, {y:.2f})",
@@ -147,18 +147,18 @@ def _inside_a_box(scene: Scene, points: Values, z: float) -> bool:
     return False
 
 
-def _waypoints(scene: Scene, rays: RayScene) -> list[Finding]:
+def _waypoints(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     heights = _heights(scene, rays, scene.trail[:, :2])
     rows = enumerate(zip(scene.trail.tolist(), heights.tolist(), strict=True))
     found = starmap(lambda index, row: _waypoint(index, row[0], row[1]), rows)
     return [finding for finding in found if finding is not None]
 
 
-def _waypoint(index: int, point: list[float], ground: float) -> Finding | None:
+def _waypoint(index: int, point: list[float], ground: float) -> SceneFinding | None:
     x, y, z = point
     name = f"waypoint {index} at ({x:.2f}, {y:.2f}, {z:.2f})"
     if not np.isfinite(ground):
-        return Finding(
+        return SceneFinding(
             code="waypoint_off_mesh",
             severity="error",
             message=f"{name} has no surface under it",
@@ -166,7 +166,7 @@ def _waypoint(index: int, point: list[float], ground: float) -> Finding | None:
             place=(x, y, z),
         )
     if z < ground - _UNDER:
-        return Finding(
+        return SceneFinding(
             code="waypoint_below_surface",
             severity="error",
             message=f"{name} lies {ground - z:.3f} m below the surface",
@@ -175,7 +175,7 @@ def _waypoint(index: int, point: list[float], ground: float) -> Finding | None:
             place=(x, y, z),
         )
     if z > ground + _OVER:
-        return Finding(
+        return SceneFinding(
             code="waypoint_above_surface",
             severity="warning",
             message=f"{name} hangs {z - ground:.2f} m above the surface",
@@ -186,16 +186,16 @@ def _waypoint(index: int, point: list[float], ground: float) -> Finding | None:
     return None
 
 
-def _splat(scene: Scene) -> list[Finding]:
+def _splat(scene: Scene) -> list[SceneFinding]:
     try:
         means = _means(scene)
     except SceneError as error:
         empty = any(word in str(error) for word in ("empty", "none of", "no Gaussian"))
         code = "splat_empty" if empty else "splat_invalid"
-        return [Finding(code=code, severity="error", message=str(error))]
+        return [SceneFinding(code=code, severity="error", message=str(error))]
     if len(means) == 0:
         message = "the splat has no Gaussians"
-        return [Finding(code="splat_empty", severity="error", message=message)]
+        return [SceneFinding(code="splat_empty", severity="error", message=message)]
     mesh = scene.mesh()
     # The trail's surroundings: a ground plane may reach far beyond what was photographed.
     path = np.vstack([[scene.spawn.position], scene.trail])
@@ -208,7 +208,7 @@ def _splat(scene: Scene) -> list[Finding]:
         return []
     middle = np.median(world, axis=0).round(2).tolist()
     return [
-        Finding(
+        SceneFinding(
             code="splat_elsewhere",
             severity="error",
             message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie round the trail; "

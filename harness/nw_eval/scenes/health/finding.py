@@ -37,7 +37,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class SceneFinding:
     """A fault or a peculiarity of a scene.
 
     Attributes:
@@ -62,12 +62,12 @@ class Finding:
         return text if self.fix is None else f"{text}; {clean(self.fix)}"
 
 
-def has_errors(findings: Iterable[Finding]) -> bool:
+def has_errors(findings: Iterable[SceneFinding]) -> bool:
     """Return whether any finding is an error: then `nw-eval scenes check` exits with 2."""
     return any(finding.severity == "error" for finding in findings)
 
 
-def unreadable(error: SceneError) -> tuple[Finding, ...]:
+def unreadable(error: SceneError) -> tuple[SceneFinding, ...]:
     """Return what kept a scene from being read, a finding for each line of the error."""
     lines = str(error).splitlines()
-    return tuple(Finding(code="unreadable", severity="error", message=line) for line in lines)
+    return tuple(SceneFinding(code="unreadable", severity="error", message=line) for line in lines)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 
@@ -70,13 +70,13 @@ def compare(visual: TriangleMesh, collision: TriangleMesh, shift: Values) -> Con
 
 def consistency_findings(
     visual: TriangleMesh, collision: TriangleMesh, shift: Values
-) -> tuple[Finding, ...]:
+) -> tuple[SceneFinding, ...]:
     """Return the finding that the meshes disagree, with numbers, or nothing."""
     found = compare(visual, collision, shift)
     if found.median <= _MEDIAN_LIMIT and found.share_off <= _SHARE_LIMIT:
         return ()
     return (
-        Finding(
+        SceneFinding(
             code="inconsistent_meshes",
             severity="error",
             message="collision mesh and placed visual mesh do not coincide: median distance "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.inside import what_is
 from nw_eval.scenes.folder import FileSplat
-from nw_eval.scenes.health.finding import Finding, unreadable
+from nw_eval.scenes.health.finding import SceneFinding, unreadable
 from nw_eval.scenes.limits import REACH, SOLIDS, WAYPOINTS
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.name import name_of
@@ -45,7 +45,7 @@ class Inspection:
     """
 
     scene: Scene | None
-    findings: tuple[Finding, ...]
+    findings: tuple[SceneFinding, ...]
 
 
 def load_published(
@@ -116,14 +116,14 @@ def trail_of(tree: Tree, places: Places) -> NDArray[np.float64]:
     return trail
 
 
-def _load(places: Places, collision: Collision) -> tuple[Scene, list[Finding]]:
+def _load(places: Places, collision: Collision) -> tuple[Scene, list[SceneFinding]]:
     tree = read_tree(places)
     trail = trail_of(tree, places)
     row, published = row_of(places.name)
-    findings: list[Finding] = []
+    findings: list[SceneFinding] = []
     if not published:
         findings.append(
-            Finding(
+            SceneFinding(
                 code="task_guessed",
                 severity="note",
                 message=f"{places.name!r} is not in the published table; its name was taken to "
@@ -137,7 +137,7 @@ def _load(places: Places, collision: Collision) -> tuple[Scene, list[Finding]]:
 
 def _scan(
     tree: Tree, places: Places, trail: NDArray[np.float64], collision: Collision
-) -> tuple[Scene, list[Finding]]:
+) -> tuple[Scene, list[SceneFinding]]:
     # Embree loads with it; listing scenes needs neither.
     from nw_eval.scenes.terrain.store import compiled_terrain
 
@@ -164,11 +164,11 @@ def _scan(
     return scene, [*terrain.findings, *_splat_findings(scan, places)]
 
 
-def _splat_findings(scan: Scan, places: Places) -> list[Finding]:
+def _splat_findings(scan: Scan, places: Places) -> list[SceneFinding]:
     """Return that there is no splat, or which of two is read."""
     if not scan.splats:
         return [
-            Finding(
+            SceneFinding(
                 code="no_splat",
                 severity="error",
                 message=f"{places.folder}: there is neither {' nor '.join(SPLATS)}",
@@ -179,7 +179,7 @@ def _splat_findings(scan: Scan, places: Places) -> list[Finding]:
         return []
     read, other = (path.name for path in scan.splats)
     message = f"{scan.splats[0].parent} holds {read} and {other}: {read} is read"
-    return [Finding(code="two_splats", severity="note", message=message)]
+    return [SceneFinding(code="two_splats", severity="note", message=message)]
 
 
 def _with_overhead(scan: Scan, trail: NDArray[np.float64], options: TerrainOptions) -> TriangleMesh:
@@ -195,7 +195,7 @@ def _with_overhead(scan: Scan, trail: NDArray[np.float64], options: TerrainOptio
 
 def _parametric(
     tree: Tree, places: Places, trail: NDArray[np.float64], _collision: Collision
-) -> tuple[Scene, list[Finding]]:
+) -> tuple[Scene, list[SceneFinding]]:
     solid = [
         geom
         for geom in tree.geoms
@@ -224,9 +224,9 @@ def _parametric(
     )
 
 
-def _between_robots(places: Places, tree: Tree) -> list[Finding]:
+def _between_robots(places: Places, tree: Tree) -> list[SceneFinding]:
     """Return whether the XML of the other robot places anything else."""
-    findings: list[Finding] = []
+    findings: list[SceneFinding] = []
     for robot in ROBOTS:
         xml = places.xml.with_name(f"nw-{robot}-{places.name}.xml")
         if what_is(xml) != "file" or xml == places.xml:
@@ -247,7 +247,7 @@ def _between_robots(places: Places, tree: Tree) -> list[Finding]:
         if differing or scales[0] != scales[1]:
             what = ", ".join(differing[:5]) or f"the mesh scale ({scales[0]} and {scales[1]})"
             findings.append(
-                Finding(
+                SceneFinding(
                     code="xml_disagree",
                     severity="warning",
                     message=f"{places.xml.name} and {xml.name} place differently: {what}",

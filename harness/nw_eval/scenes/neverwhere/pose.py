@@ -91,22 +91,22 @@ def pose(element: Element, angles: Angles) -> Matrix:
 
 
 def _rotation(element: Element, angles: Angles) -> Matrix:
-    given = [name for name in _ORIENTATIONS if element.get(name) is not None]
-    if not given:
+    named = [name for name in _ORIENTATIONS if element.get(name) is not None]
+    if not named:
         return np.eye(3)
-    if len(given) > 1:
-        raise element.error(f"more than one orientation: {', '.join(given)}", fix="keep one")
-    if given[0] == "quat":
+    if len(named) > 1:
+        raise element.error(f"more than one orientation: {', '.join(named)}", fix="keep one")
+    if named[0] == "quat":
         quat = numbers(element, "quat", (4,)) or []
         if sum(part * part for part in quat) * QUAT**2 < 1.0:
             raise element.error("quat is zero")
         return rotation_matrix(quat)
-    if given[0] == "euler":
+    if named[0] == "euler":
         return euler_rotation(numbers(element, "euler", (3,)) or [], angles)
-    if given[0] == "axisangle":
+    if named[0] == "axisangle":
         x, y, z, angle = numbers(element, "axisangle", (4,)) or []
         return _turn(np.array([x, y, z]), angle * angles.unit, element)
-    if given[0] == "xyaxes":
+    if named[0] == "xyaxes":
         values = np.array(numbers(element, "xyaxes", (6,)))
         first = _unit(values[:3], element)
         second = _unit(values[3:] - (values[3:] @ first) * first, element)

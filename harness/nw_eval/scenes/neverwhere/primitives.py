@@ -133,8 +133,8 @@ def checked_friction(geom: PlacedGeom, default: Friction) -> Friction:
     Raises:
         SceneError: a coefficient is negative or too large, or the sliding one is 0.
     """
-    given = numbers(geom.element, "friction", (1, 2, 3)) or []
-    sliding, torsional, rolling = [*given, *default[len(given) :]]
+    stated = numbers(geom.element, "friction", (1, 2, 3)) or []
+    sliding, torsional, rolling = [*stated, *default[len(stated) :]]
     if sliding <= 0 or min(torsional, rolling) < 0 or max(sliding, torsional, rolling) > FRICTION:
         raise geom.element.error(
             f"friction={geom.element.get('friction')!r}", fix=f"give numbers up to {FRICTION:g}"

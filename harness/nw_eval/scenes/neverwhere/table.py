@@ -13,7 +13,7 @@ from nw_eval.scenes.scene import Task
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class TableRow:
     """Task, and half widths in metres of the waypoint noise along x and y."""
 
     task: Task
@@ -54,18 +54,18 @@ _ROWS: tuple[tuple[Task, float, float, str], ...] = (
     ("ramps", 0.15, 0.15, "ramp_jacobs_front ramp_jacobs_indoor ramps_fah_ll_indoor"),
 )
 
-PUBLISHED: dict[str, Row] = {
-    name: Row(task=task, waypoint_noise=(x, y))
+PUBLISHED: dict[str, TableRow] = {
+    name: TableRow(task=task, waypoint_noise=(x, y))
     for task, x, y, names in _ROWS
     for name in names.split()
 }
 
-LUCIDSIM: dict[str, Row] = {
-    "hurdle": Row(task="hurdles", waypoint_noise=(0.0, 0.1)),
-    "gaps": Row(task="gaps", waypoint_noise=(0.0, 0.1)),
-    "parkour": Row(task="ramps", waypoint_noise=(0.1, 0.1)),
-    "stairs_v1": Row(task="stairs", waypoint_noise=(0.0, 0.1)),
-    "stairs_v2": Row(task="stairs", waypoint_noise=(0.0, 0.1)),
+LUCIDSIM: dict[str, TableRow] = {
+    "hurdle": TableRow(task="hurdles", waypoint_noise=(0.0, 0.1)),
+    "gaps": TableRow(task="gaps", waypoint_noise=(0.0, 0.1)),
+    "parkour": TableRow(task="ramps", waypoint_noise=(0.1, 0.1)),
+    "stairs_v1": TableRow(task="stairs", waypoint_noise=(0.0, 0.1)),
+    "stairs_v2": TableRow(task="stairs", waypoint_noise=(0.0, 0.1)),
 }
 """By the name of the XML, without its suffix."""
 
@@ -79,12 +79,12 @@ _WORDS: tuple[tuple[str, Task], ...] = (
 )
 
 
-def row_of(name: str) -> tuple[Row, bool]:
+def row_of(name: str) -> tuple[TableRow, bool]:
     """Return the row of a scene and whether it is the published one, not guessed from the name."""
     for rows in (PUBLISHED, LUCIDSIM):
         if name in rows:
             return rows[name], True
     for word, task in _WORDS:
         if word in name.lower():
-            return Row(task=task, waypoint_noise=(0.0, 0.1)), False
-    return Row(task="hurdles", waypoint_noise=(0.0, 0.1)), False
+            return TableRow(task=task, waypoint_noise=(0.0, 0.1)), False
+    return TableRow(task="hurdles", waypoint_noise=(0.0, 0.1)), False

@@ -82,7 +82,7 @@ def read_tree(places: Places) -> Tree:
     sections = _Sections(places)
     sections.expand(root, (places.xml.resolve(),))
     angles, mesh_folder = _compiler(sections)
-    walk = _Walk(angles=angles, defaults=_Defaults(sections))
+    walk = _BodyWalk(angles=angles, defaults=_Defaults(sections))
     for section in sections.worlds:
         walk.visit(section, np.eye(4), (), "main")
     meshes: dict[str, Element] = {}
@@ -212,18 +212,18 @@ class _Defaults:
         return Element(tag=element.tag, attributes=filled, file=element.file, line=element.line)
 
 
-def _filled(default: dict[str, str], given: dict[str, str]) -> dict[str, str]:
+def _filled(default: dict[str, str], own: dict[str, str]) -> dict[str, str]:
     """Return attributes over defaults; a list given in part keeps the default's end."""
-    filled = {**default, **given}
+    filled = {**default, **own}
     for name in ("friction", "size"):
-        if name in default and name in given:
-            parts = given[name].split()
+        if name in default and name in own:
+            parts = own[name].split()
             filled[name] = " ".join([*parts, *default[name].split()[len(parts) :]])
     return filled
 
 
 @dataclass(kw_only=True)
-class _Walk:
+class _BodyWalk:
     """Goes through a world body and places what it finds."""
 
     angles: Angles

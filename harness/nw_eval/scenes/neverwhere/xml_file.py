@@ -57,10 +57,10 @@ def read_xml(path: Path) -> Element:
         text = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return _Reader(path).read(text)
+    return _TreeBuilder(path).read(text)
 
 
-class _Reader:
+class _TreeBuilder:
     """Builds the tree of one file."""
 
     def __init__(self, path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box
@@ -61,7 +61,7 @@ class Terrain:
     floor: float
     spawn_height: float
     accuracy: Accuracy
-    findings: tuple[Finding, ...]
+    findings: tuple[SceneFinding, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +76,7 @@ class _Field:
     edges: tuple[Plate, ...]
     slabs: tuple[Plate, ...]
     invented: NDArray[np.bool_]
-    findings: tuple[Finding, ...]
+    findings: tuple[SceneFinding, ...]
 
 
 def build_terrain(
@@ -143,7 +143,7 @@ def _field(
         x, y = grid.points()[raised.ravel()][0].tolist()
         findings = (
             *findings,
-            Finding(
+            SceneFinding(
                 code="thin_wall",
                 severity="note",
                 message=f"{int(raised.sum())} samples stand on sheets thinner than "
@@ -191,7 +191,7 @@ def _solid(field: _Field, floor: float, options: TerrainOptions) -> HeightField:
     )
 
 
-def _sheet_findings(surface: Surface, grid: Grid) -> tuple[Finding, ...]:
+def _sheet_findings(surface: Surface, grid: Grid) -> tuple[SceneFinding, ...]:
     step = Grid.over(
         np.array([grid.x0, grid.y0]),
         np.array([grid.x0, grid.y0]) + 2 * np.array(grid.half_size),
@@ -203,7 +203,7 @@ def _sheet_findings(surface: Surface, grid: Grid) -> tuple[Finding, ...]:
     area = float(sheets.sum()) * step.spacing**2
     x, y = step.points()[sheets].mean(axis=0).tolist()
     return (
-        Finding(
+        SceneFinding(
             code="layered_sheet",
             severity="warning",
             message=f"a sheet without an underside hangs over {area:.1f} m2 round "
@@ -215,13 +215,13 @@ def _sheet_findings(surface: Surface, grid: Grid) -> tuple[Finding, ...]:
     )
 
 
-def _plate_findings(near: _Field) -> tuple[Finding, ...]:
+def _plate_findings(near: _Field) -> tuple[SceneFinding, ...]:
     if not near.slabs:
         return ()
     x, y = near.slabs[0].origin.tolist()
     top = near.slabs[0].top
     return (
-        Finding(
+        SceneFinding(
             code="overhang",
             severity="note",
             message=f"{len(near.slabs)} boxes stand for what hangs over the ground, the largest at "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cache import cache_dir, read_sealed, sealed_path
 from nw_eval.scenes.digest import digest
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box
@@ -112,7 +112,7 @@ def _read(path: Path, key: str, mesh: TriangleMesh, options: TerrainOptions) -> 
         floor=meta["floor"],
         spawn_height=meta["spawn_height"],
         accuracy=Accuracy(**meta["accuracy"]),
-        findings=tuple(Finding(**_tuples(finding)) for finding in meta["findings"]),
+        findings=tuple(SceneFinding(**_tuples(finding)) for finding in meta["findings"]),
     )
 
 

@@ -41,8 +41,8 @@ def save_mp4(path: Path, images: Iterable[Image], *, rate: float = 24.0) -> None
             [*command, str(temporary)], input=data, capture_output=True, check=False
         )
         if done.returncode != 0:
-            said = done.stderr.decode(errors="replace").strip().splitlines()
+            lines = done.stderr.decode(errors="replace").strip().splitlines()
             raise SceneError(
-                f"{path}: ffmpeg failed: {said[-1] if said else done.returncode}",
+                f"{path}: ffmpeg failed: {lines[-1] if lines else done.returncode}",
                 fix="name a .gif instead",
             )

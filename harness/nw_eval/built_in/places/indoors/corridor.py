@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.indoors import furniture
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
@@ -27,8 +27,8 @@ class Corridor:
     height: float = 2.6
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the corridor on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the corridor."""
         x = (-3.0, length + 7.0)
         y = (-self.width / 2, self.width / 2)
         span = x[1] - x[0]
@@ -62,7 +62,7 @@ class Corridor:
             return [strip, rail, *boards, *signs, *leaves]
 
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -95,21 +95,21 @@ class Corridor:
             },
         )
         for at in panels:
-            stage.lamp(
+            builder.lamp(
                 (at - 0.6, -0.15, self.height - 0.02), (0.0, 0.3, 0.0), (1.2, 0.0, 0.0),
                 (5.2, 5.1, 4.7),
             )  # fmt: skip
-        window_lamp(stage, (x[1] - 0.02, 0.75, 0.05), (0.0, -1.5, 0.0), (0.0, 0.0, 2.1))
-        self._furnish(stage, length, y)
+        window_lamp(builder, (x[1] - 0.02, 0.75, 0.05), (0.0, -1.5, 0.0), (0.0, 0.0, 2.1))
+        self._furnish(builder, length, y)
 
-    def _furnish(self, stage: Stage, length: float, y: tuple[float, float]) -> None:
+    def _furnish(self, builder: PlaceBuilder, length: float, y: tuple[float, float]) -> None:
         lockers = length + 1.2
         for index in range(4):
             start = lockers + 0.42 * index
-            stage.box(
+            builder.box(
                 (start, start + 0.40), (y[0], y[0] + 0.34), (0.0, 1.75), "locker/blue", fine=0.7
             )
-        stage.box((-0.2, 0.25), (y[1] - 0.10, y[1]), (0.85, 1.45), "extinguisher", solid=False)
-        furniture.plant(stage, length + 3.6, y[1] - 0.32, height=1.3)
-        furniture.chair(stage, length + 1.6, y[1] - 0.35, facing=-1.0, seat="plastic/orange")
-        furniture.chair(stage, length + 2.2, y[1] - 0.35, facing=-1.0)
+        builder.box((-0.2, 0.25), (y[1] - 0.10, y[1]), (0.85, 1.45), "extinguisher", solid=False)
+        furniture.plant(builder, length + 3.6, y[1] - 0.32, height=1.3)
+        furniture.chair(builder, length + 1.6, y[1] - 0.35, facing=-1.0, seat="plastic/orange")
+        furniture.chair(builder, length + 2.2, y[1] - 0.35, facing=-1.0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.indoors import furniture
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
@@ -35,8 +35,8 @@ class Lobby:
     beyond: float = 1.6
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the hall on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the hall."""
         x = (-2.6, length + self.beyond)
         y = (-self.width / 2, self.width / 2)
         span = x[1] - x[0]
@@ -44,7 +44,7 @@ class Lobby:
         middle, up = self.width / 2, self.gallery
         panels = [(x[0] + span * share, side) for share in (0.2, 0.5, 0.8) for side in (-1.6, 1.6)]
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -96,35 +96,35 @@ class Lobby:
             },
         )  # fmt: skip
         for at, side in panels:
-            stage.lamp(
+            builder.lamp(
                 (at - 0.6, side - 0.35, self.height - 0.02), (0.0, 0.7, 0.0), (1.2, 0.0, 0.0),
                 (6.5, 6.3, 5.8),
             )  # fmt: skip
         for u, w in windows:
-            window_lamp(stage, (x[0] + u, y[1] - 0.02, 1.0), (w, 0.0, 0.0), (0.0, 0.0, 2.9))
-        self._furnish(stage, x, y, length)
+            window_lamp(builder, (x[0] + u, y[1] - 0.02, 1.0), (w, 0.0, 0.0), (0.0, 0.0, 2.9))
+        self._furnish(builder, x, y, length)
 
     def _furnish(
-        self, stage: Stage, x: tuple[float, float], y: tuple[float, float], length: float
+        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], length: float
     ) -> None:
         if self.gallery > 0.0:
             for side in (-1, 1):
                 wall = y[1] if side > 0 else y[0]
                 across = (min(side * self.flight / 2, wall), max(side * self.flight / 2, wall))
-                stage.box(
+                builder.box(
                     (length - 0.9, x[1]), across, (0.0, self.gallery), self.deck,
                     kind="structure", faces=("-x", "+z"),
                 )  # fmt: skip
-                stage.box(
+                builder.box(
                     (length - 0.9, length - 0.84), across, (self.gallery, self.gallery + 0.55),
                     "metal/grey", kind="structure", fine=0.9,
                 )  # fmt: skip
         desk = (-0.4, 1.4)
-        stage.box(desk, (y[0] + 0.5, y[0] + 1.0), (0.0, 1.05), "veneer/beech", top="metal/dark")
+        builder.box(desk, (y[0] + 0.5, y[0] + 1.0), (0.0, 1.05), "veneer/beech", top="metal/dark")
         for index in range(3):
             furniture.chair(
-                stage, 0.3 + 0.6 * index, y[1] - 0.4, facing=-1.0,
+                builder, 0.3 + 0.6 * index, y[1] - 0.4, facing=-1.0,
                 seat=("plastic/navy", "plastic/orange")[index % 2],
             )  # fmt: skip
-        furniture.plant(stage, -1.2, y[1] - 0.5, height=1.6)
-        furniture.plant(stage, max(length - 1.6, 2.2), y[0] + 0.5, height=1.4)
+        furniture.plant(builder, -1.2, y[1] - 0.5, height=1.6)
+        furniture.plant(builder, max(length - 1.6, 2.2), y[0] + 0.5, height=1.4)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.indoors import furniture
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
@@ -29,8 +29,8 @@ class Room:
     hall: bool = False
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the room on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the room."""
         x = (-2.4, length + 2.6)
         y = (-self.width / 2, self.width / 2)
         span = x[1] - x[0]
@@ -52,7 +52,7 @@ class Room:
         }
         accent = self.accent or self.walls
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -62,21 +62,21 @@ class Room:
             decals=decals,
         )
         for x0, x1, y0, y1 in panels:
-            stage.lamp(
+            builder.lamp(
                 (x0, y0, self.height - 0.02), (0.0, y1 - y0, 0.0), (x1 - x0, 0.0, 0.0),
                 (5.0, 4.8, 4.4),
             )  # fmt: skip
         for u, w in windows:
             window_lamp(
-                stage,
+                builder,
                 (x[0] + u, y[1] - 0.02, sill),
                 (w, 0.0, 0.0),
                 (0.0, 0.0, lintel - sill),
             )
         if self.hall:
-            self._hall(stage, x, y)
+            self._hall(builder, x, y)
         else:
-            self._seminar(stage, x, y, windows)
+            self._seminar(builder, x, y, windows)
 
     def _windows(self, span: float) -> list[tuple[float, float]]:
         count = max(2, int(span / 2.6))
@@ -122,32 +122,36 @@ class Room:
 
     def _seminar(
         self,
-        stage: Stage,
+        builder: PlaceBuilder,
         x: tuple[float, float],
         y: tuple[float, float],
         windows: list[tuple[float, float]],
     ) -> None:
         for u, w in windows:
-            furniture.radiator(stage, (x[0] + u + 0.1, x[0] + u + w - 0.1), (y[1] - 0.11, y[1]))
+            furniture.radiator(builder, (x[0] + u + 0.1, x[0] + u + w - 0.1), (y[1] - 0.11, y[1]))
         far = x[1]
-        furniture.bookshelf(stage, (far - 2.3, far - 1.2), (y[0], y[0] + 0.32), face="+y")
+        furniture.bookshelf(builder, (far - 2.3, far - 1.2), (y[0], y[0] + 0.32), face="+y")
         furniture.bookshelf(
-            stage, (far - 3.5, far - 2.4), (y[0], y[0] + 0.32), face="+y", height=1.2
+            builder, (far - 3.5, far - 2.4), (y[0], y[0] + 0.32), face="+y", height=1.2
         )
-        furniture.plant(stage, far - 0.45, y[1] - 0.5)
-        furniture.table(stage, (0.9, 2.5), (y[1] - 0.95, y[1] - 0.25))
-        furniture.chair(stage, 1.3, y[1] - 1.1, facing=1.0)
-        furniture.chair(stage, 2.1, y[1] - 1.15, facing=1.0, seat="plastic/orange")
-        furniture.table(stage, (far - 2.4, far - 0.9), (y[1] - 0.95, y[1] - 0.25))
-        furniture.chair(stage, far - 1.7, y[1] - 1.15, facing=1.0)
+        furniture.plant(builder, far - 0.45, y[1] - 0.5)
+        furniture.table(builder, (0.9, 2.5), (y[1] - 0.95, y[1] - 0.25))
+        furniture.chair(builder, 1.3, y[1] - 1.1, facing=1.0)
+        furniture.chair(builder, 2.1, y[1] - 1.15, facing=1.0, seat="plastic/orange")
+        furniture.table(builder, (far - 2.4, far - 0.9), (y[1] - 0.95, y[1] - 0.25))
+        furniture.chair(builder, far - 1.7, y[1] - 1.15, facing=1.0)
         furniture.crate(
-            stage, (far - 0.5, far - 0.1), (y[0] + 0.1, y[0] + 0.5), (0.0, 0.34), "cardboard"
+            builder, (far - 0.5, far - 0.1), (y[0] + 0.1, y[0] + 0.5), (0.0, 0.34), "cardboard"
         )
 
-    def _hall(self, stage: Stage, x: tuple[float, float], y: tuple[float, float]) -> None:
+    def _hall(self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float]) -> None:
         for start in (x[0] + 1.0, x[1] - 3.2):
-            stage.box((start, start + 2.2), (y[1] - 0.35, y[1] - 0.05), (0.30, 0.36), "planks/pine")
+            builder.box(
+                (start, start + 2.2), (y[1] - 0.35, y[1] - 0.05), (0.30, 0.36), "planks/pine"
+            )
             for end in (start + 0.2, start + 1.9):
-                stage.box((end, end + 0.08), (y[1] - 0.33, y[1] - 0.07), (0.0, 0.30), "planks/pine")
-        stage.box((x[1] - 1.6, x[1] - 0.2), (y[0] + 0.35, y[0] + 1.15), (0.0, 0.40), "foam/blue")
-        stage.box((x[1] - 1.5, x[1] - 0.3), (y[0] + 0.40, y[0] + 1.10), (0.40, 0.62), "foam/red")
+                builder.box(
+                    (end, end + 0.08), (y[1] - 0.33, y[1] - 0.07), (0.0, 0.30), "planks/pine"
+                )
+        builder.box((x[1] - 1.6, x[1] - 0.2), (y[0] + 0.35, y[0] + 1.15), (0.0, 0.40), "foam/blue")
+        builder.box((x[1] - 1.5, x[1] - 0.3), (y[0] + 0.40, y[0] + 1.10), (0.40, 0.62), "foam/red")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
@@ -28,8 +28,8 @@ class Underpass:
     height: float = 2.9
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the underpass on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the underpass."""
         x = (-4.0, length + 8.0)
         y = (-self.width / 2, self.width / 2)
         span, middle = x[1] - x[0], self.width / 2
@@ -45,7 +45,7 @@ class Underpass:
             ]
 
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -84,17 +84,17 @@ class Underpass:
         )
         for at in lamps:
             for edge in (y[0] + 0.5, y[1] - 0.5):
-                stage.lamp(
+                builder.lamp(
                     (at - 0.7, edge - 0.12, self.height - 0.02), (0.0, 0.24, 0.0), (1.4, 0.0, 0.0),
                     (6.0, 5.8, 5.2),
                 )  # fmt: skip
         window_lamp(
-            stage, (x[1] - 0.02, middle - 0.25, 0.05), (0.0, -self.width + 0.5, 0.0),
+            builder, (x[1] - 0.02, middle - 0.25, 0.05), (0.0, -self.width + 0.5, 0.0),
             (0.0, 0.0, self.height - 0.4),
         )  # fmt: skip
         for at in (1.8, length + 2.6):
-            stage.box(
+            builder.box(
                 (at, at + 1.6), (y[1] - 0.55, y[1] - 0.12), (0.0, 0.45), "concrete/light", fine=0.9
             )
-        stage.prism((length + 3.4, y[0] + 0.35), (0.0, 0.85), (0.2, 0.21), "metal/green",
+        builder.prism((length + 3.4, y[0] + 0.35), (0.0, 0.85), (0.2, 0.21), "metal/green",
                     sides=10, cap="metal/black")  # fmt: skip

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import ALL_FACES, PlaceBuilder
 from nw_eval.built_in.places.indoors import furniture
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import ALL_FACES, Stage
 from nw_eval.built_in.places.walls import room_shell
 
 # What lies on the pallets, rack by rack.
@@ -38,8 +38,8 @@ class Warehouse:
     height: float = 5.2
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the warehouse on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the warehouse."""
         x = (-3.0, length + 4.5)
         y = (-self.width / 2, self.width / 2)
         span, middle = x[1] - x[0], self.width / 2
@@ -48,7 +48,7 @@ class Warehouse:
             for side in (-1.75, 1.75)
         ]
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -71,25 +71,25 @@ class Warehouse:
         )
         for index in range(max(2, round(span / 3.0))):
             at = x[0] + (index + 0.5) * span / max(2, round(span / 3.0))
-            stage.box(
+            builder.box(
                 (at - 0.75, at + 0.75), (-0.12, 0.12), (self.height - 0.6, self.height - 0.52),
                 "lamp", kind="overhead", solid=False, faces=ALL_FACES,
             )  # fmt: skip
-            stage.lamp(
+            builder.lamp(
                 (at - 0.75, -0.12, self.height - 0.61), (0.0, 0.24, 0.0), (1.5, 0.0, 0.0),
                 (22.0, 21.6, 20.4),
             )  # fmt: skip
         for side in (-1, 1):
-            self._racks(stage, (x[0] + 0.4, length + 2.6), side)
-        furniture.drum(stage, x[1] - 0.7, y[0] + 0.6, "metal/red")
-        furniture.drum(stage, x[1] - 1.4, y[0] + 0.6, "metal/blue")
+            self._racks(builder, (x[0] + 0.4, length + 2.6), side)
+        furniture.drum(builder, x[1] - 0.7, y[0] + 0.6, "metal/red")
+        furniture.drum(builder, x[1] - 1.4, y[0] + 0.6, "metal/blue")
         for level in range(4):
-            stage.box(
+            builder.box(
                 (x[1] - 1.5, x[1] - 0.3), (y[1] - 1.3, y[1] - 0.3),
                 (0.14 * level, 0.14 * level + 0.13), "planks/pallet", fine=0.9,
             )  # fmt: skip
 
-    def _racks(self, stage: Stage, x: tuple[float, float], side: int) -> None:
+    def _racks(self, builder: PlaceBuilder, x: tuple[float, float], side: int) -> None:
         near, far = 1.95, self.width / 2 - 0.1
         y = (side * near, side * far) if side > 0 else (side * far, side * near)
         bays = max(1, round((x[1] - x[0]) / 2.6))
@@ -97,17 +97,17 @@ class Warehouse:
         for bay in range(bays + 1):
             at = x[0] + bay * pitch
             for post in (y[0] + 0.04, y[1] - 0.04):
-                stage.box(
+                builder.box(
                     (at - 0.045, at + 0.045), (post - 0.04, post + 0.04), (0.0, 3.6), self.rack,
                     kind="clutter", faces=("-x", "+x", "-y", "+y"), fine=0.9,
                 )  # fmt: skip
         for level, z in enumerate((1.35, 2.65)):
             face = y[0] if side > 0 else y[1] - 0.06
-            stage.box(
+            builder.box(
                 (x[0], x[1]), (face, face + 0.06), (z, z + 0.13), "metal/yellow",
                 kind="clutter", solid=False, faces=ALL_FACES, fine=0.9,
             )  # fmt: skip
-            stage.box(
+            builder.box(
                 (x[0], x[1]), y, (z + 0.13, z + 0.16), "planks/worn", kind="clutter",
                 solid=level == 0, faces=ALL_FACES,
             )  # fmt: skip
@@ -115,11 +115,11 @@ class Warehouse:
             for level, z in enumerate((0.0, 1.51, 2.81)):
                 material, height = _LOADS[(2 * bay + 3 * level + (side > 0)) % len(_LOADS)]
                 middle = x[0] + (bay + 0.5) * pitch
-                stage.box(
+                builder.box(
                     (middle - 0.62, middle + 0.62), (y[0] + 0.1, y[1] - 0.1), (z, z + 0.13),
                     "planks/pallet", kind="clutter", solid=level == 0, fine=0.9,
                 )  # fmt: skip
-                stage.box(
+                builder.box(
                     (middle - 0.56, middle + 0.56), (y[0] + 0.14, y[1] - 0.14),
                     (z + 0.13, z + 0.13 + height), material, kind="clutter", solid=level == 0,
                     texture=(0.7 * bay, 0.0),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.indoors import furniture
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
@@ -25,8 +25,8 @@ class Workshop:
     height: float = 3.8
     indoor: bool = True
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the workshop on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the workshop."""
         x = (-2.4, length + 3.0)
         y = (-self.width / 2, self.width / 2)
         span = x[1] - x[0]
@@ -38,7 +38,7 @@ class Workshop:
         ]
         middle = self.width / 2
         room_shell(
-            stage,
+            builder,
             x,
             y,
             self.height,
@@ -86,7 +86,7 @@ class Workshop:
             },
         )
         for at, side in lamps:
-            stage.box(
+            builder.box(
                 (at - 0.65, at + 0.65),
                 (side - 0.09, side + 0.09),
                 (3.10, 3.16),
@@ -95,32 +95,38 @@ class Workshop:
                 solid=False,
                 faces=("-x", "+x", "-y", "+y", "-z"),
             )
-            stage.lamp(
+            builder.lamp(
                 (at - 0.65, side - 0.09, 3.09), (0.0, 0.18, 0.0), (1.3, 0.0, 0.0), (9.5, 9.4, 9.0)
             )
         for u in windows:
-            window_lamp(stage, (x[0] + u, y[1] - 0.02, 1.9), (1.9, 0.0, 0.0), (0.0, 0.0, 1.3))
-        self._furnish(stage, x, y)
+            window_lamp(builder, (x[0] + u, y[1] - 0.02, 1.9), (1.9, 0.0, 0.0), (0.0, 0.0, 1.3))
+        self._furnish(builder, x, y)
 
-    def _furnish(self, stage: Stage, x: tuple[float, float], y: tuple[float, float]) -> None:
+    def _furnish(
+        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float]
+    ) -> None:
         start = x[0] + (x[1] - x[0]) * 0.30
         furniture.table(
-            stage, (start, start + 2.4), (y[1] - 0.8, y[1] - 0.05), top="planks/worn", height=0.9
+            builder, (start, start + 2.4), (y[1] - 0.8, y[1] - 0.05), top="planks/worn", height=0.9
         )
         furniture.crate(
-            stage, (start + 0.3, start + 0.8), (y[1] - 0.6, y[1] - 0.2), (0.9, 1.15), "metal/red"
+            builder, (start + 0.3, start + 0.8), (y[1] - 0.6, y[1] - 0.2), (0.9, 1.15), "metal/red"
         )
         furniture.crate(
-            stage, (start + 1.5, start + 1.75), (y[1] - 0.55, y[1] - 0.25), (0.9, 1.2), "metal/blue"
+            builder,
+            (start + 1.5, start + 1.75),
+            (y[1] - 0.55, y[1] - 0.25),
+            (0.9, 1.2),
+            "metal/blue",
         )
         rack = x[1] - 3.4
         for shelf in (0.05, 0.75, 1.45):
-            stage.box(
+            builder.box(
                 (rack, rack + 2.4), (y[0] + 0.05, y[0] + 0.65), (shelf, shelf + 0.05), "metal/blue"
             )
         for post in (rack, rack + 2.35):
             for side in (y[0] + 0.05, y[0] + 0.6):
-                stage.box((post, post + 0.05), (side, side + 0.05), (0.0, 2.1), "metal/blue")
+                builder.box((post, post + 0.05), (side, side + 0.05), (0.0, 2.1), "metal/blue")
         boxes = (
             (0.15, 0.60, 0.10, 0.45, "cardboard"),
             (0.75, 1.15, 0.10, 0.35, "plastic/orange"),
@@ -132,7 +138,7 @@ class Workshop:
             (1.40, 1.90, 1.50, 1.80, "plastic/orange"),
         )
         for low, high, z0, z1, material in boxes:
-            stage.box(
+            builder.box(
                 (rack + low, rack + high),
                 (y[0] + 0.12, y[0] + 0.55),
                 (z0, z1),
@@ -140,8 +146,10 @@ class Workshop:
                 solid=False,
             )
         for index, colour in enumerate(("metal/blue", "metal/red", "metal/green")):
-            furniture.drum(stage, 0.4 + 0.66 * index, y[0] + 0.45, colour)
-        furniture.crate(stage, (2.9, 3.7), (y[0] + 0.15, y[0] + 0.95), (0.0, 0.6))
-        furniture.crate(stage, (3.0, 3.6), (y[0] + 0.25, y[0] + 0.8), (0.6, 1.05), "cardboard")
-        furniture.drum(stage, x[1] - 0.5, y[1] - 0.6, "metal/yellow")
-        stage.box((x[1] - 2.2, x[1] - 1.0), (y[1] - 0.9, y[1] - 0.1), (0.0, 0.14), "planks/pallet")
+            furniture.drum(builder, 0.4 + 0.66 * index, y[0] + 0.45, colour)
+        furniture.crate(builder, (2.9, 3.7), (y[0] + 0.15, y[0] + 0.95), (0.0, 0.6))
+        furniture.crate(builder, (3.0, 3.6), (y[0] + 0.25, y[0] + 0.8), (0.6, 1.05), "cardboard")
+        furniture.drum(builder, x[1] - 0.5, y[1] - 0.6, "metal/yellow")
+        builder.box(
+            (x[1] - 2.2, x[1] - 1.0), (y[1] - 0.9, y[1] - 0.1), (0.0, 0.14), "planks/pallet"
+        )

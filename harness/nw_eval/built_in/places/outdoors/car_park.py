@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.outdoors import scenery as outdoors
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import house
 
 
@@ -25,8 +25,8 @@ class CarPark:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the car park on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the car park."""
         half = self.aisle / 2
         far = length + 11.0
         depth = 4.8
@@ -42,13 +42,13 @@ class CarPark:
                 Decal(rect=(x - reach, y - reach, x + reach, y + reach), material="oil_stain")
             )
         side = half + depth
-        stage.ground(self.ground, (-14.0, far), (-side, side), decals=lines)
-        stage.ground("grass/green", (-14.0, far + 8.0), (side, 22.0))
-        stage.ground("grass/green", (-14.0, far + 8.0), (-22.0, -side))
-        stage.ground("grass/green", (far, far + 8.0), (-side, side))
+        builder.ground(self.ground, (-14.0, far), (-side, side), decals=lines)
+        builder.ground("grass/green", (-14.0, far + 8.0), (side, 22.0))
+        builder.ground("grass/green", (-14.0, far + 8.0), (-22.0, -side))
+        builder.ground("grass/green", (far, far + 8.0), (-side, side))
         for y in (side, -side - 0.15):
-            stage.box((-14.0, far), (y, y + 0.15), (0.0, 0.12), "concrete/light")
-        stage.box((far - 0.15, far), (-side, side), (0.0, 0.12), "concrete/light")
+            builder.box((-14.0, far), (y, y + 0.15), (0.0, 0.12), "concrete/light")
+        builder.box((far - 0.15, far), (-side, side), (0.0, 0.12), "concrete/light")
         cars = (
             (-2, 1, "car/silver"),
             (0, 1, "car/red"),
@@ -62,16 +62,16 @@ class CarPark:
         )
         for bay, where, paint in cars:
             outdoors.car(
-                stage,
+                builder,
                 2.5 * bay + 1.7,
                 where * (half + 2.55),
                 paint,
                 nose=float(where if bay % 2 else -where),
             )
-        outdoors.hedge(stage, (-6.0, far), (side + 0.6, side + 1.4), 1.0)
-        outdoors.hedge(stage, (far + 0.6, far + 1.4), (-side, side), 1.0)
+        outdoors.hedge(builder, (-6.0, far), (side + 0.6, side + 1.4), 1.0)
+        outdoors.hedge(builder, (far + 0.6, far + 1.4), (-side, side), 1.0)
         house(
-            stage,
+            builder,
             (far + 7.0, far + 8.0),
             (-20.0, 20.0),
             6.4,
@@ -85,11 +85,11 @@ class CarPark:
             plinth="brick/red",
             trim=None,
         )
-        house(stage, (-14.0, far), (-23.0, -22.0), 7.5, "stucco/cream", face="+y", pitch=3.0)
-        house(stage, (-14.0, far), (22.0, 23.0), 6.5, "brick/brown", face="-y", pitch=3.0)
+        house(builder, (-14.0, far), (-23.0, -22.0), 7.5, "stucco/cream", face="+y", pitch=3.0)
+        house(builder, (-14.0, far), (22.0, 23.0), 6.5, "brick/brown", face="-y", pitch=3.0)
         for index, x in enumerate((-8.0, -1.5, 5.0, far - 1.0)):
             outdoors.tree(
-                stage,
+                builder,
                 x,
                 -side - 2.0 - (index % 2),
                 height=6.0,
@@ -98,7 +98,7 @@ class CarPark:
                 leaves=("leaves/oak", "leaves/lime")[index % 2],
             )
             outdoors.tree(
-                stage,
+                builder,
                 x + 3.0,
                 side + 3.2,
                 height=6.6,
@@ -106,5 +106,5 @@ class CarPark:
                 turn=0.7 * index,
                 leaves=("leaves/lime", "leaves/oak")[index % 2],
             )
-        outdoors.lamp_post(stage, length + 5.5, half + 0.2, height=4.8, lit=self.lit)
-        outdoors.lamp_post(stage, -3.0, -half - 0.2, height=4.8, lit=self.lit)
+        outdoors.lamp_post(builder, length + 5.5, half + 0.2, height=4.8, lit=self.lit)
+        outdoors.lamp_post(builder, -3.0, -half - 0.2, height=4.8, lit=self.lit)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.outdoors import scenery as outdoors
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import house
 
 
@@ -29,13 +29,13 @@ class Garden:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the garden on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the garden."""
         x = (-4.2, length + 6.0)
         y = (-4.4, 4.4)
         half = 1.3
         terrace = x[1] - 2.2
-        stage.ground(
+        builder.ground(
             self.lawn,
             x,
             y,
@@ -45,15 +45,15 @@ class Garden:
                 Decal(rect=(x[0], y[1] - 1.1, terrace, y[1]), material="soil", fine=1.0),
             ),
         )
-        stage.lawn((x[0] + 2.4, terrace), (half, y[1] - 1.1), self.lawn)
-        stage.lawn((x[0] + 2.4, terrace), (y[0], -half), self.lawn)
+        builder.lawn((x[0] + 2.4, terrace), (half, y[1] - 1.1), self.lawn)
+        builder.lawn((x[0] + 2.4, terrace), (y[0], -half), self.lawn)
         for side, inside in ((y[1], "-y"), (y[0] - 0.06, "+y")):
-            stage.box((x[0], x[1]), (side, side + 0.06), (0.0, 1.8), self.fence,
+            builder.box((x[0], x[1]), (side, side + 0.06), (0.0, 1.8), self.fence,
                       kind="structure", faces=(inside, "+z"))  # fmt: skip
             for index in range(int((x[1] - x[0]) / 2.0) + 1):
                 post = x[0] + 2.0 * index
                 inner = -0.05 if side > 0 else 0.11
-                stage.box(
+                builder.box(
                     (post - 0.05, post + 0.05),
                     (side + min(inner, 0.0), side + max(inner, 0.06)),
                     (0.0, 1.95),
@@ -61,45 +61,45 @@ class Garden:
                     kind="structure",
                     fine=0.9,
                 )
-        stage.box((x[0] - 0.06, x[0]), y, (0.0, 1.8), self.fence, kind="structure",
+        builder.box((x[0] - 0.06, x[0]), y, (0.0, 1.8), self.fence, kind="structure",
                   faces=("+x", "+z"))  # fmt: skip
         windows = "house_window_lit" if self.lit else "house_window/white"
         middle = (y[1] - y[0]) / 2
         house(
-            stage, (x[1], x[1] + 1.0), (y[0] - 1.0, y[1] + 1.0), 6.2, self.walls, face="-x",
+            builder, (x[1], x[1] + 1.0), (y[0] - 1.0, y[1] + 1.0), 6.2, self.walls, face="-x",
             windows=windows, pitch=2.1, storey=2.9, skip=(2,), roof="roof/tile",
             extra=(
                 Decal(rect=(middle + 0.2, 0.0, middle + 2.0, 2.2), material="glass_doors",
                       fine=0.5),
             ),
         )  # fmt: skip
-        self._plant(stage, x, y, terrace)
+        self._plant(builder, x, y, terrace)
         if self.lit:
-            outdoors.lamp_post(stage, terrace + 0.3, 2.4, height=2.4, lit=True)
-            outdoors.lamp_post(stage, -1.5, -2.0, height=2.2, lit=True)
+            outdoors.lamp_post(builder, terrace + 0.3, 2.4, height=2.4, lit=True)
+            outdoors.lamp_post(builder, -1.5, -2.0, height=2.2, lit=True)
 
     def _plant(
-        self, stage: Stage, x: tuple[float, float], y: tuple[float, float], terrace: float
+        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], terrace: float
     ) -> None:
         count = int((terrace - x[0]) / 0.9)
         for index in range(count):
             outdoors.bush(
-                stage, x[0] + 0.6 + 0.9 * index, y[1] - 0.55, (0.42, 0.34, 0.48)[index % 3],
+                builder, x[0] + 0.6 + 0.9 * index, y[1] - 0.55, (0.42, 0.34, 0.48)[index % 3],
                 ("leaves/hedge", "leaves/lime", "leaves/autumn")[index % 3],
             )  # fmt: skip
-        outdoors.tree(stage, 2.6, y[0] + 1.0, height=4.4, radius=1.4, trunk=0.1, turn=0.9)
-        outdoors.tree(stage, x[0] - 2.5, 3.0, height=7.0, radius=2.4, turn=2.2, far=True)
-        outdoors.tree(stage, 3.0, y[1] + 3.4, height=6.5, radius=2.2, turn=0.2, far=True)
-        outdoors.tree(stage, 5.0, y[0] - 3.6, height=7.5, radius=2.5, turn=1.2, far=True)
+        outdoors.tree(builder, 2.6, y[0] + 1.0, height=4.4, radius=1.4, trunk=0.1, turn=0.9)
+        outdoors.tree(builder, x[0] - 2.5, 3.0, height=7.0, radius=2.4, turn=2.2, far=True)
+        outdoors.tree(builder, 3.0, y[1] + 3.4, height=6.5, radius=2.2, turn=0.2, far=True)
+        outdoors.tree(builder, 5.0, y[0] - 3.6, height=7.5, radius=2.5, turn=1.2, far=True)
         # A shed with a door, beside the terrace.
-        stage.box(
+        builder.box(
             (terrace - 2.3, terrace - 0.3), (y[0] + 0.15, y[0] + 1.75), (0.0, 2.0), "planks/pine",
             top="metal/dark", kind="structure",
             decals={"+y": (Decal(rect=(0.6, 0.0, 1.4, 1.8), material="door/green", fine=0.6),)},
         )  # fmt: skip
-        outdoors.bench(stage, terrace - 1.6, y[1] - 1.45, facing=-1.0)
+        outdoors.bench(builder, terrace - 1.6, y[1] - 1.45, facing=-1.0)
         for at, radius in ((terrace + 0.5, 0.24), (terrace + 1.1, 0.2)):
-            stage.box((at - 0.14, at + 0.14), (y[1] - 0.84, y[1] - 0.56), (0.0, 0.3), "clay",
+            builder.box((at - 0.14, at + 0.14), (y[1] - 0.84, y[1] - 0.56), (0.0, 0.3), "clay",
                       top="soil", fine=0.9)  # fmt: skip
-            stage.crown((at, y[1] - 0.7, 0.48), (radius, radius, radius), "leaves/lime",
+            builder.crown((at, y[1] - 0.7, 0.48), (radius, radius, radius), "leaves/lime",
                         kind="clutter")  # fmt: skip

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.outdoors import scenery as outdoors
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,18 +28,18 @@ class Park:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the park on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the park."""
         reach = 34.0
         half = self.width / 2
-        stage.ground(
+        builder.ground(
             self.lawn,
             (-reach, length + reach),
             (-reach, reach),
             decals=(Decal(rect=(-reach, -half, length + reach, half), material=self.path, fine=1),),
         )
-        stage.lawn((-8.0, length + 14.0), (half, 11.0), self.lawn)
-        stage.lawn((-8.0, length + 14.0), (-11.0, -half), self.lawn)
+        builder.lawn((-8.0, length + 14.0), (half, 11.0), self.lawn)
+        builder.lawn((-8.0, length + 14.0), (-11.0, -half), self.lawn)
         light, dark = self.leaves
         near = (
             (3.4, 3.3, 6.2, 2.0, light),
@@ -50,7 +50,7 @@ class Park:
         )
         for index, (x, y, height, radius, leaves) in enumerate(near):
             outdoors.tree(
-                stage,
+                builder,
                 x,
                 y,
                 height=height,
@@ -66,7 +66,7 @@ class Park:
             if abs(math.sin(angle)) * away < 3.5:
                 continue
             outdoors.tree(
-                stage,
+                builder,
                 middle + away * math.cos(angle),
                 away * math.sin(angle),
                 height=8.0 + 1.2 * ((index * 3) % 4),
@@ -79,18 +79,18 @@ class Park:
             angle = 2 * math.pi * (index + 0.5) / 18
             if abs(math.sin(angle)) * 30 < 3.5:
                 continue
-            stage.crown(
+            builder.crown(
                 (middle + 31 * math.cos(angle), 31 * math.sin(angle), 2.2),
                 (5.5, 5.5, 3.4),
                 "leaves/dark",
                 kind="clutter",
                 fine=1.3,
             )
-        outdoors.bench(stage, 1.6, half + 0.45, facing=-1.0)
-        outdoors.bench(stage, length + 0.9, -half - 0.45, facing=1.0)
-        outdoors.litter_bin(stage, 2.9, half + 0.4)
-        outdoors.lamp_post(stage, length + 2.4, half + 0.35, lit=self.lit)
-        outdoors.lamp_post(stage, -2.5, half + 0.35, lit=self.lit)
-        outdoors.bush(stage, length + 6.2, 2.4, 0.7)
-        outdoors.bush(stage, 4.6, -half - 1.6, 0.55, "leaves/lime")
-        outdoors.hedge(stage, (length + 7.5, length + 12.0), (-half - 1.3, -half - 0.5), 0.9)
+        outdoors.bench(builder, 1.6, half + 0.45, facing=-1.0)
+        outdoors.bench(builder, length + 0.9, -half - 0.45, facing=1.0)
+        outdoors.litter_bin(builder, 2.9, half + 0.4)
+        outdoors.lamp_post(builder, length + 2.4, half + 0.35, lit=self.lit)
+        outdoors.lamp_post(builder, -2.5, half + 0.35, lit=self.lit)
+        outdoors.bush(builder, length + 6.2, 2.4, 0.7)
+        outdoors.bush(builder, 4.6, -half - 1.6, 0.55, "leaves/lime")
+        outdoors.hedge(builder, (length + 7.5, length + 12.0), (-half - 1.3, -half - 0.5), 0.9)

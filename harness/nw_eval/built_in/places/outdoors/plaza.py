@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.outdoors import scenery as outdoors
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.places.walls import house
 
 
@@ -25,11 +25,11 @@ class Plaza:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, stage: Stage, length: float) -> None:
-        """Put the plaza on the stage."""
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the plaza."""
         far = length + 9.0
         windows = "house_window_lit" if self.lit else "house_window/dark"
-        stage.ground(
+        builder.ground(
             self.ground,
             (-16.0, far),
             (-16.0, 16.0),
@@ -39,7 +39,7 @@ class Plaza:
             ),
         )
         house(
-            stage,
+            builder,
             (far + 1.5, far + 3.0),
             (-14.0, 14.0),
             8.4,
@@ -54,7 +54,7 @@ class Plaza:
             trim=None,
         )
         for step in range(3):
-            stage.box(
+            builder.box(
                 (far + 0.4 * step, far + 1.5),
                 (-9.0, 9.0),
                 (0.14 * step, 0.14 * (step + 1)),
@@ -63,7 +63,7 @@ class Plaza:
                 faces=("-x", "+z", "-y", "+y"),
             )
         for column in (-7.0, -3.5, 0.0, 3.5, 7.0):
-            stage.box(
+            builder.box(
                 (far + 1.2, far + 1.5),
                 (column - 0.15, column + 0.15),
                 (0.42, 8.0),
@@ -71,7 +71,7 @@ class Plaza:
                 kind="structure",
             )
         house(
-            stage,
+            builder,
             (-16.0, far),
             (14.0, 15.0),
             10.5,
@@ -83,7 +83,7 @@ class Plaza:
             windows=windows,
         )
         house(
-            stage,
+            builder,
             (-16.0, far),
             (-16.5, -15.5),
             7.0,
@@ -95,7 +95,7 @@ class Plaza:
             windows=windows,
         )
         house(
-            stage,
+            builder,
             (-17.5, -16.5),
             (-16.0, 16.0),
             9.0,
@@ -105,13 +105,13 @@ class Plaza:
             windows=windows,
         )
         for x in (0.6, length + 1.6):
-            outdoors.planter(stage, (x, x + 2.4), (3.0, 4.0), stone="granite/grey")
-            outdoors.planter(stage, (x - 0.4, x + 2.0), (-4.2, -3.2), stone="granite/grey")
+            outdoors.planter(builder, (x, x + 2.4), (3.0, 4.0), stone="granite/grey")
+            outdoors.planter(builder, (x - 0.4, x + 2.0), (-4.2, -3.2), stone="granite/grey")
         for index, (x, y) in enumerate(
             ((4.2, 5.2), (length + 5.0, 4.6), (length + 5.4, -4.4), (-3.4, -5.0), (2.6, -6.4))
         ):
             outdoors.tree(
-                stage,
+                builder,
                 x,
                 y,
                 height=4.6 + 0.3 * (index % 3),
@@ -121,12 +121,12 @@ class Plaza:
                 turn=1.7 * index,
             )
         for x in (length + 3.2, length + 4.8):
-            stage.box((x, x + 0.5), (-3.2, -1.4), (0.0, 0.45), "granite/grey")
-        outdoors.lamp_post(stage, length + 3.6, 2.6, height=4.2, lit=self.lit)
-        outdoors.lamp_post(stage, -2.0, -2.6, height=4.2, lit=self.lit)
-        outdoors.litter_bin(stage, 3.4, 2.6, "metal/dark")
+            builder.box((x, x + 0.5), (-3.2, -1.4), (0.0, 0.45), "granite/grey")
+        outdoors.lamp_post(builder, length + 3.6, 2.6, height=4.2, lit=self.lit)
+        outdoors.lamp_post(builder, -2.0, -2.6, height=4.2, lit=self.lit)
+        outdoors.litter_bin(builder, 3.4, 2.6, "metal/dark")
         for index in range(5):
-            stage.prism(
+            builder.prism(
                 (length + 7.6, -2.4 + 1.2 * index),
                 (0.0, 0.85),
                 (0.055, 0.055),

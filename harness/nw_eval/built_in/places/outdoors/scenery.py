@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from nw_eval.built_in.places.builder import PlaceBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
-from nw_eval.built_in.places.stage import Stage
 
 # Offsets of a crown's clouds from its middle, in parts of its radius, and their own radii.
 _CLOUDS = (
@@ -18,7 +18,7 @@ _CLOUDS = (
 
 
 def tree(
-    stage: Stage,
+    builder: PlaceBuilder,
     x: float,
     y: float,
     *,
@@ -32,7 +32,7 @@ def tree(
     """Plant a tree: a trunk that one can bump into, and a crown of clouds of leaves.
 
     Args:
-        stage: what to plant it on.
+        builder: of the place that it stands in.
         x: metres.
         y: metres.
         height: metres from the ground to its top.
@@ -45,9 +45,11 @@ def tree(
     clear = height - 1.55 * radius
     half = trunk * 0.68
     if not far:
-        stage.box((x - half, x + half), (y - half, y + half), (0.0, clear), "bark/brown", faces=())
+        builder.box(
+            (x - half, x + half), (y - half, y + half), (0.0, clear), "bark/brown", faces=()
+        )
     lean = (0.05 * radius * math.cos(3 * turn), 0.05 * radius * math.sin(3 * turn))
-    stage.prism(
+    builder.prism(
         (x, y),
         (0.0, clear + 0.6 * radius),
         (trunk, trunk * 0.6),
@@ -59,7 +61,7 @@ def tree(
     clouds = ((0.0, 0.0, 0.0, 0.9),) if far else _CLOUDS
     for cloud_x, cloud_y, cloud_z, size in clouds:
         cosine, sine = math.cos(turn), math.sin(turn)
-        stage.crown(
+        builder.crown(
             (
                 x + lean[0] + radius * (cosine * cloud_x - sine * cloud_y),
                 y + lean[1] + radius * (sine * cloud_x + cosine * cloud_y),
@@ -70,9 +72,11 @@ def tree(
         )
 
 
-def hedge(stage: Stage, x: Pair, y: Pair, height: float, leaves: str = "leaves/hedge") -> None:
+def hedge(
+    builder: PlaceBuilder, x: Pair, y: Pair, height: float, leaves: str = "leaves/hedge"
+) -> None:
     """Plant a clipped hedge between two corners; physics touches a box within it."""
-    stage.box(
+    builder.box(
         (x[0] + 0.1, x[1] - 0.1), (y[0] + 0.1, y[1] - 0.1), (0.0, height - 0.1), "soil", faces=()
     )
     long_x = x[1] - x[0] >= y[1] - y[0]
@@ -83,7 +87,7 @@ def hedge(stage: Stage, x: Pair, y: Pair, height: float, leaves: str = "leaves/h
         along = (index + 0.5) * length / count
         center = (x[0] + along, (y[0] + y[1]) / 2) if long_x else ((x[0] + x[1]) / 2, y[0] + along)
         reach = 0.62 * length / count
-        stage.crown(
+        builder.crown(
             (*center, height * 0.5),
             (reach if long_x else across * 0.55, across * 0.55 if long_x else reach, height * 0.56),
             leaves,
@@ -91,17 +95,19 @@ def hedge(stage: Stage, x: Pair, y: Pair, height: float, leaves: str = "leaves/h
         )
 
 
-def bush(stage: Stage, x: float, y: float, radius: float, leaves: str = "leaves/hedge") -> None:
+def bush(
+    builder: PlaceBuilder, x: float, y: float, radius: float, leaves: str = "leaves/hedge"
+) -> None:
     """Plant a round bush."""
-    stage.box(
+    builder.box(
         (x - radius * 0.55, x + radius * 0.55),
         (y - radius * 0.55, y + radius * 0.55),
         (0.0, radius * 0.9),
         "soil",
         faces=(),
     )
-    stage.crown((x, y, radius * 0.65), (radius, radius, radius * 0.75), leaves, kind="clutter")
-    stage.crown(
+    builder.crown((x, y, radius * 0.65), (radius, radius, radius * 0.75), leaves, kind="clutter")
+    builder.crown(
         (x + 0.5 * radius, y - 0.45 * radius, radius * 0.4),
         (radius * 0.6, radius * 0.6, radius * 0.5),
         leaves,
@@ -109,12 +115,14 @@ def bush(stage: Stage, x: float, y: float, radius: float, leaves: str = "leaves/
     )
 
 
-def bench(stage: Stage, x: float, y: float, *, facing: float, wood: str = "planks/teak") -> None:
+def bench(
+    builder: PlaceBuilder, x: float, y: float, *, facing: float, wood: str = "planks/teak"
+) -> None:
     """Put a park bench along x; `facing` is +1 or -1, where along y its sitters look."""
     length = 1.7
     for slat in range(3):
         low = y + facing * (-0.20 + 0.145 * slat)
-        stage.box(
+        builder.box(
             (x - length / 2, x + length / 2),
             (min(low, low + facing * 0.12), max(low, low + facing * 0.12)),
             (0.43, 0.46),
@@ -126,7 +134,7 @@ def bench(stage: Stage, x: float, y: float, *, facing: float, wood: str = "plank
     for slat in range(2):
         back = y - facing * 0.24
         low = 0.56 + 0.16 * slat
-        stage.box(
+        builder.box(
             (x - length / 2, x + length / 2),
             (back - 0.016, back + 0.016),
             (low, low + 0.12),
@@ -136,14 +144,14 @@ def bench(stage: Stage, x: float, y: float, *, facing: float, wood: str = "plank
         )
     for end in (-0.62, 0.62):
         for leg in (-0.17, 0.17):
-            stage.box(
+            builder.box(
                 (x + end - 0.025, x + end + 0.025),
                 (y + leg - 0.025, y + leg + 0.025),
                 (0.0, 0.43),
                 "metal/dark",
                 fine=0.8,
             )
-        stage.box(
+        builder.box(
             (x + end - 0.03, x + end + 0.03),
             (y - facing * 0.24 - 0.03, y - facing * 0.24 + 0.03),
             (0.40, 0.84),
@@ -153,26 +161,28 @@ def bench(stage: Stage, x: float, y: float, *, facing: float, wood: str = "plank
         )
 
 
-def lamp_post(stage: Stage, x: float, y: float, *, height: float = 3.6, lit: bool = False) -> None:
+def lamp_post(
+    builder: PlaceBuilder, x: float, y: float, *, height: float = 3.6, lit: bool = False
+) -> None:
     """Stand a lantern on a pole."""
-    stage.box((x - 0.04, x + 0.04), (y - 0.04, y + 0.04), (0.0, height), "metal/dark", faces=())
-    stage.prism((x, y), (0.0, 0.5), (0.085, 0.075), "metal/dark", sides=8)
-    stage.prism((x, y), (0.5, height), (0.05, 0.045), "metal/dark", sides=8)
+    builder.box((x - 0.04, x + 0.04), (y - 0.04, y + 0.04), (0.0, height), "metal/dark", faces=())
+    builder.prism((x, y), (0.0, 0.5), (0.085, 0.075), "metal/dark", sides=8)
+    builder.prism((x, y), (0.5, height), (0.05, 0.045), "metal/dark", sides=8)
     glass = "glow/warm" if lit else "milk_glass"
-    stage.prism((x, y), (height, height + 0.42), (0.13, 0.19), glass, sides=6, kind="overhead")
-    stage.prism(
+    builder.prism((x, y), (height, height + 0.42), (0.13, 0.19), glass, sides=6, kind="overhead")
+    builder.prism(
         (x, y), (height + 0.42, height + 0.5), (0.24, 0.06), "metal/dark", sides=6, kind="overhead"
     )
     if lit:
-        stage.lamp(
+        builder.lamp(
             (x - 0.2, y - 0.2, height - 0.02), (0.0, 0.4, 0.0), (0.4, 0.0, 0.0), (60.0, 36.0, 15.0)
         )
 
 
-def wall_lamp(stage: Stage, x: float, y: float, side: int, *, height: float = 2.5) -> None:
+def wall_lamp(builder: PlaceBuilder, x: float, y: float, side: int, *, height: float = 2.5) -> None:
     """Hang a burning lantern on a wall at `y` that stands to the left (+1) or right (-1)."""
     out = y - side * 0.12
-    stage.box(
+    builder.box(
         (x - 0.09, x + 0.09),
         (out - 0.09, out + 0.09),
         (height, height + 0.26),
@@ -181,25 +191,27 @@ def wall_lamp(stage: Stage, x: float, y: float, side: int, *, height: float = 2.
         solid=False,
         faces=("-x", "+x", "-y", "+y", "-z"),
     )
-    stage.lamp(
+    builder.lamp(
         (x - 0.12, out - 0.12, height - 0.02), (0.0, 0.24, 0.0), (0.24, 0.0, 0.0),
         (70.0, 44.0, 20.0),
     )  # fmt: skip
 
 
-def litter_bin(stage: Stage, x: float, y: float, material: str = "metal/green") -> None:
+def litter_bin(builder: PlaceBuilder, x: float, y: float, material: str = "metal/green") -> None:
     """Stand a litter bin."""
     half = 0.15
-    stage.box((x - half, x + half), (y - half, y + half), (0.0, 0.8), material, faces=())
-    stage.prism((x, y), (0.05, 0.8), (0.2, 0.21), material, sides=10, cap="metal/black")
+    builder.box((x - half, x + half), (y - half, y + half), (0.0, 0.8), material, faces=())
+    builder.prism((x, y), (0.05, 0.8), (0.2, 0.21), material, sides=10, cap="metal/black")
 
 
-def dumpster(stage: Stage, x: Pair, y: Pair, material: str = "metal/green") -> None:
+def dumpster(builder: PlaceBuilder, x: Pair, y: Pair, material: str = "metal/green") -> None:
     """Park a rubbish container with a dark lid."""
-    stage.box(x, y, (0.12, 1.15), material, fine=0.9)
-    stage.box((x[0] - 0.03, x[1] + 0.03), (y[0] - 0.03, y[1] + 0.03), (1.15, 1.24), "plastic/black")
+    builder.box(x, y, (0.12, 1.15), material, fine=0.9)
+    builder.box(
+        (x[0] - 0.03, x[1] + 0.03), (y[0] - 0.03, y[1] + 0.03), (1.15, 1.24), "plastic/black"
+    )
     for wheel_x in (x[0] + 0.15, x[1] - 0.15):
-        stage.box(
+        builder.box(
             (wheel_x - 0.07, wheel_x + 0.07),
             (y[0] + 0.05, y[1] - 0.05),
             (0.0, 0.12),
@@ -208,9 +220,9 @@ def dumpster(stage: Stage, x: Pair, y: Pair, material: str = "metal/green") -> N
         )
 
 
-def planter(stage: Stage, x: Pair, y: Pair, *, height: float = 0.5, stone: str) -> None:
+def planter(builder: PlaceBuilder, x: Pair, y: Pair, *, height: float = 0.5, stone: str) -> None:
     """Put down a stone trough with bushes."""
-    stage.box(x, y, (0.0, height), stone, top="soil")
+    builder.box(x, y, (0.0, height), stone, top="soil")
     length, across = x[1] - x[0], y[1] - y[0]
     count = max(1, round(max(length, across) / 0.7))
     for index in range(count):
@@ -221,16 +233,24 @@ def planter(stage: Stage, x: Pair, y: Pair, *, height: float = 0.5, stone: str) 
             else ((x[0] + x[1]) / 2, y[0] + share * across)
         )
         reach = 0.5 * min(length, across)
-        stage.crown((*center, height + 0.55 * reach), (reach, reach, reach * 0.75), "leaves/hedge")
+        builder.crown(
+            (*center, height + 0.55 * reach), (reach, reach, reach * 0.75), "leaves/hedge"
+        )
 
 
 def car(
-    stage: Stage, x: float, y: float, paint: str, *, along_y: bool = True, nose: float = 1.0
+    builder: PlaceBuilder,
+    x: float,
+    y: float,
+    paint: str,
+    *,
+    along_y: bool = True,
+    nose: float = 1.0,
 ) -> None:
     """Park a car with its middle at a point; physics touches one box.
 
     Args:
-        stage: what to park it on.
+        builder: of the place that it stands in.
         x: metres.
         y: metres.
         paint: material.
@@ -239,7 +259,9 @@ def car(
     """
     length, width = 4.2, 1.74
     half = (width / 2, length / 2) if along_y else (length / 2, width / 2)
-    stage.box((x - half[0], x + half[0]), (y - half[1], y + half[1]), (0.25, 0.82), paint, faces=())
+    builder.box(
+        (x - half[0], x + half[0]), (y - half[1], y + half[1]), (0.25, 0.82), paint, faces=()
+    )
 
     def point(along: float, across: float, z: float) -> tuple[float, float, float]:
         if along_y:
@@ -255,7 +277,7 @@ def car(
     ) -> None:
         start = point(*corner)
         one, two = point(*u_end), point(*v_end)
-        stage.quad(
+        builder.quad(
             start,
             (one[0] - start[0], one[1] - start[1], one[2] - start[2]),
             (two[0] - start[0], two[1] - start[1], two[2] - start[2]),

@@ -16,7 +16,7 @@ from typing import NoReturn
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.kind import file_kind, kind_said
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.onnx.calls import Operator, check_calls, operator_said
 from nw_eval.policies.safety.onnx.fields import FUSED, MICROSOFT, ONNX, STANDARD
 from nw_eval.policies.safety.onnx.protobuf import Message, Reader, integers
@@ -45,7 +45,7 @@ _REFUSED = {
 _EXPORT = "export the policy for inference, with dense weights and standard operators"
 
 
-def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
+def check_onnx(data: bytes, where: str, limits: FileLimits | None = None) -> None:
     """Check that an ONNX file can do nothing but arithmetic of the size that it shows.
 
     Args:
@@ -59,7 +59,7 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
             unknown; functions call themselves or become too many nodes; inputs or outputs are
             declared larger than any policy's.
     """
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     if len(data) > limits.file_bytes:
         raise PolicyError(
             f"{where}: the file has {len(data) / 2**20:.0f} MiB, over the limit of "
@@ -73,7 +73,7 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
             fix="export the policy as ONNX, or change `adapter`",
         )
     try:
-        _Walk(where, limits).model(memoryview(data))
+        _MessageWalk(where, limits).model(memoryview(data))
     except ValueError as error:
         raise PolicyError(
             f"{where}: not a usable ONNX file, cut short or damaged: {error}",
@@ -81,10 +81,10 @@ def check_onnx(data: bytes, where: str, limits: Limits | None = None) -> None:
         ) from None
 
 
-class _Walk:
+class _MessageWalk:
     """A walk over all messages of one file, with what it has counted so far."""
 
-    def __init__(self, where: str, limits: Limits) -> None:
+    def __init__(self, where: str, limits: FileLimits) -> None:
         self._where = where
         self._limits = limits
         self._reader = Reader(ONNX)

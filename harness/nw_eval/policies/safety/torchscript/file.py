@@ -7,7 +7,7 @@ import re
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.kind import file_kind, kind_said
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.members import SCRIPT_MEMBERS, canonical
 from nw_eval.policies.safety.objects import read_index
 from nw_eval.policies.safety.tensors import check_references, checked_tree, leaves
@@ -18,7 +18,7 @@ from nw_eval.policies.safety.torchscript.words import Definitions
 _GUARDS_MEMBER = f"code/{GUARDS.replace('.', '/')}.py"
 
 
-def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> bytes:
+def check_torchscript(data: bytes, where: str, limits: FileLimits | None = None) -> bytes:
     """Check a TorchScript file as far as it can be without running it.
 
     Its members, their sizes, that every tensor lies inside the numbers that the file holds, that
@@ -31,7 +31,7 @@ def check_torchscript(data: bytes, where: str, limits: Limits | None = None) -> 
     Raises:
         PolicyError: it is no TorchScript file, or fails a check.
     """
-    limits = limits or Limits()
+    limits = limits or FileLimits()
     kind = file_kind(data, where)
     if kind != "torchscript":
         raise PolicyError(

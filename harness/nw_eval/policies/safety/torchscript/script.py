@@ -16,7 +16,7 @@ from collections.abc import Mapping
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.limits import Limits
+from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.torchscript.body import Body
 from nw_eval.policies.safety.torchscript.words import (
     PLAIN,
@@ -34,7 +34,7 @@ _LISTS = frozenset({"__buffers__", "__forward_hooks__", "__forward_pre_hooks__",
 
 
 def rewrite(
-    members: Mapping[str, bytes], where: str, limits: Limits
+    members: Mapping[str, bytes], where: str, limits: FileLimits
 ) -> tuple[dict[str, str], Definitions]:
     """Check a script and write it anew.
 
@@ -86,7 +86,7 @@ def _refusal(where: str, name: str, line: int, what: str, fix: str) -> PolicyErr
     return PolicyError(f"{where}: the script {clean(name, at_most=200)}:{line}: {what}", fix=fix)
 
 
-def _parsed(name: str, raw: bytes, where: str, limits: Limits) -> ast.Module:
+def _parsed(name: str, raw: bytes, where: str, limits: FileLimits) -> ast.Module:
     try:
         text = raw.decode("ascii")
         if _depth(text) > limits.depth:
@@ -171,15 +171,21 @@ def _attribute(line: ast.stmt, known: Definitions) -> str:
 
 
 def _function(part: ast.FunctionDef, known: Definitions, indent: str) -> str:
-    given = part.args
-    if part.decorator_list or given.posonlyargs or given.kwonlyargs or given.vararg or given.kwarg:
+    declared = part.args
+    if (
+        part.decorator_list
+        or declared.posonlyargs
+        or declared.kwonlyargs
+        or declared.vararg
+        or declared.kwarg
+    ):
         raise RefusedError(
             part, f"the function {part.name!r} has arguments that torch never writes"
         )
     types = Types(known)
-    defaults = [None] * (len(given.args) - len(given.defaults)) + list(given.defaults)
+    defaults = [None] * (len(declared.args) - len(declared.defaults)) + list(declared.defaults)
     written: list[str] = []
-    for argument, default in zip(given.args, defaults, strict=True):
+    for argument, default in zip(declared.args, defaults, strict=True):
         kind = f": {types.text(argument.annotation)}" if argument.annotation else ""
         written.append(argument.arg + kind + (f"={literal(default)}" if default else ""))
     returns = f" -> {types.text(part.returns)}" if part.returns else ""

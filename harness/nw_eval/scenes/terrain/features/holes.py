@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.health.finding import Finding
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.terrain.features.regions import label_regions
 from nw_eval.scenes.terrain.grid import Grid, shifted
 
@@ -20,7 +20,7 @@ _MOST_FINDINGS = 10
 
 def close_holes(
     heights: Values, grid: Grid, largest: float
-) -> tuple[Values, Mask, tuple[Finding, ...]]:
+) -> tuple[Values, Mask, tuple[SceneFinding, ...]]:
     """Interpolate over holes.
 
     Args:
@@ -39,12 +39,12 @@ def close_holes(
     closes[0] = False
     closed = closes[labels]
     points = grid.points()
-    findings: list[Finding] = []
+    findings: list[SceneFinding] = []
     inner = [i for i in range(1, count + 1) if not rim[i] and sizes[i] > _UNSAID]
     for index in sorted(inner, key=lambda i: -sizes[i])[:_MOST_FINDINGS]:
         x, y = points[(labels == index).ravel()].mean(axis=0).tolist()
         findings.append(
-            Finding(
+            SceneFinding(
                 code="hole",
                 severity="warning",
                 message=f"the mesh has a hole of {sizes[index]:.3f} m2 at ({x:.2f}, {y:.2f}), "

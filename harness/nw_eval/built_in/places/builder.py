@@ -14,7 +14,7 @@ ALL_FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 SIDES_AND_TOP = ("-x", "+x", "-y", "+y", "+z")
 
 
-class Stage:
+class PlaceBuilder:
     """Collects the parts of one place; `place()` hands them out as frozen data.
 
     Lengths are metres in the world: x along the trail, y to the left, z up, the spawn at 0, 0, 0.
