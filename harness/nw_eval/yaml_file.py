@@ -118,10 +118,10 @@ def read_yaml(path: Path) -> YamlFile:
         line, column = (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
         if "'\\t'" in str(error.problem):
             raise fail("is not YAML: a tab stands here", "use spaces", line, column) from None
-        raise fail(f"is not YAML: {error.problem}", "mend the syntax", line, column) from None
+        raise fail(f"is not YAML: {error.problem}", "correct the syntax", line, column) from None
     except (YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0]
-        raise fail(f"is not YAML: {reason}", "mend the syntax") from None
+        raise fail(f"is not YAML: {reason}", "correct the syntax") from None
     if not isinstance(root, MappingNode):
         kind = "empty" if root is None else "not a mapping"
         raise fail(f"the file is {kind}", "write `key: value` lines")
@@ -208,7 +208,7 @@ class _Reader:
             key = str(key_node.value)
             if not key.isprintable() or len(key) > _KEY_LIMIT:
                 # Keys name observations and inputs, and go where names go.
-                self._fault(key_node, f"{key[:40]!r}... is no key", "use a short printable name")
+                self._fault(key_node, f"{key[:40]!r}... is not a key", "use a short printable name")
                 continue
             if key in result:
                 message = f"duplicate key {key!r}, first on line {lines[key]}"

@@ -41,7 +41,7 @@ FAULTS = {
     "policy": (
         "policy: stand",
         "policy: stnad",
-        "1: unknown policy 'stnad': no policy, folder or card is called that; did you mean",
+        "1: unknown policy 'stnad': no policy, folder or card has that name; did you mean",
     ),
 }
 

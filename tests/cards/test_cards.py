@@ -108,11 +108,15 @@ def test_a_default_pose_that_no_joint_can_take_is_refused(tmp_path, pose, fault)
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("name: mine", "name: My Policy", ":2:1: name: 'My Policy' is no name for a policy; use"),
+        (
+            "name: mine",
+            "name: My Policy",
+            ":2:1: name: 'My Policy' is not a valid policy name; use",
+        ),
         (
             "ab" * 32,
             "ab" * 20,
-            "is no SHA-256, which has 64 hex digits, not 40; `sha256sum FILE`",
+            "is not a SHA-256, which has 64 hex digits, not 40; `sha256sum FILE`",
         ),
         ("scale: 0.25", 'scale: "0.5"', "should be a mapping, got '0.5'"),
         ("scale: 0.25", "stiffness: 20", "unknown key 'stiffness'; here it is 'kp'"),
@@ -241,7 +245,7 @@ def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_p
     [
         ("rate: 100", "100 actions a second do not fit the 50 Hz of every trial"),
         ("rate: 30", "use 50, 25, 10, 5, 2 or 1"),
-        ("physics_rate: 240", "240 physics steps a second are no multiple of 50"),
+        ("physics_rate: 240", "240 physics steps a second are not a multiple of 50"),
         ("action: joint_torque, kp: 20", "kp has no meaning for torques"),
     ],
 )

@@ -98,7 +98,11 @@ inputs: [body, adaptation.latent, adaptation.velocity{uses}]
         ("encoder.onnx", "../e.onnx", r":13:18: .*leaves the card's folder"),
         ("    rate: 5", "    recurrent: {obs_history: h}", r":14:14: .* is in `recurrent` too"),
         ("  adaptation:\n", "  past:\n", r":11:3: networks\.past: an observation is called 'past'"),
-        ("  adaptation:\n", "  a.b:\n", r":11:3: networks\.a\.b: 'a\.b' is no name; use letters"),
+        (
+            "  adaptation:\n",
+            "  a.b:\n",
+            r":11:3: networks\.a\.b: 'a\.b' is not a valid name; use letters",
+        ),
         (
             "inputs: [body, adaptation.latent, adaptation.velocity]\n",
             "",

@@ -65,7 +65,7 @@ def check(folder, card, weights):
 
 def mend(card, told):
     """Write on a card what a finding says; return how many lines that were."""
-    advice = re.search(r"if so trained, write\n((?:    .*\n)+)", told)
+    advice = re.search(r"if trained that way, write\n((?:    .*\n)+)", told)
     assert advice, told
     lines = advice[1].splitlines()
     for line in lines:
@@ -178,7 +178,9 @@ def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
     weights, card = mirrored(name, joints, tmp_path), example(name)
     told = check(tmp_path / "card", card, weights)
     assert not told.passed
-    assert f"with {words} turned round in targets and observations; if so" in told.text
+    assert (
+        f"with {words} with the sign reversed in targets and observations; if trained" in told.text
+    )
     assert mend(card, told.text) == 3
     names = joints_of(card)
     signs = np.array([-1.0 if re.search(joints, joint) else 1.0 for joint in names])
@@ -315,7 +317,7 @@ def test_scales_that_a_card_lacks_are_told(tmp_path, name, missing):
 def test_scales_that_a_checkpoint_was_not_trained_with_are_told(tmp_path, term):
     card = with_scales("playground-go1", {term: USUAL[term]})
     told = check(tmp_path, card, WEIGHTS["playground-go1"])
-    assert f"it follows with the scale of `{term}` 1; if so trained" in told.text
+    assert f"it follows with the scale of `{term}` 1; if trained that way" in told.text
     assert not told.passed
 
 
@@ -355,7 +357,7 @@ def test_joint_positions_that_the_training_counted_from_the_pose_are_told(tmp_pa
     terms = terms_of(card)
     terms[terms.index("joint_pos")] = {"term": "joint_pos", "relative": False}
     told = check(tmp_path, card, WEIGHTS[name])
-    assert "it walks with `joint_pos` counted from `default_pose`; if so trained" in told.text
+    assert "it walks with `joint_pos` counted from `default_pose`; if trained that way" in told.text
     assert "observations.obs.terms: - {term: joint_pos}" in told.text
 
 
@@ -515,7 +517,7 @@ def test_a_card_without_fault_is_told_what_no_second_on_the_flat_can_show():
 def test_a_layout_with_turned_joints_is_written_out_as_terms():
     card = load_card(REPOSITORY / "policies" / "go1-parkour" / "policy.yaml")
     words, changed = next(iter(turned_cards(card, get_robot("go1"))))
-    assert words == "the hips turned round in targets and observations"
+    assert words == "the hips with the sign reversed in targets and observations"
     Card.model_validate(changed.model_dump(by_alias=True))
     lines = changed_lines(card, changed)
     assert lines[0].startswith("control.scale: {hip: -0.25, thigh: 0.25, calf: 0.25}")

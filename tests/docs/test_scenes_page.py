@@ -74,7 +74,7 @@ def test_its_bounds_are_those_of_the_readers() -> None:
     four, longest = "/".join(["a"] * 4), "a" * 120
     assert (checked_name(four), checked_name(longest)) == (four, longest)
     for name in (f"{four}/a", f"{longest}a", "a b"):
-        with pytest.raises(ValueError, match="no name of a scene"):
+        with pytest.raises(ValueError, match="not a valid scene name"):
             checked_name(name)
     assert "up to four words" in PROSE
     assert "120 characters" in PROSE

@@ -150,5 +150,5 @@ def test_a_path_that_leads_nowhere_is_told_from_a_misspelt_name():
     for path in ("./mine", "robots/mine", "mine.yaml"):
         with pytest.raises(PolicyError, match=f"'{path}': there is no such folder or card; known:"):
             load_bundle(path)
-    with pytest.raises(PolicyError, match="no policy, folder or card is called that; did you mean"):
+    with pytest.raises(PolicyError, match="no policy, folder or card has that name; did you mean"):
         load_bundle("go1-parkor")

@@ -170,7 +170,7 @@ def test_a_checkpoint_that_does_not_hear_its_inputs_is_found_out(tmp_path):
     told = api.check_policy(str(tmp_path), checkpoint=tmp_path / "deaf.pt")
     assert told.exit_code == UsageError.exit_code
     assert "the action is the same at every step" in told.text
-    assert "`body`, joint_vel: its limits -0.01..0.01 cut it off in most steps" in told.text
+    assert "`body`, joint_vel: its limits -0.01..0.01 clip it in most steps" in told.text
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -216,7 +216,7 @@ def test_other_peoples_policies_pass_with_their_cards(name):
     [
         ((r"  joints: \[.*?\]\n", ""), "it walks with the joints in the order FL FR RL RR, leg by"),
         (("order: newest_first", "order: oldest_first"), "it walks with `obs` with order: newest"),
-        (("- gravity", "- {term: gravity, scale: -1.0}"), "with the sign of `gravity` turned"),
+        (("- gravity", "- {term: gravity, scale: -1.0}"), "with the sign of `gravity` reversed"),
     ],
     ids=["joint order", "history order", "sign"],
 )

@@ -161,7 +161,7 @@ def test_check_names_every_network_and_finds_the_deaf_one(eyes, tmp_path):
     told = probe_here(load_bundle(eyes), scene=place)
     assert re.search(r"^network +gives +numbers +asked", told.text, re.MULTILINE)
     assert re.search(r"^encoder +encoder +8 +10 Hz", told.text, re.MULTILINE)
-    assert "does not hear its inputs" not in told.text
+    assert "does not react to its inputs" not in told.text
     told = probe_here(with_encoder(scripted(Deaf()), eyes, tmp_path), scene=place)
     assert not told.passed
     assert "fault: network `encoder`: `encoder` is the same at every step" in told.text

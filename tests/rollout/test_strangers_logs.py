@@ -106,7 +106,7 @@ def test_a_device_in_place_of_weights_is_not_read(forge, tmp_path):
     log = forge(HEAD + "adapter: zero\n", checkpoint="/dev/null")
     weights = f"checkpoint: {{file: w.onnx, sha256: {'f' * 64}}}\n"
     (tmp_path / "policy.yaml").write_text(HEAD + BODY + "adapter: onnx\n" + weights)
-    with pytest.raises(PolicyError, match="/dev/null: the checkpoint is no file"):
+    with pytest.raises(PolicyError, match="/dev/null: the checkpoint is not a file"):
         replay(log)
 
 

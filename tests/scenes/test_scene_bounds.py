@@ -47,7 +47,7 @@ def place(tmp_path):
      "a/b/c/d/e", "a\\b"],
 )  # fmt: skip
 def test_a_name_that_could_be_a_path_is_refused_with_its_place(place, name):
-    with pytest.raises(SceneError, match=r"scene\.yaml:2:1: name: .* is no name of a scene"):
+    with pytest.raises(SceneError, match=r"scene\.yaml:2:1: name: .* is not a valid scene name"):
         get_scene(place(name=name))
 
 
@@ -117,7 +117,7 @@ def test_a_key_that_cannot_be_printed_is_refused(place):
     (folder / "scene.yaml").write_text('nw-scene: 1\n"a\\n::error::b": 1\n')
     with pytest.raises(SceneError) as caught:
         get_scene(folder)
-    assert ":2:1: 'a\\n::error::b'... is no key" in str(caught.value)
+    assert ":2:1: 'a\\n::error::b'... is not a key" in str(caught.value)
 
 
 def test_a_reference_longer_than_a_file_name_is_no_scene():

@@ -254,7 +254,7 @@ def test_bad_options_name_the_value_and_the_fix(store):
         CpuRenderer(store, threads=0)
     with pytest.raises(UsageError, match="unknown renderer 'cup'; did you mean 'cpu'"):
         open_renderer(store, "cup")
-    with pytest.raises(UsageError, match="takes no pixel of 8x8"):
+    with pytest.raises(UsageError, match="selects no pixel of 8x8"):
         CpuRenderer(store).render(_ahead(8, 8), PUBLISHED)
     with pytest.raises(UsageError, match="reaches beyond its cell"):
         Pixels(stride=4, block=3, offset=2)

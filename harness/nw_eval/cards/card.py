@@ -24,8 +24,8 @@ from nw_eval.errors import nearest
 
 def _plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
-        message = f"{name[:70]!r} is no name for a policy"
-        raise ValueError(f"{message}; use a-z, 0-9, '.', '_' and '-', at most 64 of them")
+        message = f"{name[:70]!r} is not a valid policy name"
+        raise ValueError(f"{message}; use at most 64 of a-z, 0-9, '.', '_' and '-'")
     return name
 
 

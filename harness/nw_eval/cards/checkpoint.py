@@ -17,14 +17,14 @@ def _plain_file(name: str) -> str:
     except OutsideError as error:
         message = f"{name!r} leaves the card's folder: {error}"
         raise ValueError(
-            f"{message}; give a name inside it; only --checkpoint may lie elsewhere"
+            f"{message}; name a file inside it; only --checkpoint may name one elsewhere"
         ) from None
     return name
 
 
 def _sha256(digest: str) -> str:
     if not re.fullmatch(r"[0-9a-fA-F]{64}", digest):
-        message = f"{digest[:20]!r} is no SHA-256, which has 64 hex digits, not {len(digest)}"
+        message = f"{digest[:20]!r} is not a SHA-256, which has 64 hex digits, not {len(digest)}"
         raise ValueError(f"{message}; `sha256sum FILE` prints it")
     return digest.lower()
 

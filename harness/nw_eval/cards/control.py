@@ -28,7 +28,7 @@ ControlRate = Annotated[int, AfterValidator(_control_rate)]
 
 def _physics_rate(rate: int) -> int:
     if rate % CONTROL_RATE or not 2 * CONTROL_RATE <= rate <= 2000:
-        message = f"{rate} physics steps a second are no multiple of {CONTROL_RATE} up to 2000"
+        message = f"{rate} physics steps a second are not a multiple of {CONTROL_RATE} up to 2000"
         raise ValueError(f"{message}; use 200 (the default), 250, 500 or 1000")
     return rate
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from nw_eval.cards.card import Card
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.plural import plural
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,7 @@ def resolve_inputs(
     if len(parts) == 1 and parts[0][0] is None:
         if len(specs) > 1:
             raise PolicyError(
-                f"the checkpoint has {len(specs)} inputs: {', '.join(known)}",
+                f"the checkpoint has {plural(len(specs), 'input')}: {', '.join(known)}",
                 fix="say on the card which observations make each: `inputs: {name: [...]}`",
             )
         return ((specs[0], parts[0][1]),)
@@ -114,7 +115,7 @@ def _mismatch(
         )
     total = joined[0]
     if len(names) == 1:
-        said = f"`{names[0]}` is {total} numbers"
+        said = f"`{names[0]}` is {plural(total, 'number')}"
     else:
         said = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
     return f"{said}; the checkpoint's input `{spec.name}` wants {wanted[0]}"

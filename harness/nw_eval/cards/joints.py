@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Strict
 
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.plural import plural
 
 Number = Annotated[float, Strict()]
 """A number and nothing that could be read as one: `kp: true` and `kp: "35"` are slips."""
@@ -73,7 +74,7 @@ def joint_values(
     if isinstance(value, list):
         if len(value) != len(joints):
             raise PolicyError(
-                f"{len(value)} values for {len(joints)} joints",
+                f"{plural(len(value), 'value')} for {len(joints)} joints",
                 fix="give one value, one for each joint, or a mapping by name",
             )
         return np.array(value, dtype=np.float64)

@@ -253,7 +253,7 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
         return path
     is_path = "/" in str(name_or_path) or path.suffix in {".yaml", ".yml"}
     missing = (
-        "there is no such folder or card" if is_path else "no policy, folder or card is called that"
+        "there is no such folder or card" if is_path else "no policy, folder or card has that name"
     )
     raise PolicyError(
         f"unknown policy {str(name_or_path)!r}: {missing}",
@@ -276,7 +276,7 @@ def _beside(card_path: Path, file: str) -> Path:
     except OutsideError as error:
         raise PolicyError(
             f"{card_path}: checkpoint {file!r} lies outside the card's folder: {error}",
-            fix="put the file itself inside; only --checkpoint may lie elsewhere",
+            fix="move the file into the card's folder; only --checkpoint may name one elsewhere",
         ) from None
 
 
@@ -284,7 +284,7 @@ def _read(path: Path, card_path: Path, source: str | None = None, *, is_own: boo
     try:
         facts = path.stat()
         if not stat.S_ISREG(facts.st_mode):  # A device or a pipe may never end.
-            raise PolicyError(f"{path}: the checkpoint is no file", fix="check the path")
+            raise PolicyError(f"{path}: the checkpoint is not a file", fix="check the path")
         size = facts.st_size
         if size > SIZE_LIMIT:
             raise PolicyError(

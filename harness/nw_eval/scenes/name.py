@@ -18,8 +18,8 @@ def checked_name(name: str) -> str:
     """
     if len(name) > _LENGTH or not _NAME.fullmatch(name):
         raise ValueError(
-            f"{name[:60]!r} is no name of a scene; give up to {_DEPTH} words of letters, digits, "
-            f"'_', '-' and '.' with slashes between, {_LENGTH} characters at most"
+            f"{name[:60]!r} is not a valid scene name; give up to {_DEPTH} words of letters, "
+            f"digits, '_', '-' and '.' with slashes between, {_LENGTH} characters at most"
         )
     return name
 

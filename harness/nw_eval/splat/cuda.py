@@ -71,10 +71,10 @@ class CudaRenderer:
         """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
 
         Raises:
-            UsageError: when the pixel set takes no pixel of the image.
+            UsageError: when the pixel set selects no pixel of the image.
         """
         if pixels.count(camera.width) == 0 or pixels.count(camera.height) == 0:
-            raise UsageError(f"{pixels} takes no pixel of {camera.width}x{camera.height}")
+            raise UsageError(f"{pixels} selects no pixel of {camera.width}x{camera.height}")
         torch = self._torch
         view = camera.T_camera_world.astype(np.float32)
         K = np.array(

@@ -102,7 +102,7 @@ class CpuRenderer:
         """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
 
         Raises:
-            UsageError: when the pixel set takes no pixel of the image.
+            UsageError: when the pixel set selects no pixel of the image.
         """
         return self._render(camera, pixels, clock=-1)
 
@@ -127,7 +127,7 @@ class CpuRenderer:
         width, height = pixels.count(camera.width), pixels.count(camera.height)
         if width == 0 or height == 0:
             raise UsageError(
-                f"{pixels} takes no pixel of {camera.width}x{camera.height}",
+                f"{pixels} selects no pixel of {camera.width}x{camera.height}",
                 fix="use a larger image or a smaller stride",
             )
         image = Image(

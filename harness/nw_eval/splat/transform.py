@@ -32,7 +32,7 @@ def transformed(gaussians: Gaussians, T: NDArray[np.float64]) -> Gaussians:
     rotation = linear / max(scale, 1e-300)
     if determinant <= 0 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4:
         raise SceneError(
-            f"no similarity: determinant {determinant:g}", fix="give a rotation times a scale"
+            f"not a similarity: determinant {determinant:g}", fix="give a rotation times a scale"
         )
     w, x, y, z = quaternions(rotation)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])

@@ -124,8 +124,8 @@ class Gate(_Strict):
     )
     tiers: dict[Pattern, Tier] = Field(
         {},
-        description="Scene names or globs. critical: must have results, and convicts if its own "
-        "upper bound is below the bar. supporting (the default): counts in the mean. "
+        description="Scene names or globs. critical: must have results, and makes the run REGRESSED "
+        "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
         "informational: is only reported.",
     )
 

@@ -42,7 +42,7 @@ def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obey
     assert [kind for kind, _ in findings] == ["note"] * 3
     assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
     assert findings[2][1] == (
-        f"nothing tried helps: {TRIED}; none comes nearer than the card as it is"
+        f"none of the changes tried helps: {TRIED}; none comes nearer than the card as it is"
     )
 
 
@@ -64,10 +64,12 @@ def test_a_card_that_helps_and_mends_not_everything_is_shown_with_its_figures(co
         return obeys(card, (0.9 if halved_hips(card) else 0.1, 0.5, 1.0))
 
     _, findings, _ = compared(walk)
-    assert not any("nothing tried helps" in text for _, text in findings)
+    assert not any("none of the changes tried helps" in text for _, text in findings)
     kind, text = findings[-1]
     assert kind == "note"
-    assert text.startswith("it follows better with the scale of the hips halved; if so trained")
+    assert text.startswith(
+        "it follows better with the scale of the hips halved; if trained that way"
+    )
     assert "\n    control.scale: {hip: 0.25, thigh: 0.5, calf: 0.5}\n" in text
     assert "\n  then reached: ahead 0.90 (was 0.10), to the left 0.50 (was 0.50)," in text
 
@@ -115,7 +117,9 @@ def test_a_card_with_which_everything_is_followed_is_a_fault_of_the_one_that_is_
 
     _, findings, _ = compared(walk)
     assert [kind for kind, _ in findings] == ["note", "note", "fault"]
-    assert findings[2][1].startswith("it follows with the scale of the hips halved; if so trained")
+    assert findings[2][1].startswith(
+        "it follows with the scale of the hips halved; if trained that way"
+    )
 
 
 def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
@@ -125,7 +129,9 @@ def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
     followed, findings, _ = compared(walk, tilt=0.5)
     assert followed == []
     assert len(findings) == 1
-    assert findings[0][1].startswith("it walks with the scale of the hips halved; if so trained")
+    assert findings[0][1].startswith(
+        "it walks with the scale of the hips halved; if trained that way"
+    )
 
 
 def test_what_was_found_before_the_budget_was_used_up_is_told(commanded, compared, obeys):
@@ -179,4 +185,4 @@ def test_a_policy_without_commands_is_let_go_on_its_way(
     )
     assert [(one.kind, one.text.partition(";")[0]) for one in findings[:1]] == said
     assert [one.motion.words for one in followed] == (["on its way"] if acts else [])
-    assert any("nothing tried helps" in one.text for one in findings) == bool(said)
+    assert any("none of the changes tried helps" in one.text for one in findings) == bool(said)

@@ -258,7 +258,7 @@ def fake(request) -> Iterator[str]:
     ("fake", "reason"),
     [
         ((None, None), "no answer from ws://.* within 0.3 s"),
-        ((b"\xc1", None), "cannot read what ws://.* sends: it is no msgpack"),
+        ((b"\xc1", None), "cannot read what ws://.* sends: it is not msgpack"),
         (("hello", None), "it is text, not bytes"),
         ((encode({**HELLO, "protocol": 1}), None), "speaks protocol 1, not 2"),
         ((encode({**HELLO, "digest": "v7"}), None), "gives the digest 'v7'; give the SHA-256"),

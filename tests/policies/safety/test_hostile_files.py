@@ -159,7 +159,7 @@ HOSTILE = {
     "laughs": (lambda: torch_file(laughs()), "nests or repeats too many objects"),
     "zip bomb": (
         lambda: with_member("a/data/1", b"\0" * 2**25, compress=True),
-        "times, as only a bomb is",
+        "times, like a zip bomb",
     ),
     "member of 3 GB": (lying_size, "unpacks to 2861 MiB|damaged|truncated"),
     "path that climbs": (lambda: with_member("a/../../evil", b"x"), "points outside the archive"),

@@ -182,7 +182,7 @@ def test_a_centimetre_of_disagreement_is_measured_as_such(writer):
         ("0 0 0", "flattens"),
         ("1 1", "has 2 numbers"),
         ("nan nan nan", "not finite"),
-        ("one 1 1", "no list of numbers"),
+        ("one 1 1", "not a list of numbers"),
     ],
 )
 def test_scales_that_no_splat_follows_are_refused(writer, scale, words):

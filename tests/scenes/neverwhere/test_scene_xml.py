@@ -134,7 +134,7 @@ def test_included_terrain_and_an_absent_robot_are_understood(tmp_path):
         ('<!DOCTYPE a SYSTEM "file:///etc/passwd"><mujoco/>', "document type"),
         ("<mujoco><body></mujoco>", "not well formed"),
         ("", "not well formed"),
-        ("<scene/>", "no MJCF"),
+        ("<scene/>", "not MJCF"),
         ("<mujoco>" + "<body>" * 100 + "</body>" * 100 + "</mujoco>", "deep"),
         ('<mujoco><include file="none.xml"/></mujoco>', "no file"),
         ('<mujoco><include file="../x.xml"/></mujoco>', r"'\.\.'"),

@@ -67,7 +67,7 @@ class Gaps:
         return (*middles, (self._end()[0] + 1.2, 0.0, 0.0))
 
     def build(self, builder: PlaceBuilder) -> None:
-        """Build the platforms, whose ground lies at z = 0."""
+        """Build the platforms; the ground lies at z = 0."""
         half = _START_WIDTH / 2
         self._platform(builder, (-_START, self.edge), (-half, half), 0)
         for index, span in enumerate(self.spans()):

@@ -77,7 +77,7 @@ class _Checked:
         for one, where in ((name, place), *((part, (*place, "outputs", part)) for part in outputs)):
             if not _NAME.fullmatch(one):
                 fix = "use letters, digits, '_' and '-', a letter first"
-                self._tell(where, f"{one!r} is no name", fix)
+                self._tell(where, f"{one!r} is not a valid name", fix)
 
     def _inputs(
         self, place: Location, inputs: Inputs, recurrent: dict[str, str] | None

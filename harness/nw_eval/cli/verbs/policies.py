@@ -29,7 +29,7 @@ class Show:
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, or a card."""
     checkpoint: Path | None = None
-    """Weights to use with the card, when they lie elsewhere than it says."""
+    """Weights to use in place of those that the card names."""
     allow_code: bool = False
     """Let the card import Python code."""
 
@@ -52,7 +52,7 @@ class Check:
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, or a card."""
     checkpoint: Path | None = None
-    """Weights to use with the card, when they lie elsewhere than it says."""
+    """Weights to use in place of those that the card names."""
     scene: str | None = None
     """Where; a flat room when absent."""
     allow_code: bool = False
@@ -116,7 +116,7 @@ class Serve:
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, or a card."""
     checkpoint: Path | None = None
-    """Weights to use with the card, when they lie elsewhere than it says."""
+    """Weights to use in place of those that the card names."""
     host: str = "127.0.0.1"
     """Address to listen on; whoever reaches it can use the policy."""
     port: int = 8765

@@ -18,7 +18,7 @@ class Replay:
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """The bundle that made it, when it has moved since."""
     checkpoint: Path | None = None
-    """Weights to use with the card, when they lie elsewhere than it says."""
+    """Weights to use in place of those that the card names."""
     start: float = 0.0
     """Restore the last recorded state at or before this second, instead of the beginning."""
     picture: Path | None = None

@@ -26,7 +26,7 @@ class Run:
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
     checkpoint: Path | None = None
-    """Weights to use with the card, when they lie elsewhere than it says."""
+    """Weights to use in place of those that the card names."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per scene; the suite's own number when absent."""
     scenes: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ from nw_eval.onboarding.drafting.frames import Frame
 from nw_eval.onboarding.drafting.guesses import PARKOUR, SCANS, TERM_OF, is_scan, scan_of
 from nw_eval.onboarding.reading.exporter import ExportedTerm
 from nw_eval.onboarding.reading.text import CHECK, in_brackets, number
+from nw_eval.plural import plural
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,9 @@ def named_parts(
         history = f"history: {{steps: {times}, by: term}}  {CHECK} {size} = {times} x {total}"
         parts[0] = ObservationDraft(name=parts[0].name, lines=(*parts[0].lines, history))
     elif total != size:
-        notes.append(f"{CHECK} these terms make {total} numbers, the checkpoint wants {size}")
+        notes.append(
+            f"{CHECK} these terms make {plural(total, 'number')}, the checkpoint wants {size}"
+        )
     if not parts:
         return ()
     sensor, *others = parts[0].lines

@@ -85,7 +85,7 @@ def _others(
     nearest = "none comes nearer than the card as it is"
     if best is not None:
         nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
-    return [ProbeFinding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}")]
+    return [ProbeFinding(kind="note", text=f"none of the changes tried helps: {TRIED}; {nearest}")]
 
 
 def _cut(stage: Metered, kind: Literal["fault", "note"], what: str) -> ProbeFinding:

@@ -15,6 +15,7 @@ from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.onboarding.probe.following import Followed, stands_still
 from nw_eval.onboarding.probe.parts import Part
 from nw_eval.onboarding.probe.recording import STUMBLES, Recording
+from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ def observation_findings(ranges: list[Range], recording: Recording) -> list[Prob
         if value.broken:
             kind = "note" if part.kind == "lidar" else "fault"
             findings.append(
-                ProbeFinding(kind=kind, text=f"{name}: {value.broken} values are NaN or inf")
+                ProbeFinding(kind=kind, text=f"{name}: {value.broken} of its values are NaN or inf")
             )
         if value.constant == value.size and not part.is_fixed:
             kind = "note" if part.kind in _MAY_REST else "fault"
@@ -95,7 +96,7 @@ def observation_findings(ranges: list[Range], recording: Recording) -> list[Prob
         largest = max(abs(value.low), abs(value.high))
         if part.limits is not None and _share_at(part, recording) > _OFTEN:
             low, high = part.limits
-            text = f"{name}: its limits {low:g}..{high:g} cut it off in most steps; mind the scale"
+            text = f"{name}: its limits {low:g}..{high:g} clip it in most steps; check its scale"
             findings.append(ProbeFinding(kind="fault", text=text))
         elif largest > _LARGE and part.kind in _TERMS_OF_ORDER_ONE:
             text = f"{name}: reaches {largest:.3g}; a scale may be missing"
@@ -125,8 +126,9 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
         if is_listed and value.part.kind == "constant" and value.low == value.high == 0.0:
             zeros[name] = zeros.get(name, 0) + value.size
     for name, count in zeros.items():
-        number = "1 zero" if count == 1 else f"{count} zeros"
-        text = f"`{name}` holds {number} in place of what the checkpoint was trained on"
+        text = (
+            f"`{name}` holds {plural(count, 'zero')} in place of what the checkpoint was trained on"
+        )
         findings.append(ProbeFinding(kind="note", text=text))
     return findings
 
@@ -139,7 +141,7 @@ def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[
     findings: list[ProbeFinding] = []
     actions = recording.actions
     if (actions == actions[:1]).all() and card.adapter != "zero":
-        text = "the action is the same at every step: the checkpoint does not hear its inputs"
+        text = "the action is the same at every step: the checkpoint does not react to its inputs"
         findings.append(ProbeFinding(kind="fault", text=text))
     if card.control.clip is not None:
         low, high = card.control.clip
@@ -187,7 +189,7 @@ def command_findings(followed: list[Followed]) -> list[ProbeFinding]:
         text = f"`command`: {commanded} {direction}, {reached} reached ({one.ratio:z.0%})"
         text += ", and it fell" if one.fell else ""
         scales = "" if one.motion.is_own else " and the `scale` of `command`"
-        text += f"; mind `control.scale`{scales}"
+        text += f"; check `control.scale`{scales}"
         findings.append(ProbeFinding(kind="fault" if one.motion.is_used else "note", text=text))
     return findings
 

@@ -1,4 +1,4 @@
-"""What the networks gave that feed a policy, and if they hear what they are given."""
+"""What the networks gave that feed a policy, and whether they react to their inputs."""
 
 from __future__ import annotations
 
@@ -35,13 +35,15 @@ def network_rows(card: Card, recording: Recording) -> list[tuple[str, ...]]:
 
 
 def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
-    """Return which networks do not hear what they are given."""
+    """Return which networks do not react to their inputs."""
     findings: list[ProbeFinding] = []
     for name, output in _outputs(card):
         values = recording.given[output]
         if len(values) > 1 and (values == values[:1]).all():
             text = f"network `{name}`: `{output}` is the same at every step: "
-            findings.append(ProbeFinding(kind="fault", text=f"{text}it does not hear its inputs"))
+            findings.append(
+                ProbeFinding(kind="fault", text=f"{text}it does not react to its inputs")
+            )
     return findings
 
 

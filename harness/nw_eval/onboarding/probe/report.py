@@ -24,6 +24,7 @@ from nw_eval.onboarding.probe.following import Followed
 from nw_eval.onboarding.probe.networks import network_findings, network_rows
 from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import Recording, Stage
+from nw_eval.plural import plural
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.check_bundle import check_bundle
@@ -34,10 +35,10 @@ from nw_eval.rollout.fault import PolicyFailedError
 FLAT = "flat/carpet_room"
 SECONDS = 1.0
 BEYOND = (
-    "beyond this check: a robot, pose, scale, frame, gain, torque limit, rate or delay that is not "
-    "the training's, but with which it walks all the same"
+    "not visible to this check: a robot, pose, scale, frame, gain, torque limit, rate or delay "
+    "other than in training with which it walks nevertheless"
 )
-"""What no second on the flat can show; said where no fault is found."""
+"""What no second on the flat can show; added where no fault is found."""
 _TIME_LIMIT = 600.0  # s of wall time
 _BUDGET = 360.0
 """Seconds of simulation for commands and other cards. Measured on six policies under 140 cards:
@@ -127,7 +128,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         *command_table(followed),
         *(f"{finding.kind}: {finding.text}" for finding in findings),
         *([BEYOND] if scene == FLAT and not faults else []),
-        "no fault found" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
+        "no fault found" if not faults else plural(faults, "fault"),
     ]
     return ProbeReport(text="\n".join(lines), passed=not faults)
 

@@ -55,7 +55,7 @@ def card_summary(path: Path, *, checkpoint: Path | None = None, allow_code: bool
     lines = [
         f"{card.name}: {card.title}" if card.title else card.name,
         f"card        {clean(path)}",
-        f"licence     {card.licence or 'not expected'}",
+        f"licence     {card.licence or 'not stated'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
         *(f"{key:10}  {clean(words)}" for key, words in _weights(card, path, checkpoint)),

@@ -51,7 +51,7 @@ class Hypothesis:
     def advice(self, card: Card) -> str:
         """Say what to write on the card that it changes, each key on a line of its own."""
         lines = "".join(f"\n    {line}" for line in changed_lines(card, self.card))
-        return f"with {self.words}; if so trained, write{lines}"
+        return f"with {self.words}; if trained that way, write{lines}"
 
 
 def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:

@@ -52,7 +52,10 @@ def turned_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     for group, patterns in _GROUPS.items():
         for places in _PLACES:
             signs = _factors(card, robot, patterns, -1.0)
-            yield f"{group} turned round in {listed(places)}", _times(card, robot, signs, places)
+            yield (
+                f"{group} with the sign reversed in {listed(places)}",
+                _times(card, robot, signs, places),
+            )
 
 
 def scaled_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:

@@ -56,11 +56,11 @@ def turned_terms(card: Card) -> Iterator[tuple[str, Card]]:
     """Yield cards in which a term, or a side of the command, has the other sign."""
     for name, term in {term.term: term for term in _terms(card)}.items():
         if name in _SIGNED and isinstance(term.scale, float):
-            yield f"the sign of `{name}` turned", _with_scales(card, {name: -term.scale})
+            yield f"the sign of `{name}` reversed", _with_scales(card, {name: -term.scale})
         elif name == "command":
             x, y, yaw = term.scale if isinstance(term.scale, list) else [term.scale] * 3
             for scale in ([x, -y, yaw], [x, y, -yaw], [x, -y, -yaw]):
-                yield "the sign of a part of `command` turned", _with_scales(card, {name: scale})
+                yield "the sign of a part of `command` reversed", _with_scales(card, {name: scale})
 
 
 def absolute_terms(card: Card) -> Iterator[tuple[str, Card]]:

@@ -13,6 +13,7 @@ from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
+from nw_eval.plural import plural
 from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.adapters.script_state import (
     read_state,
@@ -82,7 +83,7 @@ class TorchScriptNetwork:
     def _picked(self, outputs: Sequence[Any], place: int) -> NDArray[Any]:
         if place >= len(outputs):
             raise TrialError(
-                f"{self._subject} returned {len(outputs)} tensors, none at place {place}",
+                f"{self._subject} returned {plural(len(outputs), 'tensor')}, none at place {place}",
                 fix="places count from 0: correct `output` on the card",
             )
         if not isinstance(outputs[place], torch.Tensor):

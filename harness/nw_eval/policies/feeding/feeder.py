@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.networks import NetworkOutput
 from nw_eval.cards.observations.proprio import selected_indices
 from nw_eval.errors import ActionError, TrialError
+from nw_eval.plural import plural
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.network import OpenNetwork, Wanted
 from nw_eval.policies.policy import Observation
@@ -95,5 +96,7 @@ def _picked(name: str, output: NetworkOutput, array: Array) -> Array:
     scale = np.asarray(output.scale, array.dtype if array.dtype.kind == "f" else np.float32)
     if scale.ndim and scale.shape != array.shape:
         shape = " x ".join(str(side) for side in array.shape)
-        raise TrialError(f"`{name}`: `scale` has {scale.size} numbers, the output {shape}")
+        raise TrialError(
+            f"`{name}`: `scale` has {plural(scale.size, 'number')}, the output {shape}"
+        )
     return array * scale

@@ -119,6 +119,6 @@ class _Fold:
             except OSError as error:
                 raise PolicyError(
                     f"{path}: cannot be read: {error.strerror}",
-                    fix="lay the file that the export wrote beside the graph there",
+                    fix="copy the file that the export wrote beside the graph to that place",
                 ) from None
         return self._files[path]

@@ -222,11 +222,12 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
             status = refusal.response.status_code
             moved = "redirects are not followed: name the server itself"
             raise PolicyError(
-                f"{bundle.card_path}: what answers at {options.url} is no websocket: HTTP {status}",
+                f"{bundle.card_path}: what answers at {options.url} is not a websocket: "
+                f"HTTP {status}",
                 fix=moved if 300 <= status < 400 else _START,
             ) from None
         raise PolicyError(
-            f"{bundle.card_path}: {options.url} is no address: {error}",
+            f"{bundle.card_path}: {options.url} is not an address: {error}",
             fix="write `options: {url: ws://host:port}`",
         ) from None
     except TimeoutError:
@@ -237,7 +238,7 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
         ) from None
     except InvalidHandshake as error:
         raise PolicyError(
-            f"{bundle.card_path}: what answers at {options.url} is no websocket: {error}",
+            f"{bundle.card_path}: what answers at {options.url} is not a websocket: {error}",
             fix=_START,
         ) from None
     except OSError as error:

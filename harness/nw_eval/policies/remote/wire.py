@@ -86,7 +86,7 @@ def decode(data: bytes | str) -> dict[str, Any]:
             max_str_len=_TEXT,
         )
     except (msgpack.exceptions.UnpackException, TypeError, KeyError, OverflowError) as error:
-        raise ValueError(f"it is no msgpack: {error or type(error).__name__}") from None
+        raise ValueError(f"it is not msgpack: {error or type(error).__name__}") from None
     if not isinstance(message, dict):
         raise ValueError(f"it is a {type(message).__name__}, not a map")  # noqa: TRY004 - as above.
     return message

@@ -112,10 +112,10 @@ def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> A
     for member in members:
         fault = _fault(member, limits)
         if member.filename in seen:
-            fault = "comes twice, so that readers may differ about it"
+            fault = "is in it twice, so that readers may disagree about it"
         elif member.filename.casefold() in folded:
             # Torch's reader ignores case, Python's does not.
-            fault = "comes twice but for its case, so that readers may differ about it"
+            fault = "is in it twice but for its case, so that readers may disagree about it"
         if fault is not None:
             raise PolicyError(
                 f"{where}: the archive's member {clean(member.filename, at_most=200)!r} {fault}",
@@ -144,7 +144,7 @@ def _fault(member: zipfile.ZipInfo, limits: FileLimits) -> str | None:
         return "is encrypted"
     if member.file_size > limits.compression * max(member.compress_size, 1) + 2**16:
         ratio = member.file_size // max(member.compress_size, 1)
-        return f"is compressed {ratio} times, as only a bomb is"
+        return f"is compressed {ratio} times, like a zip bomb"
     return None
 
 

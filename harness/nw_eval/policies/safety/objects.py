@@ -220,7 +220,7 @@ class _Machine:
     def set_items(self, values: list[Any]) -> None:
         target = self.stack[-1]
         if not isinstance(target, dict):
-            raise TypeError("items for something that is no dict")
+            raise TypeError("items for something that is not a dict")
         for key, value in zip(values[::2], values[1::2], strict=True):
             if not isinstance(key, str | int | float | bool | tuple | None):
                 raise _RefusedError(f"has a {type(key).__name__} as a key")
@@ -229,7 +229,7 @@ class _Machine:
     def append(self, values: list[Any]) -> None:
         target = self.stack[-1]
         if not isinstance(target, list):
-            raise TypeError("elements for something that is no list")
+            raise TypeError("elements for something that is not a list")
         target.extend(values)
 
     def reduce(self) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.plural import plural
 from nw_eval.scenes.limits import MESH_REACH, QUAT
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.neverwhere.xml_file import Element
@@ -42,14 +43,14 @@ def numbers(element: Element, name: str, counts: tuple[int, ...]) -> list[float]
     try:
         values = [float(part) for part in text.split()]
     except ValueError:
-        raise element.error(f"{name}={text!r} is no list of numbers") from None
+        raise element.error(f"{name}={text!r} is not a list of numbers") from None
     if not all(math.isfinite(value) for value in values):
         raise element.error(f"{name}={text!r} is not finite")
     if any(abs(value) > MESH_REACH for value in values):
         raise element.error(f"{name}={text!r}", fix=f"nothing may be beyond {MESH_REACH:g}")
     if len(values) not in counts:
         raise element.error(
-            f"{name}={text!r} has {len(values)} numbers",
+            f"{name}={text!r} has {plural(len(values), 'number')}",
             fix="give " + " or ".join(map(str, counts)),
         )
     return values

@@ -87,7 +87,7 @@ def _plane(geom: PlacedGeom) -> Plane:
         raise geom.element.error("the ground plane is tilted", fix="use a box for a slope")
     z = float(geom.T_world_geom[2, 3])
     if not abs(z) <= REACH:
-        raise geom.element.error(f"the ground lies at z = {z:g}", fix=f"within {REACH:g} m, please")
+        raise geom.element.error(f"the ground lies at z = {z:g}", fix=f"keep it within {REACH:g} m")
     return Plane(z=z, friction=checked_friction(geom, _MUJOCO_FRICTION))
 
 
@@ -109,7 +109,7 @@ def _solid(geom: PlacedGeom, kind: str) -> Box | Primitive:
         rotation = _frame(axis / length)
         size = [size[0], *([size[0]] if count == 3 else []), length / 2] if size else []
     if not (np.isfinite(center).all() and np.abs(center).max() <= REACH):
-        raise element.error(f"it lies at {center.tolist()}", fix=f"within {REACH:g} m, please")
+        raise element.error(f"it lies at {center.tolist()}", fix=f"keep it within {REACH:g} m")
     if len(size) < count or not LEAST_SIZE <= min(size[:count]) <= max(size[:count]) <= REACH:
         raise element.error(
             f"size={element.get('size')!r} makes no {kind}",

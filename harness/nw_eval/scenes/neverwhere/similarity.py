@@ -43,7 +43,7 @@ def read_normalisation(path: Path) -> Matrix:
         ) from None
     if rows.shape not in {(3, 4), (4, 4)} or not (np.abs(rows) <= MESH_REACH).all():
         raise SceneError(
-            f"{path}: `transform` has shape {rows.shape}, or numbers of no place",
+            f"{path}: `transform` has shape {rows.shape}, or numbers out of bounds",
             fix=f"give 3 x 4 numbers, up to {MESH_REACH:g}",
         )
     transform = np.eye(4)

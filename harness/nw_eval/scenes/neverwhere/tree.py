@@ -78,7 +78,7 @@ def read_tree(places: Places) -> Tree:
     """
     root = read_xml(places.xml)
     if root.tag != "mujoco":
-        raise root.error("this is no MJCF", fix="the outermost element must be <mujoco>")
+        raise root.error("this is not MJCF", fix="the outermost element must be <mujoco>")
     sections = _Sections(places)
     sections.expand(root, (places.xml.resolve(),))
     angles, mesh_folder = _compiler(sections)

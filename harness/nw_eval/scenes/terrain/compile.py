@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.plural import plural
 from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
@@ -207,8 +208,8 @@ def _sheet_findings(surface: Surface, grid: Grid) -> tuple[SceneFinding, ...]:
             code="layered_sheet",
             severity="warning",
             message=f"a sheet without an underside hangs over {area:.1f} m2 round "
-            f"({x:.2f}, {y:.2f}); it was taken for a roof and is not touched",
-            fix="cut it off if it is none",
+            f"({x:.2f}, {y:.2f}); it was taken for a roof and cannot be touched",
+            fix="remove it if it is not one",
             value=area,
             place=(x, y, 0.0),
         ),
@@ -224,7 +225,8 @@ def _plate_findings(near: _Field) -> tuple[SceneFinding, ...]:
         SceneFinding(
             code="overhang",
             severity="note",
-            message=f"{len(near.slabs)} boxes stand for what hangs over the ground, the largest at "
+            message="what hangs over the ground is taken as "
+            f"{plural(len(near.slabs), 'box', 'boxes')}, the largest at "
             f"({x:.2f}, {y:.2f}, {top:.2f}), {near.slabs[0].thickness:.3f} m thick",
             value=float(len(near.slabs)),
             place=(x, y, top),

@@ -180,7 +180,7 @@ def _triangles(faces: Any) -> NDArray[np.integer]:
         return array.astype(np.int64)
     cut = np.asarray(triangulate_quads(faces), dtype=np.int64)
     if cut.ndim != 2 or cut.shape[1] != 3:
-        raise ValueError("its faces are no polygons")
+        raise ValueError("its faces are not polygons")
     return cut
 
 

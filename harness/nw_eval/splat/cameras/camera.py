@@ -71,7 +71,7 @@ class Camera:
         scale = gram[0, 0]
         if scale <= 0 or np.abs(gram - scale * np.eye(3)).max() > 1e-4 * scale:
             raise UsageError(
-                f"T_world_camera is no rotation times a scale: {T[:3, :3].tolist()}",
+                f"T_world_camera is not a rotation times a scale: {T[:3, :3].tolist()}",
                 fix="orthonormalise its 3x3 block",
             )
 

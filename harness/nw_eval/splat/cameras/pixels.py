@@ -39,7 +39,9 @@ class Pixels:
             UsageError: when it does not.
         """
         if self.stride < 1 or self.block < 1 or self.offset < 0:
-            raise UsageError(f"{self} is no pixel set", fix="give stride, block >= 1, offset >= 0")
+            raise UsageError(
+                f"{self} is not a pixel set", fix="give stride, block >= 1, offset >= 0"
+            )
         if self.offset + self.block > self.stride:
             raise UsageError(f"{self} reaches beyond its cell", fix="keep offset + block <= stride")
 

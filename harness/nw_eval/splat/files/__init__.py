@@ -72,7 +72,7 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix="give a splat file") from error
     raise SceneError(
-        f"{path}: starts with {mark[:4]!r}, which is no splat format",
+        f"{path}: starts with {mark[:4]!r}, which is not a splat format",
         fix="give .ply, .spz, .splat, a gsplat .pt, or a nerfstudio export folder",
     )
 

@@ -122,7 +122,7 @@ def _array(path: Path, content: Any, key: str, tensor_type: type, size: int) -> 
     # A tensor of stride 0 can claim any shape; its elements must be in the file.
     if values.layout.__str__() != "torch.strided" or values.numel() > size:
         raise SceneError(
-            f"{path}: tensor {key!r} of shape {tuple(values.shape)} is no data", fix=_FIX
+            f"{path}: tensor {key!r} of shape {tuple(values.shape)} holds no data", fix=_FIX
         )
     if not values.is_floating_point():
         raise SceneError(f"{path}: tensor {key!r} is {values.dtype}", fix=_FIX)

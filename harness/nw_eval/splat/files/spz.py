@@ -144,7 +144,7 @@ def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
 def _check_proportion(path: Path, header: _Header, needed: int, size: int) -> None:
     if needed > max(_SMALL, _RATIO * size):
         raise SceneError(
-            f"{path}: {size} bytes claim to expand to {needed}", fix="no honest file does"
+            f"{path}: {size} bytes claim to expand to {needed}", fix="the file is damaged or forged"
         )
     check_count(path, header.count)
 

@@ -29,7 +29,7 @@ def check_torchscript(data: bytes, where: str, limits: FileLimits | None = None)
         actions, bit for bit.
 
     Raises:
-        PolicyError: it is no TorchScript file, or fails a check.
+        PolicyError: it is not TorchScript file, or fails a check.
     """
     limits = limits or FileLimits()
     kind = file_kind(data, where)
@@ -47,7 +47,9 @@ def check_torchscript(data: bytes, where: str, limits: FileLimits | None = None)
     check_references(constants, archive, "constants", limits)
     for name in sorted({"version", ".data/version"}.intersection(archive.names())):
         if not re.fullmatch(rb"[0-9]{1,4}\s*", archive.read(name, at_most=64)):
-            raise PolicyError(f"{where}: its `{name}` is no number", fix="export the policy again")
+            raise PolicyError(
+                f"{where}: its `{name}` is not a number", fix="export the policy again"
+            )
     code = {
         name: archive.read(name, at_most=limits.code_bytes)
         for name in archive.names()

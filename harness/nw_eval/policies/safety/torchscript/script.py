@@ -97,7 +97,7 @@ def _parsed(name: str, raw: bytes, where: str, limits: FileLimits) -> ast.Module
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         line = getattr(error, "lineno", None) or 1
         reason = clean(getattr(error, "msg", None) or error, at_most=100)
-        raise _refusal(where, name, line, f"it is no TorchScript: {reason}", PLAIN) from None
+        raise _refusal(where, name, line, f"it is not TorchScript: {reason}", PLAIN) from None
 
 
 def _depth(text: str) -> int:
@@ -135,7 +135,7 @@ def _definition(part: ast.stmt, known: Definitions) -> str:
         raise RefusedError(part, f"it has a {type(part).__name__} outside of classes")
     bases = [identifier(base) for base in part.bases]
     if part.decorator_list or part.keywords or bases not in ([], ["Module"], ["NamedTuple"]):
-        raise RefusedError(part, f"the class {part.name!r} is no module")
+        raise RefusedError(part, f"the class {part.name!r} is not a module")
     head = f"class {part.name}({bases[0]}):\n" if bases else f"class {part.name}:\n"
     return head + "".join(_attribute(line, known) for line in part.body)
 

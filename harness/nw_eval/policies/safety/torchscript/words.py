@@ -62,7 +62,7 @@ class Types:
                 return f"{name}[{', '.join(self.text(part) for part in parts) or '()'}]"
             case _:
                 shown = short(ast.unparse(node)) if node is not None else "nothing"
-                raise RefusedError(node, f"`{shown}` is no type of a network's")
+                raise RefusedError(node, f"`{shown}` is not a type that networks use")
 
 
 def dotted(node: ast.expr | None) -> str:
@@ -103,7 +103,7 @@ def literal(node: ast.expr) -> str:
         case ast.Attribute() if (name := dotted(node)).startswith("CONSTANTS.c"):
             return name
         case _:
-            raise RefusedError(node, f"`{short(ast.unparse(node))}` is no plain value")
+            raise RefusedError(node, f"`{short(ast.unparse(node))}` is not a plain value")
 
 
 def string(node: ast.expr) -> str:
