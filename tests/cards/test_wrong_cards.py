@@ -179,7 +179,7 @@ def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
     told = check(tmp_path / "card", card, weights)
     assert not told.passed
     assert (
-        f"with {words} with the sign reversed in targets and observations; if trained" in told.text
+        f"with the signs of {words} reversed in targets and observations; if trained" in told.text
     )
     assert mend(card, told.text) == 3
     names = joints_of(card)
@@ -517,7 +517,7 @@ def test_a_card_without_fault_is_told_what_no_second_on_the_flat_can_show():
 def test_a_layout_with_turned_joints_is_written_out_as_terms():
     card = load_card(REPOSITORY / "policies" / "go1-parkour" / "policy.yaml")
     words, changed = next(iter(turned_cards(card, get_robot("go1"))))
-    assert words == "the hips with the sign reversed in targets and observations"
+    assert words == "the signs of the hips reversed in targets and observations"
     Card.model_validate(changed.model_dump(by_alias=True))
     lines = changed_lines(card, changed)
     assert lines[0].startswith("control.scale: {hip: -0.25, thigh: 0.25, calf: 0.25}")

@@ -124,7 +124,7 @@ class Gate(_Strict):
     )
     tiers: dict[Pattern, Tier] = Field(
         {},
-        description="Scene names or globs. critical: must have results, and makes the run REGRESSED "
+        description="Scene names or globs. critical: must have results; the run is REGRESSED "
         "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
         "informational: is only reported.",
     )

@@ -87,16 +87,16 @@ def test_joint_positions_are_counted_from_the_other_place(commanded, relative):
 
 def test_a_pose_that_the_robot_cannot_take_is_not_tried(commanded):
     # Its calves go from -2.70 to -0.92 rad: 1.8 is nothing that a Go1 can do.
-    turned = "thighs and calves with the sign reversed in default pose"
+    turned = "the signs of thighs and calves reversed in default pose"
     assert turned in dict(turned_cards(commanded, GO1))
     assert turned not in tried(commanded)
-    assert "the hips with the sign reversed in default pose" in tried(commanded)
+    assert "the signs of the hips reversed in default pose" in tried(commanded)
 
 
 def test_a_pose_that_the_robot_cannot_take_has_to_be_mended(commanded):
     card = with_terms(commanded, "joint_pos", default_pose={"thigh": -0.9, "calf": 1.8})
     words = list(tried(card))
-    assert "thighs and calves with the sign reversed in default pose" in words
+    assert "the signs of thighs and calves reversed in default pose" in words
     assert all(one.endswith("default pose") for one in words)
 
 

@@ -53,7 +53,7 @@ def turned_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
         for places in _PLACES:
             signs = _factors(card, robot, patterns, -1.0)
             yield (
-                f"{group} with the sign reversed in {listed(places)}",
+                f"the signs of {group} reversed in {listed(places)}",
                 _times(card, robot, signs, places),
             )
 

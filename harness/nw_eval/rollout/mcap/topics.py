@@ -130,7 +130,7 @@ TOPICS = (
         name="/points/robot/<body>",
         schema="foxglove.PointCloud",
         rate=_ONCE,
-        holds="corners of the body's parts, for the same; m",
+        holds="corners of the body's parts, for the same viewers; m",
         frame="<body>",
     ),
     Topic(
