@@ -137,7 +137,7 @@ def test_policies_that_see_no_velocity_command_are_given_none(uncommanded):
 def test_a_constant_command_is_tried_as_it_is(commanded, velocity, used):
     tried = motions(with_command(commanded, source="constant", velocity=velocity))
     own = [motion for motion in tried if motion.is_used]
-    assert [(motion.words, motion.asked) for motion in own] == used
+    assert [(motion.words, motion.size) for motion in own] == used
     assert {motion.velocity for motion in own} <= {velocity}
     others = [motion for motion in tried if not motion.is_used]
     assert velocity not in {motion.velocity for motion in others}
@@ -166,7 +166,7 @@ def test_nothing_is_judged_that_is_less_than_a_tenth(commanded, changes, used):
     command = {"source": "trail_follower", "speed": 0.8} | changes
     tried = motions(with_command(commanded, **command))
     assert len(tried) == 5
-    assert all(motion.asked >= 0.1 for motion in tried)
+    assert all(motion.size >= 0.1 for motion in tried)
     assert [motion.words for motion in tried if motion.is_used] == used
 
 
