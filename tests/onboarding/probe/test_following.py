@@ -104,7 +104,7 @@ def test_a_fall_is_told_behind_what_was_reached():
     assert fault.text.startswith("`command`: 1 m/s ahead, 0.51 m/s reached (51%), and it fell; ")
     (note,) = command_findings([followed(0.4, RIGHT)])
     assert note.kind == "note"
-    assert note.text.startswith("`command`: 0.5 m/s to the right, 0.20 m/s reached (40%); mind")
+    assert note.text.startswith("`command`: 0.5 m/s to the right, 0.20 m/s reached (40%); check")
 
 
 def test_what_trials_command_is_used_and_the_rest_is_not(commanded):
