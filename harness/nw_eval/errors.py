@@ -67,7 +67,7 @@ class NwEvalError(Exception):
         self.problems = tuple(line for line in lines if isinstance(line, Problem))
 
     @property
-    def said(self) -> str:
+    def message(self) -> str:
         """The message without the fix."""
         return "\n".join(
             str(line) if isinstance(line, Problem) else clean(line, at_most=_LONGEST)
@@ -75,7 +75,7 @@ class NwEvalError(Exception):
         )
 
     def __str__(self) -> str:
-        return _with_fix(self.said, self.fix)
+        return _with_fix(self.message, self.fix)
 
 
 class UsageError(NwEvalError):

@@ -115,7 +115,7 @@ def _mismatch(
         )
     total = joined[0]
     if len(names) == 1:
-        said = f"`{names[0]}` is {plural(total, 'number')}"
+        sums = f"`{names[0]}` is {plural(total, 'number')}"
     else:
-        said = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
-    return f"{said}; the checkpoint's input `{spec.name}` wants {wanted[0]}"
+        sums = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
+    return f"{sums}; the checkpoint's input `{spec.name}` wants {wanted[0]}"

@@ -48,8 +48,10 @@ class JointControl:
         names = [robot.joints[i] for i in order]
         robot_pose = np.array(robot.default_pose)[order]
         pose = robot_pose
-        if (given := control.default_pose) is not None:
-            pose = _named("default_pose", lambda: joint_values(given, names, robot_pose.tolist()))
+        if (own_pose := control.default_pose) is not None:
+            pose = _named(
+                "default_pose", lambda: joint_values(own_pose, names, robot_pose.tolist())
+            )
         offset = control.action == "joint_position_offset"
         low, high = control.clip or (-np.inf, np.inf)
         return cls(

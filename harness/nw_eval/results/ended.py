@@ -71,7 +71,7 @@ def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]
         if not info.rows_digest:
             raise
         rows = _from_parquet(folder, info, trials, error)
-        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error.said}",))
+        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error.message}",))
     if contents.dropped:
         told.append(contents.dropped)
     if others:
@@ -87,7 +87,7 @@ def _from_parquet(
     try:
         return _parquet(folder, info, trials)
     except StoreError as error:
-        raise StoreError(f"{fault.said}; and {error}") from None
+        raise StoreError(f"{fault.message}; and {error}") from None
 
 
 def _parquet(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> list[Row]:
@@ -106,7 +106,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         if again != info:  # Another version of Arrow writes the same rows as other bytes.
             write_run_info(folder.run_json, again)
     except StoreError as error:
-        return [f"judged from the journal: {fault}; {error.said}"]
+        return [f"judged from the journal: {fault}; {error.message}"]
     return [f"judged from the journal, and trials.parquet written again from it: {fault}"]
 
 

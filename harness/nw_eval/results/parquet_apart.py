@@ -62,7 +62,7 @@ def _answer(path: Path) -> None:
     try:
         lines = [json.dumps(to_dict(row)) for row in read_rows(path)[0]]
     except (StoreError, MemoryError) as error:
-        said = error.said if isinstance(error, StoreError) else f"{path}: no memory to read it"
+        said = error.message if isinstance(error, StoreError) else f"{path}: no memory to read it"
         lines = [json.dumps({"error": said})]
     else:
         lines.append('"end"')

@@ -38,14 +38,14 @@ def unseal(data: bytes, before: str = "") -> tuple[bytes, str]:
         ValueError: the sum is missing, or is that of other bytes.
     """
     start = max(0, len(data) - _LONGEST_END)
-    found = _END.search(data[start:])
-    if found is None:
+    end = _END.search(data[start:])
+    if end is None:
         raise ValueError("its checksum is missing")
-    head = data[: start + found.start()]
-    told, actual = found.group(1).decode(), _sum(head, before)
-    if told != actual:
-        raise ValueError(f"its checksum is {told}, what it holds gives {actual}")
-    return head + b"}", told
+    head = data[: start + end.start()]
+    written, actual = end.group(1).decode(), _sum(head, before)
+    if written != actual:
+        raise ValueError(f"its checksum is {written}, what it holds gives {actual}")
+    return head + b"}", written
 
 
 def _sum(head: bytes, before: str) -> str:

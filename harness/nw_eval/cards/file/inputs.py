@@ -29,9 +29,9 @@ def input_problems(card: Card, file: YamlFile) -> list[Problem]:
         words = f"networks: adapter `{card.adapter}` has no checkpoint here that they could feed"
         fix = "remove them; a server has its networks on the card that it serves"
         return [file.problem(("networks",), words, None if card.adapter == "zero" else fix)]
-    told = _Checked(card, file)
-    told.look()
-    return sorted(told.problems, key=lambda problem: (problem.line, problem.column))
+    checked = _Checked(card, file)
+    checked.look()
+    return sorted(checked.problems, key=lambda problem: (problem.line, problem.column))
 
 
 class _Checked:
@@ -41,8 +41,8 @@ class _Checked:
         self.problems: list[Problem] = []
         self._card = card
         self._file = file
-        self._given = {name: [*network.given_as(name)] for name, network in card.networks.items()}
-        self._known = [*card.observations, *chain.from_iterable(self._given.values())]
+        self._outputs = {name: [*network.given_as(name)] for name, network in card.networks.items()}
+        self._known = [*card.observations, *chain.from_iterable(self._outputs.values())]
 
     def look(self) -> None:
         """Find all of them."""
@@ -70,7 +70,7 @@ class _Checked:
 
     def _names(self, place: Location, name: str) -> None:
         """Check what a network and its outputs are called."""
-        taken = [one for one in (name, *self._given[name]) if one in self._card.observations]
+        taken = [one for one in (name, *self._outputs[name]) if one in self._card.observations]
         if taken:
             self._tell(place, f"an observation is called {taken[0]!r}, too", "rename one of them")
         outputs = self._card.networks[name].outputs or {}
@@ -97,10 +97,10 @@ class _Checked:
         return used
 
     def _unknown(self, part: str) -> tuple[str, str]:
-        if part in self._given:
-            words = f"network {part!r} gives {', '.join(self._given[part])}"
+        if part in self._outputs:
+            words = f"network {part!r} gives {', '.join(self._outputs[part])}"
             return words, "name those that are meant"
-        kind = "observation or network" if self._given else "observation"
+        kind = "observation or network" if self._outputs else "observation"
         return f"unknown {kind} {part!r}", nearest(part, self._known)
 
     def _unused(self, used: set[str]) -> None:
@@ -108,7 +108,7 @@ class _Checked:
         if unused:
             words = f"no input uses the observation {', '.join(unused)}"
             self._tell(("observations", unused[0]), words, "use it or remove it", named=False)
-        for name, parts in self._given.items():
+        for name, parts in self._outputs.items():
             idle = [part for part in parts if part not in used]
             if idle:
                 words = f"no input uses {', '.join(idle)}"
@@ -127,5 +127,5 @@ class _Checked:
     def _tell(self, place: Location, words: str, fix: str, *, named: bool = True) -> None:
         parts = [str(part) for part in place if isinstance(part, str)]
         shown = ".".join(parts[:3] if parts[0] == "networks" else parts[:1])
-        said = f"{shown}: {words}" if named else words
-        self.problems.append(self._file.problem(place, said, fix))
+        message = f"{shown}: {words}" if named else words
+        self.problems.append(self._file.problem(place, message, fix))

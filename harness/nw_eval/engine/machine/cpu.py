@@ -41,6 +41,6 @@ def cpu_kind() -> str:
         except RuntimeError:  # LLVM cannot tell on this platform; numba then uses none.
             flags = ""
     listed = ",".join(sorted(flag.strip() for flag in flags.split(",")))
-    told = [name, sha256(listed.encode()).hexdigest()[:8]]
-    told += [f"{key}={value}" for key in _SETTINGS if (value := os.environ.get(key))]
-    return clean(" ".join(told), at_most=200)
+    words = [name, sha256(listed.encode()).hexdigest()[:8]]
+    words += [f"{key}={value}" for key in _SETTINGS if (value := os.environ.get(key))]
+    return clean(" ".join(words), at_most=200)

@@ -29,7 +29,7 @@ class WorkerStart:
     """Whether it draws splats: it loads kernels before their cache is out of its reach."""
 
 
-def start(given: WorkerStart, output: Connection) -> None:
+def start(settings: WorkerStart, output: Connection) -> None:
     """Prepare and confine a worker; what it prints goes to `output`.
 
     It must not outlive the process that started it, however that died. And SIGTERM must end it at
@@ -38,12 +38,12 @@ def start(given: WorkerStart, output: Connection) -> None:
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if given.renders:
+    if settings.renders:
         with suppress(Exception):  # The trial that wants them says what is wrong.
             from nw_eval.splat.warmup import warmup
 
             warmup()
-    confine(given.rules, output=output.fileno())
+    confine(settings.rules, output=output.fileno())
     output.close()
 
 

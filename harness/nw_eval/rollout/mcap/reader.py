@@ -179,9 +179,9 @@ class LogReader:
                 f"cannot read {self.path}: {error.strerror or clean(error)}", fix="check the path"
             ) from error
         except _DAMAGE as error:
-            said = clean(error, at_most=200) or type(error).__name__
+            reason = clean(error, at_most=200) or type(error).__name__
             raise StoreError(
-                f"{self.path} is damaged or no log of nw-eval: {said}",
+                f"{self.path} is damaged or no log of nw-eval: {reason}",
                 fix="run the trial again, or save what is left with `mcap recover`",
             ) from error
 
