@@ -13,7 +13,7 @@ from nw_eval.errors import PolicyError, UsageError
 from nw_eval.inside import OutsideError, inside
 from nw_eval.policies.safety import FileLimits, check_onnx
 from nw_eval.policies.safety.onnx.fields import ONNX
-from nw_eval.policies.safety.onnx.protobuf import Message, Reader, encoded
+from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, encoded
 
 _NESTED = 56
 """Messages in messages, as `check_onnx` takes them."""
@@ -80,7 +80,7 @@ class _Fold:
                 ]
         return encoded(message, ONNX[kind])
 
-    def _fetch(self, tensor: Message) -> None:
+    def _fetch(self, tensor: ProtobufMessage) -> None:
         """Give a tensor its numbers."""
         entries = [self._reader.read(e, "Entry") for e in tensor.views("external_data")]
         place = {entry.text("key"): entry.text("value") for entry in entries}

@@ -19,7 +19,7 @@ from nw_eval.policies.safety.kind import file_kind, kind_said
 from nw_eval.policies.safety.limits import FileLimits
 from nw_eval.policies.safety.onnx.calls import Operator, check_calls, operator_said
 from nw_eval.policies.safety.onnx.fields import FUSED, MICROSOFT, ONNX, STANDARD
-from nw_eval.policies.safety.onnx.protobuf import Message, Reader, integers
+from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, integers
 
 _NESTED = 56
 """Messages in messages: 16 graphs within each other. protobuf itself stops at 100."""
@@ -125,13 +125,13 @@ class _MessageWalk:
         for inner, part in self._reader.inside(message, kind):
             self._visit(part, inner, depth + 1)
 
-    def _node(self, node: Message) -> None:
+    def _node(self, node: ProtobufMessage) -> None:
         self._calls[_operator(node, "op_type")] += 1
         self._nodes += 1
         if self._nodes > self._limits.nodes:
             self._refuse(f"it has over {self._limits.nodes} nodes")
 
-    def _tensor(self, tensor: Message) -> None:
+    def _tensor(self, tensor: ProtobufMessage) -> None:
         name = clean(tensor.text("name"), at_most=100)
         if "external_data" in tensor or tensor.integer("data_location"):
             raise PolicyError(
@@ -169,7 +169,7 @@ class _MessageWalk:
         if self._bytes > self._limits.tensor_bytes:
             self._refuse(f"its tensors have over {self._limits.tensor_bytes // 2**20} MiB")
 
-    def _declared(self, graph: Message) -> None:
+    def _declared(self, graph: ProtobufMessage) -> None:
         """Check what the main graph says of its inputs and outputs."""
         read = self._reader.read
         # Until 2019, weights were declared as inputs too.
@@ -184,7 +184,7 @@ class _MessageWalk:
             if total > _DECLARED:
                 self._refuse(f"its {kind}s are declared to be over {_DECLARED} numbers")
 
-    def _numbers(self, value: Message, kind: str) -> int:
+    def _numbers(self, value: ProtobufMessage, kind: str) -> int:
         """Return how many numbers an input or output has, open axes counted as 1."""
         read = self._reader.read
         name = clean(value.text("name"), at_most=100)
@@ -213,6 +213,6 @@ class _MessageWalk:
         raise PolicyError(f"{self._where}: {reason}", fix=_EXPORT)
 
 
-def _operator(message: Message, name: str) -> Operator:
+def _operator(message: ProtobufMessage, name: str) -> Operator:
     domain = message.text("domain")
     return "" if domain == "ai.onnx" else domain, message.text(name), message.text("overload")

@@ -48,7 +48,7 @@ def table(messages: Mapping[str, str]) -> Table:
     }
 
 
-class Message(dict[str, list[Value]]):
+class ProtobufMessage(dict[str, list[Value]]):
     """Values by the names of their fields; absent ones are absent.
 
     An `int` is signed. Packed numbers, bytes and inner messages are views of their bytes.
@@ -74,14 +74,14 @@ class Reader:
         self._known = known
         self._left = FIELDS
 
-    def read(self, data: memoryview, kind: str) -> Message:
+    def read(self, data: memoryview, kind: str) -> ProtobufMessage:
         """Return one message; those inside of it stay bytes.
 
         Raises:
             ValueError: it is damaged, has a field that it may not have, the file has too many
                 fields, or a text is too long or not UTF-8.
         """
-        message = Message()
+        message = ProtobufMessage()
         place = 0
         while place < len(data):
             self._left -= 1
@@ -104,7 +104,7 @@ class Reader:
             values.append(raw)
         return message
 
-    def inside(self, message: Message, kind: str) -> Iterator[tuple[str, memoryview]]:
+    def inside(self, message: ProtobufMessage, kind: str) -> Iterator[tuple[str, memoryview]]:
         """Give kind and bytes of all messages inside of one."""
         for field in self._known[kind].values():
             if field.kind in self._known:
@@ -112,7 +112,7 @@ class Reader:
                     yield field.kind, view
 
 
-def encoded(message: Message, fields: Mapping[int, Field]) -> bytes:
+def encoded(message: ProtobufMessage, fields: Mapping[int, Field]) -> bytes:
     """Return the bytes of a message, fields in the order of their numbers.
 
     Args:
