@@ -39,7 +39,7 @@ SAID = {
     "is nested deeply": "brackets are nested too deeply",
     "is chained deeply": "nested too deeply|it is not TorchScript",
     "lies about a tensor": "claims 800 bytes, the file holds 16",
-    "lies about a tensor, hidden by case": "comes twice but for its case",
+    "lies about a tensor, hidden by case": "appears twice but for its case",
     "lies about a tensor, hidden by roots": "do not lie in one folder",
     "is for another interpreter": "mobile interpreter",
     "brings a member of its own": "a member 'attributes.pkl'",

@@ -209,7 +209,7 @@ def test_a_hostile_state_dict_is_refused(name, tmp_path, monkeypatch):
 def test_a_member_that_comes_twice_is_refused():
     with pytest.warns(UserWarning, match="Duplicate name"):
         data = with_member("a/data/0", b"\1" * 16)
-    with pytest.raises(PolicyError, match="comes twice"):
+    with pytest.raises(PolicyError, match="appears twice"):
         read_tensors(data, "weights.pt")
 
 

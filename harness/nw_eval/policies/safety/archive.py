@@ -112,10 +112,10 @@ def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> A
     for member in members:
         fault = _fault(member, limits)
         if member.filename in seen:
-            fault = "is in it twice, so that readers may disagree about it"
+            fault = "appears twice, so that readers may disagree about it"
         elif member.filename.casefold() in folded:
             # Torch's reader ignores case, Python's does not.
-            fault = "is in it twice but for its case, so that readers may disagree about it"
+            fault = "appears twice but for its case, so that readers may disagree about it"
         if fault is not None:
             raise PolicyError(
                 f"{where}: the archive's member {clean(member.filename, at_most=200)!r} {fault}",

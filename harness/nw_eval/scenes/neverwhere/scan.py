@@ -104,7 +104,7 @@ def _scale(tree: Tree, asset: str) -> float:
     if min(scale) == 0:
         raise element.error(f"scale={text!r} flattens the mesh", fix="give positive numbers")
     if not SCALES[0] <= min(scale) <= max(scale) <= SCALES[1]:
-        raise element.error(f"scale={text!r}", fix=f"give {SCALES[0]:g} to {SCALES[1]:g}")
+        raise element.error(f"scale={text!r}", fix=f"give one from {SCALES[0]:g} to {SCALES[1]:g}")
     if max(scale) - min(scale) > _UNEVEN * max(scale):
         raise element.error(
             f"scale={text!r} is not uniform", fix="the splat follows one scale only: give s s s"
