@@ -106,7 +106,7 @@ def test_a_folder_in_which_nothing_has_run_can_be_started_again_and_resumed(
         with pytest.raises(KeyboardInterrupt):
             api.run("quick.yaml", out=out, trials=1)
     assert len(api.run(None, resume=out).rows) == 1
-    with pytest.raises(StoreError, match="already holds a run; go on with --resume"):
+    with pytest.raises(StoreError, match="already holds a run; continue with --resume"):
         api.run("quick.yaml", out=out, trials=1)
 
 

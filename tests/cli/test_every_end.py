@@ -92,7 +92,7 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
-    assert capsys.readouterr().err == "error: unforeseen, and it cannot be said what\n"
+    assert capsys.readouterr().err == "error: unforeseen, and without a message that can be read\n"
 
 
 def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
@@ -125,7 +125,7 @@ def test_a_run_that_is_interrupted_ends_with_130_and_says_how_to_go_on(
         cli.main(["run", str(suite), "--out", str(out), "--workers", "1"])
     assert left.value.code == 130
     said = capsys.readouterr()
-    assert f"interrupted; go on with --resume {out}" in said.err
+    assert f"interrupted; continue with --resume {out}" in said.err
     assert "1 of 2 trials" in said.out
     monkeypatch.undo()
     with pytest.raises(SystemExit) as left:

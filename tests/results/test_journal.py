@@ -166,7 +166,7 @@ def test_an_empty_or_missing_journal_says_so(path: Path) -> None:
 
 def test_a_run_is_not_started_over_another(path: Path) -> None:
     Journal.create(path, HEADER).close()
-    with pytest.raises(StoreError, match="exists already; go on with --resume"):
+    with pytest.raises(StoreError, match="exists already; continue with --resume"):
         Journal.create(path, HEADER)
 
 

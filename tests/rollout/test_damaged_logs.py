@@ -104,7 +104,7 @@ def test_no_damage_is_more_than_a_sentence(log):
 def test_a_file_of_hardly_anything_is_no_log(tmp_path, data):
     path = tmp_path / "tiny.mcap"
     path.write_bytes(data)
-    with pytest.raises(StoreError, match=r"tiny\.mcap is damaged or no log of nw-eval"):
+    with pytest.raises(StoreError, match=r"tiny\.mcap is damaged, or not a log of nw-eval"):
         read_recording(path)
 
 
@@ -112,7 +112,7 @@ def test_what_is_no_file_is_not_opened(tmp_path):
     os.mkfifo(tmp_path / "pipe.mcap")
     (tmp_path / "zero.mcap").symlink_to("/dev/zero")
     for path in (tmp_path, tmp_path / "pipe.mcap", tmp_path / "zero.mcap"):
-        with pytest.raises(StoreError, match="it is no file"):
+        with pytest.raises(StoreError, match="it is not a file"):
             read_recording(path)
     with pytest.raises(StoreError, match=r"cannot read .*No such file"):
         read_recording(tmp_path / "none.mcap")

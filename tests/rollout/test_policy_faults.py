@@ -66,7 +66,10 @@ def acting(monkeypatch, make_job, library):
         (lambda: throw(StopIteration()), "StopIteration"),
         (lambda: throw(MemoryError()), "MemoryError"),
         (deep, "RecursionError: maximum recursion depth exceeded"),
-        (lambda: throw(MuteError()), "MuteError: it cannot even say what, because of SystemExit"),
+        (
+            lambda: throw(MuteError()),
+            "MuteError: its own message cannot be read, because of SystemExit",
+        ),
         (lambda: throw(ValueError("\x1b[2J\n::error::x" * 10**5)), "more characters"),
     ],
     ids=["exit", "generator", "odd", "stop", "memory", "deep", "mute", "long"],

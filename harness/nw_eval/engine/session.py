@@ -139,7 +139,8 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
     folder = RunFolder(path=out)
     if has_begun(folder.journal):
         raise StoreError(
-            f"{out} already holds a run", fix=f"go on with --resume {out}, or choose another --out"
+            f"{out} already holds a run",
+            fix=f"continue with --resume {out}, or choose another --out",
         )
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,7 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
     if verdict.effect is None:
-        return "This run could not see anything: no trial has a result."
+        return "No trial has a result, so nothing can be said."
     told = (
         f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
         f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"

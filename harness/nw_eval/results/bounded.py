@@ -16,7 +16,7 @@ def bounded_bytes(path: Path, most: int) -> bytes:
     """
     facts = path.stat()
     if not stat.S_ISREG(facts.st_mode):
-        raise ValueError("it is no file")
+        raise ValueError("it is not a file")
     if facts.st_size > most:
         raise ValueError(f"it has {facts.st_size / 2**20:.0f} MiB, over {most // 2**20}")
     with path.open("rb") as stream:

@@ -182,7 +182,7 @@ class Journal:
     def _begin(self, header: JournalHeader) -> None:
         """Write the first line over whatever a torn start has left."""
         if has_begun(self.path):
-            raise StoreError(f"{self.path} exists already", fix="go on with --resume")
+            raise StoreError(f"{self.path} exists already", fix="continue with --resume")
         self._handle.truncate(0)
         self._write({"journal": _VERSION, **asdict(header)})
 
@@ -300,7 +300,7 @@ def _header(record: dict[str, Any]) -> JournalHeader:
     tables = (record["scene_digests"], record["engine"])
     values = (*texts, *(text for table in tables for pair in table.items() for text in pair))
     if not all(isinstance(value, str) for value in values):
-        raise ValueError("a digest or a version is no text")
+        raise ValueError("a digest or a version is not text")
     return JournalHeader(**record)
 
 

@@ -99,4 +99,4 @@ def text_of(error: BaseException) -> str:
     try:
         return clean(error)
     except BaseException as another:  # noqa: BLE001 - its `__str__` is foreign code too.
-        return f"it cannot even say what, because of {type(another).__name__}"
+        return f"its own message cannot be read, because of {type(another).__name__}"

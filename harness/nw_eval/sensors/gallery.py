@@ -198,7 +198,7 @@ def _panels(seen: dict[str, NDArray[Any]]) -> list[Cell]:
     shown = {
         "splat_rgb": ("the place as a camera sees it", _photo(seen, "photo")),
         "splat_rgb, cones and robot": (
-            "what no splat holds, hidden by geometry and lit as the place is",
+            "objects drawn into the splat, hidden by geometry and lit like it",
             _photo(seen, "objects"),
         ),
         "splat_rgb, published": (

@@ -27,4 +27,4 @@ def unforeseen(error: BaseException) -> str:
         where = "there is no room for its traceback" if kept is None else f"traceback: {kept}"
         return f"unforeseen: {type(error).__name__}: {clean(error)}{place}; {where}"
     except Exception:  # noqa: BLE001 - no memory is left for a sentence, or `__str__` raises.
-        return "unforeseen, and it cannot be said what"
+        return "unforeseen, and without a message that can be read"

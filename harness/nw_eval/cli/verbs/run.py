@@ -78,6 +78,6 @@ class Run:
         print(outcome.summary)
         # An interruption that left no trial missing has interrupted nothing.
         if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
-            tell(f"interrupted; go on with --resume {outcome.folder}")
+            tell(f"interrupted; continue with --resume {outcome.folder}")
             return INTERRUPTED
         return outcome.exit_code

@@ -26,7 +26,7 @@ class Presence:
         if self._known is None or _identity(self._journal) != self._known:
             raise StoreError(
                 f"{self._journal.parent} was removed or replaced while the run went on",
-                fix="put it back and go on with --resume, or run again",
+                fix="put it back and continue with --resume, or run again",
             )
 
 

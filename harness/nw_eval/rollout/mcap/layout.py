@@ -59,7 +59,7 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
             "layers": {},
         },
         "Plot!velocity": _plot(
-            "Velocity, asked and walked",
+            "Velocity, commanded and measured",
             "/robot/command.forward",
             "/robot/twist.linear.x",
             "/robot/command.yaw_rate",

@@ -166,7 +166,7 @@ class LogReader:
         with self._damage_is_told():
             # A pipe or a device may never end, and a pipe may never begin.
             if not stat.S_ISREG(self.path.stat().st_mode):
-                raise ValueError("it is no file")
+                raise ValueError("it is not a file")
             with self.path.open("rb") as stream:
                 yield stream
 
@@ -181,7 +181,7 @@ class LogReader:
         except _DAMAGE as error:
             reason = clean(error, at_most=200) or type(error).__name__
             raise StoreError(
-                f"{self.path} is damaged or no log of nw-eval: {reason}",
+                f"{self.path} is damaged, or not a log of nw-eval: {reason}",
                 fix="run the trial again, or save what is left with `mcap recover`",
             ) from error
 

@@ -165,10 +165,10 @@ def _records(stream: IO[bytes], wanted: Collection[int]) -> Iterator[tuple[int, 
     if end >= 2 * len(_MAGIC):
         stream.seek(-len(_MAGIC), os.SEEK_END)
     if stream.read(len(_MAGIC)) != _MAGIC:
-        raise ValueError("it is cut off, or no MCAP file")
+        raise ValueError("it is cut off, or not an MCAP file")
     stream.seek(0)
     if stream.read(len(_MAGIC)) != _MAGIC:
-        raise ValueError("it is no MCAP file")
+        raise ValueError("it is not an MCAP file")
     for _ in range(_MOST_RECORDS):
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
         if length > end - stream.tell():

@@ -56,7 +56,7 @@ def replay_apart(
     if renders and job.render == "cuda" and not allow_code:
         # A log's word may not take the fence away, and the driver needs more than it lets through.
         raise UsageError(
-            f"{path}: its pictures were drawn with CUDA, which no fence can be put round",
+            f"{path}: its pictures were drawn with CUDA, which cannot be confined",
             fix="add --allow-code if you trust the log and the policy",
         )
     if renders:

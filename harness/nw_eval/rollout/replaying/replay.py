@@ -88,7 +88,7 @@ def read_recording(path: Path) -> Recording:
     """
     metadata = LogReader(path).metadata()
     if TRIAL not in metadata or VERDICT not in metadata:
-        raise StoreError(f"{path} is no log of a finished trial", fix="name a file of mcap/")
+        raise StoreError(f"{path} is not the log of a finished trial", fix="name a file of mcap/")
     try:
         job = job_from_metadata(metadata[TRIAL])
     except ValueError as error:

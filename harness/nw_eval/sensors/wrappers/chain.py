@@ -108,7 +108,7 @@ class Chain:
             raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
                 f"{_told(sample)}: {error}",
-                fix="see what it is given with `python -m nw_eval.sensors`",
+                fix="look at its input with `nw-eval sensors CARD`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
             raise CodeError(
