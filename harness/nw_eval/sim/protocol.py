@@ -1,6 +1,8 @@
 """The two ways to run an episode."""
 
-from nw_eval.words import Protocol as Protocol
+from nw_eval.words import Protocol
+
+__all__ = ["Protocol"]
 
 # `strict` is the sane evaluation; `neverwhere-2026` is the published one, bug for bug. Every
 # difference between them in this room: damping of the free joint and how foot forces are read
