@@ -109,6 +109,6 @@ class Figures:
     geom_friction: Vector3
     contact_margin: float  # m, of a pair of geoms
     default_pose: tuple[float, ...]  # rad, in the order of the joints
-    monitored_geoms: tuple[str, ...]  # under `strict`
+    monitored_geoms: tuple[str, ...]
     published_monitored_geoms: tuple[str, ...]
     height_camera_offset: Vector3  # m, of the published height map's camera

@@ -76,8 +76,8 @@ class RobotSpec:
     armature: float  # kg m^2
     friction_loss: float  # N m
     feet: tuple[str, ...]  # geom names, in leg order
-    monitored_geoms: tuple[str, ...]  # whose contact ends an episode under `strict`
-    published_monitored_geoms: tuple[str, ...]  # the same under `neverwhere-2026`
+    monitored_geoms: tuple[str, ...]  # whose contact ends an episode
+    published_monitored_geoms: tuple[str, ...]  # the same under a protocol that watches those
     cameras: dict[str, CameraMount]
     height_camera_offset: Vector3  # published scandots camera minus the centre of mass, m
     bodies: tuple[str, ...]  # every body, trunk first, parents before children
