@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -60,32 +59,6 @@ class FollowingCamera:
     x_axis: Vector3
     y_axis: Vector3
     fovy: float  # rad
-
-
-# Of the published robots, both.
-FOLLOWERS = (
-    FollowingCamera(
-        name="heightmap",
-        position=(0.0, 0.0, 25.0),
-        x_axis=(0.0, -1.0, 0.0),
-        y_axis=(1.0, 0.0, 0.0),
-        fovy=math.radians(6.0),
-    ),
-    FollowingCamera(
-        name="tracking",
-        position=(0.0, -1.0, 1.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 1.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-    FollowingCamera(
-        name="tracking-2",
-        position=(0.0, -1.0, 0.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 0.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-)
 
 
 @dataclass(frozen=True, kw_only=True)

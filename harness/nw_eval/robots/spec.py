@@ -7,6 +7,7 @@ z forward. Quaternions are w x y z. Joints, actuators and actions share one orde
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,10 @@ import numpy.typing as npt
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+
+# Turns that lay what stands along z, such as a cylinder, along x and along y.
+Z_TO_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+Z_TO_Y: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINT_KINDS = ("hip", "thigh", "calf")
