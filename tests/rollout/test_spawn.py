@@ -1,5 +1,7 @@
 """Where trials begin."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,17 @@ def test_the_published_protocol_spawns_where_the_published_evaluation_does(index
 def test_the_published_protocol_moves_no_waypoint():
     drawn, trail = start(protocol=NEVERWHERE_2026)
     np.testing.assert_array_equal(drawn.trail, trail)
+
+
+def test_its_noise_moves_waypoints_and_no_start_where_it_acts():
+    acting = dataclasses.replace(NEVERWHERE_2026, waypoint_noise_acts=True)
+    drawn, trail = start(protocol=acting, waypoints=200)
+    still, _ = start(protocol=NEVERWHERE_2026, waypoints=200)
+    assert (drawn.x, drawn.y, drawn.yaw) == (still.x, still.y, still.yaw)
+    shift = np.abs(drawn.trail - trail).max(axis=0)
+    assert 0.08 < shift[0] <= 0.1
+    assert 0.25 < shift[1] <= 0.3
+    assert shift[2] == 0.0
 
 
 def test_the_strict_protocol_moves_waypoints_within_their_noise_and_never_up():
