@@ -10,9 +10,8 @@ from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.inside import what_is
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.job import Backend
     from nw_eval.splat.gaussians import Gaussians
-    from nw_eval.splat.movies.turntable import Up
+    from nw_eval.words import Backend, UpAxis
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
@@ -48,7 +47,7 @@ def splat_render(
     out: Path,
     *,
     size: tuple[int, int] = (640, 360),
-    up: Up = "-y",
+    up: UpAxis = "-y",
     eye: tuple[float, float, float] | None = None,
     target: tuple[float, float, float] | None = None,
     frames: int = 48,
@@ -108,6 +107,7 @@ def _gaussians(source: str | Path) -> Gaussians:
     path = Path(source)
     if not path.suffix and what_is(path) == "nothing":
         raise SceneError(
-            f"no file and no built-in scene is called {name!r}", fix=nearest(name, catalogue.names())
+            f"no file and no built-in scene is called {name!r}",
+            fix=nearest(name, catalogue.names()),
         )
     return read_splat(path)
