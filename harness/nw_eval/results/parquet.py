@@ -7,7 +7,6 @@ which is not made for damage. What a whole file says of its size is bounded befo
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
@@ -22,13 +21,10 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.row import Row, from_dict, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, Row, from_dict, rows_digest, to_dict
 
 SCHEMA_VERSION = "2"
 """Raised when a column changes its meaning; new columns may be added without."""
-
-_ADDED = frozenset({"contact_s", "sense_s", "setup_s"})
-"""Columns that came later; in older files a row has what it has by default."""
 
 MOST_BYTES = 256 * 2**20
 """Of a file that is read, and of any of its columns unpacked."""
@@ -142,7 +138,8 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
         if metadata.get("schema_version") != SCHEMA_VERSION:
             raise _other_version(path, metadata.get("schema_version"))
         held = table.schema.names
-        if missing := [name for name in SCHEMA.names if name not in held and name not in _ADDED]:
+        needed = [name for name, column in COLUMNS.items() if not column.added]
+        if missing := [name for name in needed if name not in held]:
             raise StoreError(f"{path} lacks the columns {', '.join(missing)}", fix="run again")
         rows = [from_dict(plain) for plain in _plain(table)]
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
@@ -189,11 +186,3 @@ def _metadata(schema: pa.Schema) -> dict[str, str]:
         for key, value in raw.items()
         if key.startswith(b"nw.") and key != _SUM.encode()
     }
-
-
-def schema_text() -> str:
-    """Return the schema as JSON lines of name and type: what a golden file is compared with."""
-    return "".join(
-        json.dumps({"name": field.name, "type": str(field.type), "nullable": field.nullable}) + "\n"
-        for field in SCHEMA
-    )
