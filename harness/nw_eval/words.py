@@ -47,8 +47,6 @@ Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
 """How a trial can fail to come to a result: never counted as a failure of the policy."""
 
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
-TIERS: tuple[Tier, ...] = get_args(Tier)
-STATUSES: tuple[Status, ...] = get_args(Status)
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)
