@@ -55,7 +55,7 @@ def report(run: Path, *, out: Path | None = None) -> RunReport:
     found = read_trials(folder, info, saved_trials(info, suite))
     rows = found.rows
     verdict = judge(rows, suite.gate, info.planned)
-    verdict = replace(verdict, reasons=(*verdict.reasons, *found.told))
+    verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     shown = _as_typed(folder.path)
     write_report(out or folder.report_md, render_markdown(info, rows, verdict, shown))
     return RunReport(

@@ -49,8 +49,8 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
         StoreError: the file cannot be written.
     """
     ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    told = {"schema_version": SCHEMA_VERSION, **metadata}
-    named = {f"nw.{key}": value for key, value in sorted(told.items())}
+    labels = {"schema_version": SCHEMA_VERSION, **metadata}
+    named = {f"nw.{key}": value for key, value in sorted(labels.items())}
     schema = SCHEMA.with_metadata({**named, _SUM: _UNKNOWN})
     table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=schema)
     with atomic_path(path) as temporary:
@@ -144,8 +144,8 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
         rows = [from_dict(plain) for plain in _plain(table)]
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
-        said = clean(error, at_most=200) or type(error).__name__
-        raise StoreError(f"{path} is damaged: {said}", fix=_REBUILD) from None
+        reason = clean(error, at_most=200) or type(error).__name__
+        raise StoreError(f"{path} is damaged: {reason}", fix=_REBUILD) from None
     if metadata.get("rows_digest", rows_digest(rows)) != rows_digest(rows):
         raise StoreError(f"{path}: its rows are not those of its rows_digest", fix=_REBUILD)
     return rows, metadata
@@ -162,11 +162,11 @@ def _table(data: bytes) -> pa.Table:
         thrift_string_size_limit=2**24,
         thrift_container_size_limit=2**16,
     )
-    told = file.metadata
-    if not 0 <= told.num_rows <= _MOST_ROWS or told.num_columns > _MOST_COLUMNS:
-        raise ValueError(f"{told.num_rows} rows of {told.num_columns} columns")
-    groups = [told.row_group(index) for index in range(told.num_row_groups)]
-    if sum(group.num_rows for group in groups) != told.num_rows:
+    footer = file.metadata
+    if not 0 <= footer.num_rows <= _MOST_ROWS or footer.num_columns > _MOST_COLUMNS:
+        raise ValueError(f"{footer.num_rows} rows of {footer.num_columns} columns")
+    groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
+    if sum(group.num_rows for group in groups) != footer.num_rows:
         raise ValueError("its parts have other numbers of rows than the whole")
     columns = [group.column(index) for group in groups for index in range(group.num_columns)]
     if not all(0 <= column.total_uncompressed_size <= MOST_BYTES for column in columns):
