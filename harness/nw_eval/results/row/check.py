@@ -29,17 +29,20 @@ def mistyped(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | 
     return None
 
 
-def as_kept(value: Any, column: Column) -> Any:
-    """Return a value as files keep it: texts harmless and short, lists in single precision.
+def as_kept(values: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[str, Any]:
+    """Return texts and lists as files keep them: harmless and short, and in single precision.
 
     Raises:
         struct.error, OverflowError: a list holds something that is no such number.
     """
-    if column.types is str:
-        return _harmless(value)
-    if column.kind == Numbers:
-        return tuple(struct.unpack("f", struct.pack("f", number))[0] for number in value)
-    return value
+    kept: dict[str, Any] = {}
+    for name, column in columns.items():
+        if column.types is str:
+            kept[name] = _harmless(values[name])
+        elif column.types is tuple and column.kind == Numbers:
+            form = f"{len(values[name])}f"
+            kept[name] = struct.unpack(form, struct.pack(form, *values[name]))
+    return kept
 
 
 def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
@@ -49,9 +52,10 @@ def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> s
         if column.kind is int and not 0 <= value < 2**column.bits:
             shown = clean(value, at_most=30)
             return f"{name} is {shown}, which does not fit {column.bits} bits without a sign"
-        for of, number in _numbers(name, value, column):
-            if number is not None and not math.isfinite(number):
-                return f"{clean(of, at_most=60)} is not finite"
+        if column.is_real or column.types is tuple:
+            for of, number in _numbers(name, value, column):
+                if number is not None and not math.isfinite(number):
+                    return f"{clean(of, at_most=60)} is not finite"
     return None
 
 
@@ -84,9 +88,7 @@ def _none_of(words: tuple[str, ...]) -> str:
 
 
 def _numbers(name: str, value: Any, column: Column) -> Iterable[tuple[str, float | None]]:
-    """Return the numbers of a value that are real, each with what it is called."""
+    """Return the real numbers of a value, each with what it is called."""
     if column.kind == Settings:
         return value
-    if column.kind == Numbers:
-        return [(name, number) for number in value]
-    return [(name, value)] if column.types not in {str, int, bool} else []
+    return [(name, value)] if column.is_real else [(name, number) for number in value]

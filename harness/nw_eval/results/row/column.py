@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -54,17 +55,22 @@ class Column:
     kind: Any = str
     default: Any = None
 
-    @property
+    @cached_property
     def words(self) -> tuple[str, ...]:
         """The words that a value must be one of; none where any text or number will do."""
         return _words(self.kind)
 
-    @property
+    @cached_property
     def types(self) -> type | tuple[type, ...]:
         """The Python types of values; a whole number is a number too."""
         return _TYPES.get(self.kind, str)
 
-    @property
+    @cached_property
+    def is_real(self) -> bool:
+        """Whether a value is a real number, or may be one."""
+        return self.kind in {float, float | None}
+
+    @cached_property
     def nullable(self) -> bool:
         """Whether there may be no value."""
         return NoneType in get_args(self.kind)
@@ -77,11 +83,11 @@ class Column:
 
     def of_plain(self, value: Any) -> Any:
         """Return a value as a row has it; JSON and Arrow have lists in place of tuples."""
-        if self.kind == Numbers:
-            return tuple(value or ())
+        if self.types is not tuple:
+            return value
         if self.kind == Settings:
             return tuple((str(name), float(number)) for name, number in value or ())
-        return value
+        return tuple(value or ())
 
 
 def columns_of(row: type) -> dict[str, Column]:

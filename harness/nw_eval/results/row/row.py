@@ -136,8 +136,8 @@ class Row:
     def __post_init__(self) -> None:
         fault = mistyped(vars(self), COLUMNS)
         if fault is None:
-            for name, column in COLUMNS.items():
-                object.__setattr__(self, name, as_kept(getattr(self, name), column))
+            for name, value in as_kept(vars(self), COLUMNS).items():
+                object.__setattr__(self, name, value)
             fault = contradiction(self) or out_of_bounds(vars(self), COLUMNS)
         if fault is not None:
             raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
