@@ -6,6 +6,7 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+from nw_eval.api.evaluation import ActingPolicy, evaluate
 from nw_eval.api.message import Message
 from nw_eval.api.places import (
     CheckedScene,
@@ -38,6 +39,7 @@ from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_re
 from nw_eval.api.suites import ListedSuite, list_suites
 
 __all__ = [
+    "ActingPolicy",
     "CardDraft",
     "CheckedScene",
     "FoldedGraph",
@@ -53,6 +55,7 @@ __all__ = [
     "check_policy",
     "check_scenes",
     "draw_sensors",
+    "evaluate",
     "fold_policy",
     "init_policy",
     "list_policies",

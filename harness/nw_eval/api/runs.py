@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.engine.listener import Listener
+    from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes.terrain.options import Collision
     from nw_eval.suite import Suite
@@ -66,7 +67,6 @@ def run(
     """
     from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
-    from nw_eval.engine.workers.presence import Presence
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
@@ -102,16 +102,28 @@ def run(
         allow_code=allow_code,
         collision=collision,
     )
-    folder = session.run(
-        made,
-        workers=workers,
-        out=out,
-        resume=resume,
-        time_limit=time_limit,
-        render=render,
-        command=tuple(sys.argv),
-        listener=listener,
+    return judged(
+        session.run(
+            made,
+            workers=workers,
+            out=out,
+            resume=resume,
+            time_limit=time_limit,
+            render=render,
+            command=tuple(sys.argv),
+            listener=listener,
+        )
     )
+
+
+def judged(folder: RunFolder) -> RunReport:
+    """Judge a run that has just ended.
+
+    Raises:
+        StoreError: its folder was removed, or the report cannot be written.
+    """
+    from nw_eval.engine.workers.presence import Presence
+
     with TracebackIn(folder.path):
         judged = report(folder.path)
     # Writing a report into a folder that was removed makes it anew.
