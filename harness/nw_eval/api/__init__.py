@@ -32,6 +32,7 @@ from nw_eval.api.policies import (
 )
 from nw_eval.api.replays import replay
 from nw_eval.api.reports import RunReport, report
+from nw_eval.api.rows import read_rows
 from nw_eval.api.runs import run
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -63,6 +64,7 @@ __all__ = [
     "list_sensors",
     "list_suites",
     "plan",
+    "read_rows",
     "render_scenes",
     "replay",
     "report",
