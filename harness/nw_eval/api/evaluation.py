@@ -36,7 +36,7 @@ def evaluate(
     suite: str | Path,
     card: Card | Mapping[str, Any] | None = None,
     version: str = UNNAMED,
-    out: Path | None = None,
+    out: str | Path | None = None,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -69,6 +69,9 @@ def evaluate(
     from nw_eval.engine import session
     from nw_eval.errors import UsageError
 
+    out = None if out is None else Path(out)
+    if changes.get("checkpoint") is not None:
+        changes["checkpoint"] = Path(changes["checkpoint"])
     if isinstance(policy, str | Path):
         if card is not None or version != UNNAMED:
             raise UsageError(
