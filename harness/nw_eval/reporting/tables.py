@@ -13,7 +13,7 @@ import numpy as np
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict
 from nw_eval.inside import OutsideError, checked
-from nw_eval.report.throughput import throughput
+from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, mean_of_scenes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.report.headline import confidence, count
+from nw_eval.reporting.headline import confidence, count
 from nw_eval.results.provenance import RunInfo
 
 _PANEL = (
