@@ -25,6 +25,9 @@ SIZE_LIMIT = 2**30
 NOTHING = hashlib.sha256(b"").hexdigest()
 """The digest of a policy that has neither weights nor code, or whose server gives none."""
 
+NO_FILE = "card "
+"""What the reference of a card without a file begins with."""
+
 _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
 
@@ -70,7 +73,7 @@ class Bundle:
     @property
     def reference(self) -> str:
         """What `load_bundle` finds it by, from anywhere; a card without a file it does not find."""
-        return f"card {self.name}" if self.card_path is None else str(self.card_path.resolve())
+        return f"{NO_FILE}{self.name}" if self.card_path is None else str(self.card_path.resolve())
 
     @property
     def subject(self) -> str:

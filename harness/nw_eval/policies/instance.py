@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from nw_eval.cards.card import Card
 from nw_eval.errors import PolicyError
-from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.bundle import NO_FILE, Bundle
+
+
+def was_instance(reference: str) -> bool:
+    """Whether a bundle's `reference` is that of an object: nobody can load it."""
+    return reference.startswith(NO_FILE)
 
 
 def instance_bundle(policy: object, card: Card, *, digest: str = "") -> Bundle:

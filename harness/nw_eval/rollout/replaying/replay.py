@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.inside import what_is
+from nw_eval.policies.instance import was_instance
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import TrialJob
@@ -161,6 +163,12 @@ def agreed(
     """
     recording = read_recording(path)
     recorded = recording.job
+    if policy is None and was_instance(recorded.policy):
+        name = clean(recorded.policy_name, at_most=100)
+        raise PolicyError(
+            f"{path}: policy {name!r} was an object of the process that ran it",
+            fix="name a bundle that does the same with --policy",
+        )
     job = replace(
         recorded,
         policy=policy or _found(recorded),
