@@ -1,6 +1,5 @@
 """docs/results.md names all that a run leaves: ends, files, columns, exit codes, and how to ask."""
 
-import inspect
 import re
 import signal
 import tomllib
@@ -8,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval import api
 from nw_eval.confinement import environment
 from nw_eval.engine.machine import cpu
 from nw_eval.errors import UsageError
@@ -102,13 +100,6 @@ def test_every_variable_that_the_code_looks_at_or_sets_is_told():
     # One word stands for the numbers of threads.
     wanted = {name for name in names if not name.endswith("_THREADS")} | {"OMP_NUM_THREADS"}
     assert wanted <= set(re.findall(r"[`$]([A-Z_]+)[`/]", section("Environment")))
-
-
-def test_every_function_of_the_api_is_told_with_what_it_returns():
-    told = set(re.findall(r"`(\w+)\(", section("From Python")))
-    assert told == {name for name in api.__all__ if inspect.isfunction(getattr(api, name))}
-    for cls in (api.RunReport, api.Message):
-        assert f"`{cls.__name__}`" in section("From Python")
 
 
 def test_every_extra_is_told():

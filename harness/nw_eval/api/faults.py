@@ -101,8 +101,6 @@ def open_policy(
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
-    from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.suite.model import Protocol, Robot
 
     own = draft.text("policy")
     if given is None and own is None:
@@ -118,6 +116,28 @@ def open_policy(
         return None
     try:
         bundle = load_bundle(card, checkpoint=checkpoint)
+    except NwEvalError as error:
+        faults.add(error)
+        return None
+    return vet_policy(draft, faults, bundle, robot=robot, allow_code=allow_code)
+
+
+def vet_policy(
+    draft: Draft, faults: Faults, bundle: Bundle, *, robot: str | None, allow_code: bool
+) -> Bundle | None:
+    """Return a policy that is loaded already, checked; None if it cannot be used.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        bundle: the policy.
+        robot: in place of the suite's own.
+        allow_code: whether Python code that the card names may be imported.
+    """
+    from nw_eval.rollout.confined.vetting import vet_bundle
+    from nw_eval.suite.model import Protocol, Robot
+
+    try:
         return vet_bundle(
             bundle,
             robot or _known(draft.text("robot"), Robot) or bundle.card.robot,

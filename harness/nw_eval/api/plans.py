@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
     from nw_eval.rollout.job import Record
     from nw_eval.scenes.terrain.options import Collision
     from nw_eval.suite import Suite
@@ -31,6 +32,7 @@ def plan(
     record: Record | None = None,
     allow_code: bool = False,
     collision: Collision = "terrain",
+    bundle: Bundle | None = None,
 ) -> Plan:
     """Resolve a suite and a policy to the trials that they mean, and check all of it.
 
@@ -47,6 +49,7 @@ def plan(
         record: whose camera images the logs keep; the suite's own choice if None.
         allow_code: whether Python code that the card names may be imported.
         collision: how scan meshes collide: as compiled terrain, or by their own triangles.
+        bundle: a policy that is loaded already, in place of one by name.
 
     Raises:
         UsageError: an option cannot be used, there is no such suite, or the policy needs images of
@@ -55,7 +58,7 @@ def plan(
         PolicyError: only the policy cannot be used, and its own files are to blame.
     """
     from nw_eval import catalogue
-    from nw_eval.api.faults import Faults, open_policy, open_scenes
+    from nw_eval.api.faults import Faults, open_policy, open_scenes, vet_policy
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.suite import Suite, draft_of, draft_suite, expand, override
@@ -64,18 +67,26 @@ def plan(
     told = None
     if draft.suite is not None:
         told = override(
-            draft.suite, robot=robot, policy=policy, trials=trials, seed=seed, record=record
+            draft.suite,
+            robot=robot,
+            policy=policy if bundle is None else bundle.name,
+            trials=trials,
+            seed=seed,
+            record=record,
         )
     faults = Faults(draft)
     found = open_scenes(draft, faults, collision)
-    bundle = open_policy(
-        draft,
-        faults,
-        given=policy if card is None else str(card),
-        checkpoint=checkpoint,
-        robot=robot,
-        allow_code=allow_code,
-    )
+    if bundle is not None:
+        bundle = vet_policy(draft, faults, bundle, robot=robot, allow_code=allow_code)
+    else:
+        bundle = open_policy(
+            draft,
+            faults,
+            given=policy if card is None else str(card),
+            checkpoint=checkpoint,
+            robot=robot,
+            allow_code=allow_code,
+        )
     faults.raise_any()
     assert told is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"

@@ -34,7 +34,7 @@ class RunReport:
         return self.verdict.exit_code
 
 
-def report(run: Path, *, out: Path | None = None) -> RunReport:
+def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     """Judge a run from the rows of its plan, write report.md, and return the verdict.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
@@ -44,12 +44,12 @@ def report(run: Path, *, out: Path | None = None) -> RunReport:
     """
     from nw_eval.api.saved_run import saved_suite, saved_trials
     from nw_eval.gate.absolute import judge
-    from nw_eval.report.markdown import render_markdown, write_report
+    from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
-    folder = open_run_folder(run)
+    folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)
     found = read_trials(folder, info, saved_trials(info, suite))
@@ -77,7 +77,7 @@ def _as_typed(path: Path) -> Path:
 def _summary(info: Any, rows: Sequence[Row], verdict: Verdict, folder: Path) -> str:
     from rich.console import Console
 
-    from nw_eval.report.console import print_summary
+    from nw_eval.reporting.console import print_summary
 
     stream = StringIO()
     screen = Console(file=sys.stdout)

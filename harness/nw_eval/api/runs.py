@@ -1,4 +1,4 @@
-"""Running: a suite through its trials, or one recorded trial again."""
+"""Running: a suite through its trials."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.message import Message
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, report
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import UsageError
 from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.engine.listener import Listener
+    from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes.terrain.options import Collision
     from nw_eval.suite import Suite
@@ -67,7 +67,6 @@ def run(
     """
     from nw_eval.api.saved_run import settings_of
     from nw_eval.engine import session
-    from nw_eval.engine.workers.presence import Presence
 
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
@@ -103,58 +102,30 @@ def run(
         allow_code=allow_code,
         collision=collision,
     )
-    folder = session.run(
-        made,
-        workers=workers,
-        out=out,
-        resume=resume,
-        time_limit=time_limit,
-        render=render,
-        command=tuple(sys.argv),
-        listener=listener,
+    return judged(
+        session.run(
+            made,
+            workers=workers,
+            out=out,
+            resume=resume,
+            time_limit=time_limit,
+            render=render,
+            command=tuple(sys.argv),
+            listener=listener,
+        )
     )
+
+
+def judged(folder: RunFolder) -> RunReport:
+    """Judge a run that has just ended.
+
+    Raises:
+        StoreError: its folder was removed, or the report cannot be written.
+    """
+    from nw_eval.engine.workers.presence import Presence
+
     with TracebackIn(folder.path):
         judged = report(folder.path)
     # Writing a report into a folder that was removed makes it anew.
     Presence(folder.journal).check()
     return judged
-
-
-def replay(
-    log: Path,
-    *,
-    policy: str | None = None,
-    checkpoint: Path | None = None,
-    start: float = 0.0,
-    picture: Path | None = None,
-    allow_code: bool = False,
-) -> Message:
-    """Run a recorded trial again and compare its end bit for bit; exit code 4 if it differs.
-
-    Raises:
-        UsageError: there is no such file.
-        StoreError: the log cannot be read.
-        PolicyError, SceneError, UsageError: policy or scene are missing or not as recorded.
-    """
-    from nw_eval.rollout.replaying.apart import replay_apart
-
-    if not log.is_file():
-        raise UsageError(
-            f"{log} is {'a folder' if log.is_dir() else 'no file'}",
-            fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
-        )
-    replayed = replay_apart(
-        log,
-        policy=policy,
-        checkpoint=checkpoint,
-        start=start,
-        allow_code=allow_code,
-        picture=picture is not None,
-    )
-    text = replayed.text
-    if picture is not None and replayed.picture is not None:
-        from nw_eval.rollout.replaying.contact_sheet import write_picture
-
-        write_picture(replayed.picture, picture)
-        text += f"\n{picture}"
-    return Message(text=text, exit_code=0 if replayed.is_identical else StoreError.exit_code)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.run import default_workers
+from nw_eval.engine.machine.cores import worker_count
 from nw_eval.policies.code_digest import SCOPE
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def forecast(
         trials: those that will be run.
         workers: processes; one for each core if None.
     """
-    count = max(1, min(workers or default_workers(), len(trials)))
+    count = worker_count(workers, len(trials))
     sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
     each = (_SEEING if sees or suite.record == "all" else _BLIND) * suite.episode.duration
     duration = suite.episode.duration

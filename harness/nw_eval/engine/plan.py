@@ -65,7 +65,7 @@ def plan_jobs(
     """
     suite, bundle = plan.suite, plan.bundle
     limit = default_time_limit(suite.episode.duration) if time_limit is None else time_limit
-    attached = attachments(bundle.card_path, suite_text)
+    attached = attachments(bundle.card_text, suite_text)
     return tuple(
         TrialJob(
             trial=trial,
@@ -74,7 +74,7 @@ def plan_jobs(
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=plan.references.get(trial.scene, trial.scene),
-            policy=str(bundle.card_path.resolve()),
+            policy=bundle.reference,
             policy_name=bundle.name,
             checkpoint=None if plan.checkpoint is None else plan.checkpoint.resolve(),
             checkpoint_digest=bundle.checkpoint_digest,

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.machine.interrupts import Interrupts
-from nw_eval.engine.machine.output import WorkerOutput
-from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.repeat import is_open, settled
 from nw_eval.engine.rows import make_row
-from nw_eval.engine.workers.local import RECYCLE_AFTER, Finished, LocalWorkers
 from nw_eval.engine.workers.presence import Presence
 from nw_eval.rollout.result import policy_fault
 
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Sequence
 
-    from nw_eval.engine.workers.worker import WorkerStart
+    from nw_eval.engine.workers.protocol import Finished, Hire
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -43,56 +41,53 @@ class RunOutcome:
         return tuple(row for row in self.rows if row.status == "error")
 
 
-def default_workers() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def run_trials(
     jobs: Sequence[TrialJob],
     *,
     journal: Journal,
     folder: RunFolder,
     policy: str,
+    hire: Hire,
     workers: int | None = None,
     listener: Listener | None = None,
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
     A trial that ends in an error is run again in a process of its own (`engine.repeat`). The first
-    Ctrl-C or SIGTERM kills the trials in flight and returns what is finished; the journal can be
-    resumed. A second one raises KeyboardInterrupt.
+    Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be resumed. A
+    second one raises KeyboardInterrupt.
 
     Args:
         jobs: in the order in which to start them; their trials' ids differ.
         journal: open; its rows with a result are not run again.
         folder: of the run.
         policy: the policy's name, for rows.
-        workers: processes; one for each core if None.
+        hire: gets workers.
+        workers: how many; one for each core if None.
         listener: told of progress.
 
     Raises:
         StoreError: the journal cannot be written, and what it holds stays; or it was removed.
-        TrialError: worker processes cannot be kept alive.
+        TrialError: workers cannot be kept alive.
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
     latest = {row.trial_id: row for row in journal.rows}
     finished = {name for name, row in latest.items() if row.status == "ok"}
     todo = [job for job in jobs if job.trial.id not in finished]
+    with suppress(OSError):  # Each trial says that its log cannot be written.
+        folder.logs.mkdir(parents=True, exist_ok=True)
     run = _Run(
         journal=journal,
         folder=folder,
         policy=policy,
         listener=listener or Silence(),
-        start=worker_start(jobs, folder),
+        hire=hire,
         presence=Presence(journal.path),
         errors={name: row for name, row in latest.items() if row.status == "error"},
     )
     run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
-    count = max(1, min(workers or default_workers(), len(todo)))
+    count = worker_count(workers, len(todo))
     # Where a policy failed before a run was cut, what is missing is the attempt in a fresh process.
     first = [job for job in todo if not run.awaits_repeat(job)]
     again = [job for job in todo if run.awaits_repeat(job)]
@@ -127,7 +122,7 @@ class _Run:
     folder: RunFolder
     policy: str
     listener: Listener
-    start: WorkerStart
+    hire: Hire
     presence: Presence
     errors: dict[str, Row]  # the latest attempt that ended in an error, by trial id
 
@@ -144,17 +139,13 @@ class _Run:
         Args:
             jobs: any.
             interrupts: heard ten times a second.
-            workers: processes.
+            workers: how many.
             fresh: these are further attempts, each in a process of its own.
         """
         again: list[TrialJob] = []
         if not jobs or interrupts.requested is not None:
             return again
-        recycle = 1 if fresh else RECYCLE_AFTER
-        with (
-            WorkerOutput(self.folder.workers_log) as output,
-            LocalWorkers(workers, start=self.start, output=output, recycle_after=recycle) as pool,
-        ):
+        with self.hire(workers, fresh=fresh) as pool:
             pool.submit(jobs)
             for ended in pool.finished():
                 if ended is not None:
@@ -190,7 +181,7 @@ class _Run:
 
     def _announce_retry(self, row: Row) -> None:
         said = f"{row.error_type}: {row.error_text}"
-        self.listener.message(f"trial {row.trial_id}: {said}; it will run again in a fresh process")
+        self.listener.message(f"trial {row.trial_id}: {said}; it will run again {self.hire.again}")
 
     def _announce_failure(self, row: Row) -> None:
         if row.outcome == "policy_failed":

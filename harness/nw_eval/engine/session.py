@@ -11,10 +11,12 @@ from nw_eval.cache import atomic_path
 from nw_eval.catalogue.find import TRIANGLES
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, needs_splats, open_backend, ready_scans
-from nw_eval.engine.run import RunOutcome, default_workers, run_trials
+from nw_eval.engine.run import RunOutcome, run_trials
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, has_begun
@@ -36,6 +38,7 @@ from nw_eval.traceback_file import TracebackIn
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from nw_eval.engine.workers.protocol import Hire
     from nw_eval.rollout.job import Backend
     from nw_eval.scenes.terrain.options import Collision
 
@@ -52,11 +55,24 @@ def run(
     render: Backend,
     command: tuple[str, ...],
     listener: Listener | None,
+    in_process: bool = False,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
     run.json is written before there is a journal: whatever ends the run from then on, the folder
     says what it is of, and a folder without a journal's first line is one of which nothing has run.
+
+    Args:
+        plan: what is to be run.
+        workers: how many; one for each core if None.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept.
+        time_limit: wall seconds after which a trial counts as hung.
+        render: the splat backend.
+        command: what was typed.
+        listener: hears of progress.
+        in_process: whether trials run in this very process, one after another, where nothing
+            confines the policy or ends it: see `engine.workers.in_process`.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
@@ -65,6 +81,7 @@ def run(
         PrerequisiteError: the renderer is not installed.
     """
     told = listener or Silence()
+    workers = 1 if in_process else workers
     renders = needs_splats(plan.bundle.card, plan.suite.record)
     if renders:
         open_backend(render, told)
@@ -78,7 +95,7 @@ def run(
         folder,
         workers=workers,
         renderer=engine["renderer"],
-        render=render,
+        fence=_fence(plan, render, in_process=in_process),
         command=command,
     )
     header = _header(plan, engine)
@@ -102,6 +119,7 @@ def run(
             journal=journal,
             folder=folder,
             policy=plan.bundle.name,
+            hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
             workers=workers,
             listener=told,
         )
@@ -156,7 +174,7 @@ def _info(
     *,
     workers: int | None,
     renderer: str,
-    render: Backend,
+    fence: str,
     command: tuple[str, ...],
 ) -> RunInfo:
     """Return a run's provenance as it starts."""
@@ -174,7 +192,7 @@ def _info(
             adapter=bundle.card.adapter,
             card_digest=bundle.digest,
             checkpoint_digest=bundle.checkpoint_digest,
-            card=str(bundle.card_path.resolve()),
+            card="" if bundle.card_path is None else bundle.reference,
             origin="" if bundle.checkpoint is not None else bundle.origin,
             checkpoint="" if plan.checkpoint is None else str(plan.checkpoint.resolve()),
         ),
@@ -182,7 +200,7 @@ def _info(
         collision=_collision(plan.references),
         workers=workers or default_workers(),
         renderer=renderer,
-        fence=_fence(plan, render),
+        fence=fence,
         command=command,
         code=code_info(),
         machine=machine_info(),
@@ -220,9 +238,15 @@ def _finish(
     )
 
 
-def _fence(plan: Plan, render: Backend) -> str:
+def _in_process(plan: Plan) -> Hire:
+    from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
+
+    return InProcess(plan.bundle)
+
+
+def _fence(plan: Plan, render: Backend, *, in_process: bool) -> str:
     """Return what stands round the workers of a run."""
-    off = why_off(allow_code=plan.allow_code, render=render)
+    off = why_off(allow_code=plan.allow_code, render=render, in_process=in_process)
     network = "all" if plan.bundle.card.adapter == "remote" else "none"
     return str(Fence(off=off) if off else offered(network=network))
 

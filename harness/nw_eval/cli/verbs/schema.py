@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -21,9 +22,7 @@ class Schema:
     def __call__(self) -> int:
         from nw_eval import api
 
-        text = api.schema(self.kind)
+        described = api.schema(self.kind, out=self.out)
         if self.out is None:
-            print(text)
-        else:
-            api.write_text(self.out, text + "\n")
+            print(json.dumps(described, indent=2))
         return 0

@@ -23,8 +23,9 @@ class Info:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.splats import splat_page
 
-        print(api.splat_info(self.source))
+        print(splat_page(api.splat_info(self.source)))
         return 0
 
 
@@ -39,8 +40,9 @@ class Convert:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.splats import written_line
 
-        print(api.splat_convert(self.source, self.out))
+        print(written_line(api.splat_convert(self.source, self.out)))
         return 0
 
 
@@ -73,7 +75,7 @@ class Render:
     def __call__(self) -> int:
         from nw_eval import api
 
-        api.splat_render(
+        picture = api.splat_render(
             self.source,
             self.out,
             size=(self.width, self.height),
@@ -83,7 +85,7 @@ class Render:
             frames=self.frames,
             backend=self.render,
         )
-        print(self.out)
+        print(picture)
         return 0
 
 

@@ -9,24 +9,27 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.confinement import child_environment
+from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
+from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.workers import worker
 from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
+from nw_eval.engine.workers.protocol import Finished
+from nw_eval.engine.workers.worker import WorkerStart
 from nw_eval.errors import TrialError
+from nw_eval.policies import load_bundle
+from nw_eval.rollout.confined.access import running_rules
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from nw_eval.engine.machine.output import WorkerOutput
-    from nw_eval.engine.workers.worker import WorkerStart
+    from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
 
 # Trials that a worker runs before a fresh one takes its place: a leak has an end.
 RECYCLE_AFTER = 100
@@ -37,21 +40,50 @@ POLL = 0.1
 _STILLBORN = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finished:
-    """A job that came to an end, whatever end."""
+class LocalProcesses:
+    """Gets worker processes on this machine.
 
-    job: TrialJob
-    result: TrialResult
+    Args:
+        jobs: all of the run.
+        folder: of the run.
+
+    Raises:
+        PolicyError, SceneError: policy or scenes are not where the jobs say.
+    """
+
+    again = "in a fresh process"
+
+    def __init__(self, jobs: Sequence[TrialJob], folder: RunFolder) -> None:
+        job = jobs[0]
+        bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
+        rules = running_rules(
+            bundle,
+            scenes=[each.scene for each in jobs],
+            logs=folder.logs,
+            allow_code=job.allow_code,
+            render=job.render,
+        )
+        draws = any(needs_splats(bundle.card, each.record) for each in jobs)
+        self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
+        self._printed = folder.workers_log
+
+    def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
+        """Return workers: `count` processes, each for many jobs or for one."""
+        return LocalWorkers(
+            count,
+            start=self._start,
+            output=WorkerOutput(self._printed),
+            recycle_after=1 if fresh else RECYCLE_AFTER,
+        )
 
 
 class LocalWorkers:
-    """Worker processes with a queue; a context manager. Starts no threads.
+    """Worker processes with a queue; a context manager.
 
     Args:
         workers: number of processes.
         start: what each of them starts with.
-        output: where what they print goes.
+        output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
     """
 
@@ -73,6 +105,7 @@ class LocalWorkers:
         self._stillborn = 0
 
     def __enter__(self) -> Self:
+        self._cleanup.enter_context(self._output)
         self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         return self
 

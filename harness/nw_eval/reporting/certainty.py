@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
-from nw_eval.report.headline import confidence
+from nw_eval.reporting.headline import confidence
 from nw_eval.results.provenance import RunInfo
 
 _PANEL = (

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.report.tables.run import provenance_table, throughput_table
-from nw_eval.report.tables.success import outcomes_table, perturbations_table, scenes_table
-from nw_eval.report.tables.table import WORST, Table
-from nw_eval.report.tables.trials import (
+from nw_eval.reporting.tables.run import provenance_table, throughput_table
+from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
+from nw_eval.reporting.tables.table import WORST, Table
+from nw_eval.reporting.tables.trials import (
     contacts_table,
     coverage_table,
     errors_table,

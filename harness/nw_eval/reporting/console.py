@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
-from nw_eval.report.headline import blind_spot, headline
-from nw_eval.report.tables import Table, all_tables
+from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.report.tables.table import Table, mean, span
+from nw_eval.reporting.tables.table import Table, mean, span
 from nw_eval.results.row import Row
 from nw_eval.stats import mean_of_scenes
 from nw_eval.words import OUTCOMES

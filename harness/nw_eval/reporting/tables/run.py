@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from nw_eval.plural import plural
-from nw_eval.report.tables.table import Table
-from nw_eval.report.throughput import throughput
+from nw_eval.reporting.tables.table import Table
+from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.suite.digest import digest_of

@@ -11,9 +11,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict
-from nw_eval.report.certainty import how_sure
-from nw_eval.report.headline import blind_spot, headline
-from nw_eval.report.tables import Table, all_tables
+from nw_eval.reporting.certainty import how_sure
+from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
@@ -31,7 +31,7 @@ def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder:
     """
     # Markdown, not HTML: `_text` escapes what would break a table.
     environment = Environment(  # noqa: S701
-        loader=PackageLoader("nw_eval.report"),
+        loader=PackageLoader("nw_eval.reporting"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
