@@ -9,8 +9,12 @@ mujoco_playground (Go1 joystick).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from nw_eval.cards.observations.heights import GridOrder
+
+Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
+"""Simulators whose users export alike."""
 
 _LEGS = ("FL", "FR", "RL", "RR")
 _KINDS = ("hip", "thigh", "calf")
@@ -42,6 +46,7 @@ class Frame:
     terms: tuple[str, ...] = ()
     layout: str | None = None
     """A published layout that stands for the terms."""
+    family: Family | None = None
     joints: tuple[str, ...] = ()
     """The order of joints there; empty where it is the robots' own."""
     scale: str = "0.25"
@@ -68,6 +73,7 @@ _GYM = Frame(
     name="legged-gym",
     source="legged_gym",
     told="velocities times 2, angular ones times 0.25, joint velocities times 0.05; all clipped",
+    family="isaac-gym",
     joints=LEG_BY_LEG,
     gains=(20, 0.5),
     clip=100,
@@ -81,6 +87,7 @@ _LAB = Frame(
     name="isaac-lab",
     source="Isaac Lab",
     told="no scales, nothing clipped; joints type by type: four hips, four thighs, four calves",
+    family="isaac-lab",
     joints=TYPE_BY_TYPE,
     gains=(25, 0.5),
     size=48,
@@ -100,6 +107,7 @@ FRAMES: tuple[Frame, ...] = (
         name="playground",
         source="MuJoCo Playground, mjlab",
         told="the command comes last; no scales; actions times 0.5",
+        family="mujoco",
         joints=RIGHT_FIRST,
         scale="0.5",
         pose="{FR_hip: 0.1, FL_hip: -0.1, RR_hip: 0.1, RL_hip: -0.1, thigh: 0.9, calf: -1.8}",
@@ -119,6 +127,7 @@ FRAMES: tuple[Frame, ...] = (
         name="himloco",
         source="HIMLoco, rl_sar",
         told="the command comes first; scales and clips of legged_gym; six frames, newest first",
+        family="isaac-gym",
         joints=LEG_BY_LEG,
         gains=(40, 1),
         clip=100,
@@ -137,6 +146,7 @@ FRAMES: tuple[Frame, ...] = (
         name="unitree-rl-lab",
         source="unitree_rl_lab",
         told="angular velocity times 0.2, joint velocities times 0.05; joints as Isaac Lab",
+        family="isaac-lab",
         joints=TYPE_BY_TYPE,
         gains=(25, 0.5),
         size=45,
@@ -153,6 +163,7 @@ FRAMES: tuple[Frame, ...] = (
         name="robot-lab",
         source="robot_lab",
         told="scales of legged_gym but for the command, which has none; hips move half as far",
+        family="isaac-lab",
         joints=RIGHT_FIRST,
         scale="{hip: 0.125, thigh: 0.25, calf: 0.25}",
         pose=_STRAIGHT_HIPS,
@@ -164,6 +175,7 @@ FRAMES: tuple[Frame, ...] = (
         name="genesis",
         source="Genesis",
         told="terms of legged_gym, joints right leg first, straight hips, actions one step late",
+        family="isaac-gym",
         joints=RIGHT_FIRST,
         pose="{hip: 0, F?_thigh: 0.8, R?_thigh: 1.0, calf: -1.5}",
         gains=(20, 0.5),

@@ -59,7 +59,7 @@ def errors_table(rows: Sequence[Row]) -> Table:
             for row in failed[:WORST]
         ),
         numbers=frozenset({"attempts"}),
-        note=more(len(failed)) + "An error is no failure of the policy; it is counted apart.",
+        note=more(len(failed)) + "An error is not a failure of the policy; it is counted apart.",
     )
 
 
@@ -108,5 +108,5 @@ def coverage_table(rows: Sequence[Row]) -> Table:
         ),
         numbers=frozenset({"least coverage", "mean coverage"}),
         note=more(len(low)) + f"In some frame less than {COVERED:g} of the image was covered by "
-        "the splat; such images show no place, and the result is to be doubted.",
+        "the splat; such images do not show the place: doubt the result.",
     )
