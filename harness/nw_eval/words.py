@@ -28,6 +28,9 @@ Collision = Literal["terrain", "triangles"]
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 """Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
 
+Described = Literal["suite", "policy", "scene", "collision"]
+"""Files that people write and a JSON Schema describes; `collision` is a scene's file of boxes."""
+
 Arm = Literal["candidate", "baseline"]
 """Whether a trial's policy is the one that is judged, or one that it is compared with."""
 
