@@ -134,14 +134,15 @@ def vet_policy(
         robot: in place of the suite's own.
         allow_code: whether Python code that the card names may be imported.
     """
+    from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.suite.model import Protocol, Robot
+    from nw_eval.words import Robot
 
     try:
         return vet_bundle(
             bundle,
             robot or _known(draft.text("robot"), Robot) or bundle.card.robot,
-            protocol=_known(draft.text("protocol"), Protocol) or "strict",
+            protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
             allow_code=allow_code,
         )
     except NwEvalError as error:
