@@ -36,9 +36,10 @@ from nw_eval.suite import suite_yaml
 from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from nw_eval.engine.workers.protocol import Hire
+    from nw_eval.results.row import Row
     from nw_eval.rollout.job import Backend
     from nw_eval.scenes.terrain.options import Collision
 
@@ -56,6 +57,7 @@ def run(
     command: tuple[str, ...],
     listener: Listener | None,
     in_process: bool = False,
+    enough: Callable[[Sequence[Row]], bool] | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
@@ -73,6 +75,7 @@ def run(
         listener: hears of progress.
         in_process: whether trials run in this very process, one after another, where nothing
             confines the policy or ends it: see `engine.workers.in_process`.
+        enough: asked between rounds whether the rest need not run: see `run_trials`.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
@@ -121,6 +124,7 @@ def run(
             policy=plan.bundle.name,
             hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
             workers=workers,
+            enough=enough,
             listener=told,
         )
         _finish(folder, plan, info, outcome, wall=perf_counter() - began)
@@ -233,6 +237,7 @@ def _finish(
                 # A run that was resumed cost what all its sessions did.
                 "wall_s": info.wall_s + wall,
                 "interrupted": outcome.interrupted is not None,
+                "stopped_after": outcome.stopped_after,
             }
         ),
     )
