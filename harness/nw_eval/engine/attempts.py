@@ -64,9 +64,9 @@ class Attempts:
     def __exit__(self, *_: object) -> None:
         self._dismiss()
 
-    def unfinished(self, jobs: Iterable[TrialJob]) -> list[TrialJob]:
-        """Return those jobs that have had no result when the run began."""
-        return [job for job in jobs if job.trial.id not in self._finished]
+    def finished_of(self, jobs: Iterable[TrialJob]) -> int:
+        """Return how many of the jobs had a result when the run began."""
+        return sum(job.trial.id in self._finished for job in jobs)
 
     def rows_of(self, jobs: Iterable[TrialJob]) -> tuple[Row, ...]:
         """Return the latest rows of jobs, in their order; of those that have one."""
@@ -74,16 +74,17 @@ class Attempts:
         return tuple(latest[job.trial.id] for job in jobs if job.trial.id in latest)
 
     def settle(self, jobs: Sequence[TrialJob], interrupts: Interrupts) -> None:
-        """Run jobs until none of them deserves another attempt, or a signal came.
+        """Run jobs that have no result until none deserves another attempt, or a signal came.
 
         Args:
-            jobs: without a result.
+            jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
         """
         # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
         # process.
-        again = [job for job in jobs if self._awaits_repeat(job)]
-        first = [job for job in jobs if not self._awaits_repeat(job)]
+        todo = [job for job in jobs if job.trial.id not in self._finished]
+        again = [job for job in todo if self._awaits_repeat(job)]
+        first = [job for job in todo if not self._awaits_repeat(job)]
         if first and interrupts.requested is None:
             if self._staff is None:
                 self._staff = self._cleanup.enter_context(self._hire(self._count, fresh=False))

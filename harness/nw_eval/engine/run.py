@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
 
+    Enough = Callable[[Sequence[Row]], bool]
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunOutcome:
@@ -48,7 +50,7 @@ def run_trials(
     policy: str,
     hire: Hire,
     workers: int | None = None,
-    enough: Callable[[Sequence[Row]], bool] | None = None,
+    enough: Enough | None = None,
     listener: Listener | None = None,
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
@@ -89,28 +91,18 @@ def run_trials(
         hire=hire,
         workers=worker_count(workers, len(jobs)),
     )
-    ears.planned(total=len(jobs), finished=len(jobs) - len(attempts.unfinished(jobs)))
-    parts = [list(jobs)] if enough is None else rounds(jobs)
-    ended: list[TrialJob] = []
-    stopped_after: int | None = None
+    ears.planned(total=len(jobs), finished=attempts.finished_of(jobs))
+    wanted, stopped_after = list(jobs), None
     with Interrupts() as interrupts, attempts:
-        for number, part in enumerate(parts, 1):
-            attempts.settle(attempts.unfinished(part), interrupts)
-            ended += part
-            if interrupts.requested is not None:
-                break
-            if enough is None or len(ended) == len(jobs):
-                continue
-            if enough(attempts.rows_of(ended)):
-                stopped_after = number
-                ears.message(
-                    f"enough after round {number}: {len(jobs) - len(ended)} of {len(jobs)} trials "
-                    "need not run"
-                )
-                break
+        if enough is None:
+            attempts.settle(jobs, interrupts)
+        else:
+            wanted, stopped_after = _by_rounds(jobs, attempts, interrupts, enough)
+    if stopped_after is not None:
+        saved = f"{len(jobs) - len(wanted)} of {len(jobs)} trials need not run"
+        ears.message(f"enough after round {stopped_after}: {saved}")
     attempts.presence.check()
     names = {row.trial_id for row in journal.rows}
-    wanted = jobs if stopped_after is None else ended
     return RunOutcome(
         rows=journal.rows,
         missing=tuple(job.trial.id for job in wanted if job.trial.id not in names),
@@ -118,3 +110,23 @@ def run_trials(
         interrupted=interrupts.requested,
         wall_seconds=perf_counter() - began,
     )
+
+
+def _by_rounds(
+    jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
+) -> tuple[list[TrialJob], int | None]:
+    """Run round after round until there are enough.
+
+    Returns:
+        The jobs that were to be run, and the number of rounds that were enough: all jobs and None
+        if they were not, or if a signal came first.
+    """
+    wanted: list[TrialJob] = []
+    for number, part in enumerate(rounds(jobs), 1):
+        attempts.settle(part, interrupts)
+        wanted += part
+        if interrupts.requested is not None or len(wanted) == len(jobs):
+            break
+        if enough(attempts.rows_of(wanted)):
+            return wanted, number
+    return list(jobs), None
