@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
@@ -59,6 +59,8 @@ class Attempts:
         self._finished = {name for name, row in latest.items() if row.status == "ok"}
 
     def __enter__(self) -> Self:
+        with suppress(OSError):  # Each trial says that its log cannot be written.
+            self._folder.logs.mkdir(parents=True, exist_ok=True)
         return self
 
     def __exit__(self, *_: object) -> None:

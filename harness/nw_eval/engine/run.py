@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -59,10 +58,6 @@ def run_trials(
     Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be resumed. A
     second one raises KeyboardInterrupt.
 
-    Where somebody may have enough, no trial starts before all of the round before have ended, those
-    that are run again included. So what has run when they say so does not depend on the number of
-    workers, their speed, or a resume.
-
     Args:
         jobs: in the order in which to start them; their trials' ids differ.
         journal: open; its rows with a result are not run again.
@@ -80,8 +75,6 @@ def run_trials(
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
-    with suppress(OSError):  # Each trial says that its log cannot be written.
-        folder.logs.mkdir(parents=True, exist_ok=True)
     ears = listener or Silence()
     attempts = Attempts(
         journal=journal,
@@ -116,6 +109,9 @@ def _by_rounds(
     jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
 ) -> tuple[list[TrialJob], int | None]:
     """Run round after round until there are enough.
+
+    No trial starts before all of the round before have ended, those that are run again included. So
+    what has run does not depend on the number of workers, their speed, or a resume.
 
     Returns:
         The jobs that were to be run, and the number of rounds that were enough: all jobs and None
