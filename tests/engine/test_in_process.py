@@ -277,7 +277,7 @@ def test_torch_has_its_threads_back_after_a_run(go):
 def test_run_json_and_report_say_that_nothing_stood_between(session_of):
     folder = session_of(instance_bundle(standing, Card.model_validate(CARD)), trials=1)
     info = read_run_info(folder.run_json)
-    assert info.fence == "off: trials in the calling process (--in-process)"
+    assert info.fence == "off: in the calling process"
     assert (info.workers, info.stopped_after) == (1, None)
     assert (info.policy.card, info.policy.origin) == ("", "an object in the calling process")
     ran = api.report(folder.path)
