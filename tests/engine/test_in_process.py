@@ -8,7 +8,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cards.card import Card
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
@@ -16,6 +16,7 @@ from nw_eval.engine.workers.in_process import InProcess
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import PolicyError
 from nw_eval.policies import instance_bundle, load_bundle
+from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
@@ -97,7 +98,7 @@ class Ears:
 
 def plan_of(bundle, *, trials, allow_code=False):
     """Return the plan of trials of a fifth of a second."""
-    scene = get_scene(SCENE)
+    place = FoundScene.at(SCENE)
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -112,12 +113,11 @@ def plan_of(bundle, *, trials, allow_code=False):
         }
     )
     return Plan(
+        request=Request(allow_code=allow_code),
         suite=suite,
         bundle=bundle,
-        scenes=(scene,),
-        references={},
-        trials=expand(suite, [scene]),
-        allow_code=allow_code,
+        found=(place,),
+        trials=expand(suite, [place.scene]),
     )
 
 
@@ -157,8 +157,6 @@ def session_of(tmp_path):
             workers=None,
             out=tmp_path / "run",
             resume=None,
-            time_limit=None,
-            render="cpu",
             command=(),
             listener=None,
             in_process=True,

@@ -30,18 +30,21 @@ def list_suites() -> str:
 
 def _describe(path: str) -> tuple[str, str, str]:
     """Return how much a suite runs, its bar, and what it is for."""
-    from nw_eval.catalogue import references
+    from nw_eval.catalogue import names, open_scene, references
     from nw_eval.errors import NwEvalError
     from nw_eval.suite import load_suite
 
     try:
         suite = load_suite(path)
-        scenes = len(references(suite.scenes, suite.base))
+        scenes = references(suite.scenes, suite.base)
+        for reference, collision in scenes:
+            if reference not in names():  # A built-in one is right, and takes long to build.
+                open_scene(reference, collision)
     except NwEvalError as error:
         return "?", "?", clean(str(error).splitlines()[0])
     bar = suite.gate.success_rate
     said = "no bar" if bar is None else f"bar {bar:g}"
-    return f"{scenes} scenes x {suite.trials}", said, _first_sentence(path)
+    return f"{len(scenes)} scenes x {suite.trials}", said, _first_sentence(path)
 
 
 def _first_sentence(path: str) -> str:
