@@ -344,7 +344,7 @@ def _suite(folder):
 
     draft = draft_suite(folder / "mine.yaml")
     faults = Faults(draft)
-    open_scenes(draft, faults, "terrain")
+    open_scenes(draft, faults, None)
     faults.raise_any()
 
 

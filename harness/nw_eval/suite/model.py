@@ -12,14 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from nw_eval.errors import Problem
 from nw_eval.suite.digest import digest_of
-from nw_eval.words import Tier
-
-Robot = Literal["go1", "go2"]
-"""As `robots.robot_names()`, which a test compares: the gate reads suites, but may know no robots.
-"""
-
-Protocol = Literal["strict", "neverwhere-2026"]
-Record = Literal["all", "failures", "none"]
+from nw_eval.words import Protocol, Record, Robot, Tier
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
@@ -37,6 +30,11 @@ class Source:
     places: Mapping[tuple[str | int, ...], tuple[int, int]] = field(
         default_factory=dict, compare=False
     )
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative scene and policy paths of the file start from."""
+        return Path(self.file).parent if self.folder is None else self.folder
 
     def problem(self, location: tuple[str | int, ...], message: str, fix: str | None) -> Problem:
         """Return a problem at a setting, or at the nearest one around it that the file has."""
@@ -180,7 +178,7 @@ class Suite(_Strict):
     @property
     def base(self) -> Path:
         """The folder that relative scene and policy paths of the file start from."""
-        return self._source.folder or Path(self._source.file).parent
+        return self._source.base
 
     @property
     def digest(self) -> str:
