@@ -23,9 +23,11 @@ from nw_eval.api.schemas import schema
 from nw_eval.api.senses import draw_sensors, list_sensors
 from nw_eval.api.splats import splat_convert, splat_info, splat_render
 from nw_eval.api.suites import list_suites
+from nw_eval.request import Request
 
 __all__ = [
     "Message",
+    "Request",
     "RunReport",
     "check",
     "check_policy",
