@@ -19,6 +19,7 @@ from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.machine.output import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
@@ -64,7 +65,10 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
 def run(jobs, folder):
     header = JournalHeader(suite_digest="s", policy_digest="p", scene_digests={})
     with Journal.create(folder.journal, header) as journal:
-        return run_trials(jobs, journal=journal, folder=folder, policy="p", workers=1).rows
+        hire = LocalProcesses(jobs, folder)
+        return run_trials(
+            jobs, journal=journal, folder=folder, policy="p", hire=hire, workers=1
+        ).rows
 
 
 class Standing(torch.nn.Module):

@@ -11,11 +11,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.catalogue import FoundScene
-from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.run import run_trials
-from nw_eval.engine.workers.local import LocalWorkers
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
@@ -226,6 +224,7 @@ class TinyRun:
                 journal=journal,
                 folder=self.folder,
                 policy=self.policy,
+                hire=LocalProcesses(self.jobs, self.folder),
                 workers=workers,
                 listener=self.ears,
             )
@@ -233,11 +232,7 @@ class TinyRun:
     @contextmanager
     def pool(self):
         """One worker, for those who want to see what comes out of it."""
-        start = worker_start(self.jobs, self.folder)
-        with (
-            WorkerOutput(self.folder.workers_log) as output,
-            LocalWorkers(1, start=start, output=output) as workers,
-        ):
+        with LocalProcesses(self.jobs, self.folder)(1, fresh=False) as workers:
             yield workers
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.run import default_workers
+from nw_eval.engine.machine.cores import worker_count
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
@@ -57,8 +57,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         workers: processes; one for each core if None.
     """
     suite, trials = plan.suite, len(plan.trials)
-    wanted = default_workers() if workers is None else workers
-    count = max(1, min(wanted, trials))
+    count = worker_count(workers, trials)
     sees = any(spec.sensor == "splat_rgb" for spec in plan.bundle.card.observations.values())
     each = (_SEEING if sees or suite.record == "all" else _BLIND) * suite.episode.duration
     return Forecast(

@@ -73,7 +73,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
     """
     suite, bundle = plan.suite, plan.bundle
     places = {found.scene.name: found for found in plan.found}
-    attached = attachments(bundle.card_path, suite_yaml(suite))
+    attached = attachments(bundle.card_text, suite_yaml(suite))
     return tuple(
         TrialJob(
             trial=trial,
@@ -83,7 +83,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,
             collision=places[trial.scene].collision,
-            policy=str(bundle.card_path.resolve()),
+            policy=bundle.reference,
             policy_name=bundle.name,
             checkpoint=plan.request.checkpoint,
             checkpoint_digest=bundle.checkpoint_digest,

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from nw_eval.confinement import Fence, offered
+from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
-from nw_eval.engine.run import default_workers
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import code_info, library_versions, machine_info
 from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
@@ -28,7 +28,12 @@ def now() -> str:
 
 
 def run_info(
-    plan: Plan, folder: RunFolder, *, workers: int | None, command: tuple[str, ...]
+    plan: Plan,
+    folder: RunFolder,
+    *,
+    workers: int | None,
+    in_process: bool,
+    command: tuple[str, ...],
 ) -> RunInfo:
     """Return a run's provenance as it starts.
 
@@ -36,6 +41,7 @@ def run_info(
         plan: what is to be run.
         folder: of the run, absolute.
         workers: processes; one for each core if None.
+        in_process: whether trials run in this one.
         command: what was typed.
     """
     suite = plan.suite
@@ -52,7 +58,7 @@ def run_info(
         scenes=_scene_infos(plan),
         workers=default_workers() if workers is None else workers,
         renderer=_renderer(plan),
-        fence=_fence(plan),
+        fence=_fence(plan, in_process=in_process),
         command=command,
         code=code_info(),
         machine=machine_info(),
@@ -82,7 +88,7 @@ def _policy_info(bundle: Bundle) -> PolicyInfo:
         adapter=bundle.card.adapter,
         card_digest=bundle.digest,
         checkpoint_digest=bundle.checkpoint_digest,
-        card=str(bundle.card_path.resolve()),
+        card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
     )
 
@@ -102,8 +108,8 @@ def _renderer(plan: Plan) -> str:
     return f"{plan.render} gsplat-1.5"
 
 
-def _fence(plan: Plan) -> str:
+def _fence(plan: Plan, *, in_process: bool) -> str:
     """Return what stands round the workers of a run."""
-    off = why_off(allow_code=plan.request.allow_code, render=plan.render)
+    off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
     network = "all" if plan.bundle.card.adapter == "remote" else "none"
     return str(Fence(off=off) if off else offered(network=network))

@@ -12,6 +12,7 @@ from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.run import RunOutcome, run_trials
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, has_begun
@@ -22,6 +23,8 @@ from nw_eval.robots import get_robot
 from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
+    from nw_eval.engine.run import Enough
+    from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
 
 _REPORTS = "reports"
@@ -35,11 +38,23 @@ def run(
     resume: Path | None,
     command: tuple[str, ...],
     listener: Listener | None,
+    in_process: bool = False,
+    enough: Enough | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
     run.json is written before there is a journal: whatever ends the run from then on, the folder
     says what it is of, and a folder without a journal's first line is one of which nothing has run.
+
+    Args:
+        plan: what is to be run.
+        workers: how many; one for each core if None.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept.
+        command: what was typed.
+        listener: hears of progress.
+        in_process: whether trials run in this very process: see `engine.workers.in_process`.
+        enough: asked between rounds whether the rest need not run: see `run_trials`.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
@@ -48,13 +63,14 @@ def run(
         PrerequisiteError: the renderer is not installed.
     """
     listener = listener or Silence()
+    workers = 1 if in_process else workers
     if plan.renders:
         open_backend(plan.render, listener)
     folder = _folder(plan, out, resume)
     listener.message(f"run folder: {folder.path}")
     # Workers and rows need a path that means the same everywhere.
     folder = RunFolder(path=folder.path.resolve())
-    info = run_info(plan, folder, workers=workers, command=command)
+    info = run_info(plan, folder, workers=workers, in_process=in_process, command=command)
     with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
         if journal.dropped:
             listener.message(journal.dropped)
@@ -62,13 +78,16 @@ def run(
         if resume is not None:
             info = _with_earlier_sessions(info, folder)
         _make_ready(plan, folder, listener)
+        jobs = plan_jobs(plan, folder)
         began = perf_counter()
         outcome = run_trials(
-            plan_jobs(plan, folder),
+            jobs,
             journal=journal,
             folder=folder,
             policy=plan.bundle.name,
+            hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
             workers=workers,
+            enough=enough,
             listener=listener,
         )
         _finish(plan, folder, info, outcome, wall=perf_counter() - began)
@@ -131,6 +150,12 @@ def _make_ready(plan: Plan, folder: RunFolder, listener: Listener) -> None:
         build_splats(plan.scenes, listener)
 
 
+def _in_process(plan: Plan) -> Hire:
+    from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
+
+    return InProcess(plan.bundle)
+
+
 def _finish(
     plan: Plan, folder: RunFolder, info: RunInfo, outcome: RunOutcome, *, wall: float
 ) -> None:
@@ -145,6 +170,7 @@ def _finish(
                 # A run that was resumed cost what all its sessions did.
                 "wall_s": info.wall_s + wall,
                 "interrupted": outcome.interrupted is not None,
+                "stopped_after": outcome.stopped_after,
             }
         ),
     )

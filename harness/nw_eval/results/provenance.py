@@ -69,6 +69,7 @@ class RunInfo(_Model):
     finished: str | None = None
     wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
+    stopped_after: int | None = None  # Rounds that were enough; None = no trial was left out.
     request: Request | None = None  # What was asked for, for --resume; older files do not say.
     suite_file: str
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.

@@ -11,7 +11,7 @@ from nw_eval.scenes import Scene
 from nw_eval.words import Collision
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from nw_eval.scenes.rays import RayScene
@@ -42,14 +42,21 @@ class Library:
     """What trials of one process may share: values that no trial can change.
 
     Worlds, policies and sensors have state, and are made anew for every trial.
+
+    Args:
+        scenes: that are kept loaded.
+        bundles: likewise.
+        known: bundles that are loaded already, with the weights that jobs want. They go by their
+            `reference` and are kept for good.
     """
 
-    def __init__(self, *, scenes: int = 32, bundles: int = 4) -> None:
+    def __init__(self, *, scenes: int = 32, bundles: int = 4, known: Iterable[Bundle] = ()) -> None:
         self._scenes = Recent[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
         self._rays = Recent[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
         self._bundles = Recent[tuple[str, "Path | None"], Bundle](
             bundles, lambda key: load_bundle(key[0], checkpoint=key[1])
         )
+        self._known = {bundle.reference: bundle for bundle in known}
 
     def scene(self, reference: str, collision: Collision = "terrain") -> Scene:
         """Return the scene of a name or folder, whose mesh collides as told.
@@ -73,7 +80,7 @@ class Library:
         Raises:
             PolicyError: as `policies.load_bundle`.
         """
-        return self._bundles((reference, checkpoint))
+        return self._known.get(reference) or self._bundles((reference, checkpoint))
 
     def _make_rays(self, key: tuple[str, Collision]) -> RayScene:
         from nw_eval.scenes.rays import RayScene

@@ -7,7 +7,6 @@ import math
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -131,7 +130,6 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
     }
 
 
-def attachments(card: Path, suite_text: str) -> tuple[tuple[str, str], ...]:
+def attachments(card_text: str, suite_text: str) -> tuple[tuple[str, str], ...]:
     """Return what every log of a run carries along: the resolved suite and the policy's card."""
-    said = card.read_text(encoding="utf-8", errors="replace")
-    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(said))
+    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(card_text))

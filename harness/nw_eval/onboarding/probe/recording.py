@@ -218,7 +218,7 @@ def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code
         duration=seconds,
         scene=reference,
         collision=collision,
-        policy=str(bundle.card_path),
+        policy=bundle.reference,
         checkpoint=bundle.checkpoint,
         checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,

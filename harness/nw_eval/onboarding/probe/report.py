@@ -67,11 +67,11 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         place.splat_store()  # The cache is out of that process's reach.
     answer = call_isolated(
         _probe,
-        subject=str(bundle.card_path),
+        subject=bundle.where,
         rules=running_rules(bundle, scenes=[scene], allow_code=allow_code),
         time_limit=_TIME_LIMIT,
         renders=sees,
-        card=str(bundle.card_path.resolve()),
+        card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         scene=scene,
         allow_code=allow_code,
@@ -101,7 +101,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     try:
         recording = stage.record(card, seconds=SECONDS)
     except PolicyFailedError as error:
-        raise PolicyError(f"{bundle.card_path}: {error}") from error
+        raise PolicyError(f"{bundle.where}: {error}") from error
     ranges = [measure(part, recording) for part in parts_of(card, robot, specs)]
     followed: list[Followed] = []
     findings = [

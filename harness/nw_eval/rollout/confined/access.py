@@ -92,8 +92,10 @@ def fence_in_server(bundle: Bundle) -> None:
     raise_fence(reads=_files(bundle), writes=(), network="server")
 
 
-def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:
+def why_off(*, allow_code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
     """Return why a process is not fenced in; empty if it is."""
+    if in_process:
+        return "in the calling process"
     if allow_code:
         return "--allow-code"
     return "--render cuda" if render == "cuda" else ""

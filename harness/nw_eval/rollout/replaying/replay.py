@@ -219,8 +219,8 @@ def _refuse_servers(recording: Recording, library: Library) -> None:
     bundle = library.bundle(recording.job.policy, recording.job.checkpoint)
     if bundle.card.adapter == "remote":
         raise PolicyError(
-            f"{recording.path}: {bundle.card_path}, which the log names, asks a policy on a server",
-            fix=f"add --policy {bundle.card_path} if you trust it",
+            f"{recording.path}: {bundle.where}, which the log names, asks a policy on a server",
+            fix=f"add --policy {bundle.where} if you trust it",
         )
 
 
