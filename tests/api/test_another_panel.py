@@ -7,7 +7,7 @@ import json
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.verbs.check import text_of
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.errors import IncomparableError, UsageError
 
 SUITE = """\
@@ -33,7 +33,7 @@ def suite(tmp_path, monkeypatch):
 
 def panel(suite, **changes):
     """The line of `check` that names the panel."""
-    lines = text_of(api.check(suite, **changes)).splitlines()
+    lines = forecast_page(api.check(suite, **changes)).splitlines()
     (line,) = [one for one in lines if one.startswith("panel ")]
     return line
 

@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli.terminal.summary import summary
-from nw_eval.cli.verbs.check import text_of
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.errors import (
     IncomparableError,
     PrerequisiteError,
@@ -154,7 +154,7 @@ def test_check_says_what_would_run_and_runs_nothing(suite, tmp_path):
     # 0.06 s for each of 12 s of 300 trials, on two workers that start in 4 s.
     many = api.check(suite(trials=300), workers=2)
     assert many.minutes == pytest.approx((4 + 0.06 * 12 * 300 / 2) / 60)
-    told = text_of(forecast)
+    told = forecast_page(forecast)
     assert "3 of 12 s: 1 scenes" in told
     assert "hurdles/three_low" in told
     assert "minutes" in told

@@ -15,7 +15,7 @@ import trimesh
 
 from nw_eval import api
 from nw_eval.catalogue import find
-from nw_eval.cli import main
+from nw_eval.cli.verbs import parse
 from nw_eval.engine import session
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.policies import load_bundle
@@ -246,14 +246,14 @@ def test_what_no_field_takes_is_refused_by_its_option(changes, option):
         api.check(suite(), polcy="stand")
 
 
-def options_of(verb, capsys):
-    """Return the lines of a verb's help that name its options, and their texts."""
-    with pytest.raises(SystemExit):
-        main([verb, "--help"])
-    return capsys.readouterr().out.split("options ─")[1].split("--out")[0].split("╰")[0]
-
-
-def test_check_takes_every_option_of_run_but_where_to(capsys):
-    run, check = options_of("run", capsys), options_of("check", capsys)
-    assert "--collision" in run
-    assert run.split() == check.split()
+def test_the_same_words_after_run_and_check_are_the_same_request():
+    words = "hurdles --robot go2 -p stand --checkpoint w.onnx -n 3 --seed 6 --record none"
+    words += " --time-limit 7 --render cuda --collision triangles --allow-code"
+    arguments = [*words.split(), "--scenes", "gaps/*", "flat/*"]
+    run, check = (parse([verb, *arguments], description="") for verb in ("run", "check"))
+    assert run.request == check.request
+    assert None not in vars(run.request).values()
+    assert run.request.scenes == ("gaps/*", "flat/*")
+    assert set(vars(run)) - set(vars(check)) == {"out", "resume"}
+    nothing = parse(["run"], description="").request
+    assert nothing == Request()

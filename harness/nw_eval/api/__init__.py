@@ -7,7 +7,6 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 from __future__ import annotations
 
 from nw_eval.api.evaluation import ActingPolicy, evaluate
-from nw_eval.api.message import Message
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -38,6 +37,7 @@ from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, list_suites
+from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
@@ -47,7 +47,7 @@ __all__ = [
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
-    "Message",
+    "Request",
     "RunReport",
     "ServedPolicy",
     "WarmUp",

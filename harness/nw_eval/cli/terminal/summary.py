@@ -17,7 +17,7 @@ def summary(judged: RunReport) -> str:
     """Return the first tables of a judged run, its verdict and where its report lies."""
     from rich.console import Console
 
-    from nw_eval.report.console import print_summary
+    from nw_eval.reporting.console import print_summary
 
     stream = StringIO()
     screen = Console(file=sys.stdout)
