@@ -339,7 +339,7 @@ def _card(folder):
 
 
 def _suite(folder):
-    from nw_eval.api.faults import Faults, open_scenes
+    from nw_eval.api.running.faults import Faults, open_scenes
     from nw_eval.suite import draft_suite
 
     draft = draft_suite(folder / "mine.yaml")

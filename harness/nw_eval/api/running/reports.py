@@ -47,7 +47,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     Raises:
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
-    from nw_eval.api.saved_run import saved_suite, saved_trials
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.gate.absolute import judge
     from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.ended import read_trials

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from nw_eval.api.reports import RunReport
+    from nw_eval.api.running.reports import RunReport
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.policies import Bundle
@@ -64,8 +64,8 @@ def evaluate(
         PolicyError: the card or the checkpoint cannot be used.
         StoreError: results cannot be written; those that were written stay.
     """
-    from nw_eval.api.plans import plan_of
-    from nw_eval.api.runs import judged, run
+    from nw_eval.api.running.plans import plan_of
+    from nw_eval.api.running.runs import judged, run
     from nw_eval.engine import session
     from nw_eval.errors import UsageError
     from nw_eval.request import Request

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.api.plans import check_workers, plan
-from nw_eval.api.reports import RunReport, report
+from nw_eval.api.running.plans import check_workers, plan
+from nw_eval.api.running.reports import RunReport, report
 from nw_eval.errors import UsageError
 from nw_eval.request import Request
 from nw_eval.traceback_file import TracebackIn
@@ -45,7 +45,7 @@ def run(
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
-    from nw_eval.api.saved_run import continued
+    from nw_eval.api.running.saved_run import continued
     from nw_eval.engine import session
 
     check_workers(workers)

@@ -61,7 +61,7 @@ def plan_of(
         scenes: globs in place of the request's.
         bundle: a policy that is loaded already, in place of the request's.
     """
-    from nw_eval.api.faults import Faults, open_policy, open_scenes, vet_policy
+    from nw_eval.api.running.faults import Faults, open_policy, open_scenes, vet_policy
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.suite import expand, override
