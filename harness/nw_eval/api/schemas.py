@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-Kind = Literal["suite", "policy", "scene", "collision"]
+from nw_eval.words import Described
 
 
-def schema(kind: Kind, *, out: Path | None = None) -> dict[str, Any]:
+def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
 
     Args:
@@ -28,7 +28,7 @@ def schema(kind: Kind, *, out: Path | None = None) -> dict[str, Any]:
     return described
 
 
-def _schema(kind: Kind) -> dict[str, Any]:
+def _schema(kind: Described) -> dict[str, Any]:
     if kind == "suite":
         from nw_eval.suite import json_schema as of_suite
 

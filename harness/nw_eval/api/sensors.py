@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from nw_eval.sensors.gallery import SeenCard
 
+Listed = Literal["sensor", "wrapper"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class ListedSensor:
     """A sensor or a wrapper that cards can name."""
 
     name: str
-    kind: Literal["sensor", "wrapper"]
+    kind: Listed
     package: str | None = None
     """The installed package that brings it along; None if it is built in."""
 
@@ -31,7 +33,7 @@ def list_sensors() -> tuple[ListedSensor, ...]:
     from nw_eval.sensors.plugins import usable
 
     found: list[ListedSensor] = []
-    kinds: tuple[tuple[Literal["sensor", "wrapper"], str, tuple[str, ...]], ...] = (
+    kinds: tuple[tuple[Listed, str, tuple[str, ...]], ...] = (
         ("sensor", SENSORS, tuple(BUILT_IN_SENSORS)),
         ("wrapper", WRAPPERS, tuple(BUILT_IN_WRAPPERS)),
     )

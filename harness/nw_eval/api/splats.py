@@ -11,10 +11,9 @@ from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.inside import what_is
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.job import Backend
     from nw_eval.splat.describe import SplatFigures
     from nw_eval.splat.gaussians import Gaussians
-    from nw_eval.splat.movies.turntable import Up
+    from nw_eval.words import Backend, UpAxis
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
@@ -63,7 +62,7 @@ def splat_render(
     out: Path,
     *,
     size: tuple[int, int] = (640, 360),
-    up: Up = "-y",
+    up: UpAxis = "-y",
     eye: tuple[float, float, float] | None = None,
     target: tuple[float, float, float] | None = None,
     frames: int = 48,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import confidence, count
+from nw_eval.plural import plural
+from nw_eval.reporting.headline import confidence
 from nw_eval.results.provenance import RunInfo
 
 _PANEL = (
@@ -25,17 +26,17 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return the sentences that apply to this run; none for one without results."""
     if verdict.effect is None:
         return ()
-    told = [_bounds(verdict), _PANEL]
+    sentences = [_bounds(verdict), _PANEL]
     if verdict.drop_passes is not None:
-        told.append(_worse(verdict, verdict.effect - verdict.drop))
+        sentences.append(_worse(verdict, verdict.effect - verdict.drop))
     if verdict.verdict == "INCONCLUSIVE":
-        told.append(_CHANCES)
+        sentences.append(_CHANCES)
     critical = sum(item.tier == "critical" for item in verdict.per_scene)
     if critical and verdict.bar is not None:
-        told.append(_alone(verdict, critical))
+        sentences.append(_alone(verdict, critical))
     if run.suite.get("protocol") == "neverwhere-2026":
-        told.append(_SAME_OFFSETS)
-    return tuple(told)
+        sentences.append(_SAME_OFFSETS)
+    return tuple(sentences)
 
 
 def _bounds(verdict: Verdict) -> str:
@@ -56,7 +57,7 @@ def _worse(verdict: Verdict, mean: float) -> str:
 
 def _alone(verdict: Verdict, critical: int) -> str:
     return (
-        f"{count(critical, 'critical scene')} can convict alone, by an upper bound below the bar; "
+        f"{plural(critical, 'critical scene')} can convict alone, by an upper bound below the bar; "
         "few trials show that only of a scene far below it. So a REGRESSED is wrong with a "
         f"probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the mean, "
         "half for the critical scenes together."

@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.reporting.headline import blind_spot, headline
-from nw_eval.reporting.tables import (
-    Table,
-    contacts_table,
-    coverage_table,
-    errors_table,
-    failures_table,
-    outcomes_table,
-    scenes_table,
-    throughput_table,
-    worst_table,
-)
+from nw_eval.reporting.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
@@ -49,20 +39,8 @@ def print_summary(
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it.
     """
-    ordered = sorted(rows, key=lambda row: row.trial_id)
-    tables = (
-        scenes_table(verdict),
-        outcomes_table(ordered),
-        contacts_table(ordered, run),
-        failures_table(ordered),
-        errors_table(ordered),
-        worst_table(ordered, folder, most=3),
-        throughput_table(ordered, run),
-        coverage_table(ordered),
-    )
-    for table in tables:
-        if table.rows:
-            _draw(console, table)
+    for table in all_tables(run, rows, verdict, folder, brief=True):
+        _draw(console, table)
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
     console.print(blind_spot(verdict, run), markup=False, highlight=False)
     for reason in verdict.reasons:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from nw_eval.gate.outlook import percent
 from nw_eval.gate.verdict import Verdict
+from nw_eval.plural import plural
 from nw_eval.results.provenance import RunInfo
 
 
@@ -18,9 +19,9 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
         )
     parts += _trials(verdict)
     if verdict.errors:
-        parts.append(count(verdict.errors, "error"))
+        parts.append(plural(verdict.errors, "error"))
     cost = _duration(run.wall_s) if run.finished else "not finished"
-    parts.append(f"{cost} on {count(run.workers, 'worker')}")
+    parts.append(f"{cost} on {plural(run.workers, 'worker')}")
     return " · ".join(parts)
 
 
@@ -28,17 +29,17 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
     if verdict.effect is None:
         return "This run could not see anything: no trial has a result."
-    told = (
+    sentence = (
         f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
         f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"
     )
     if verdict.whole:
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        told += f"; on the starts of this panel{_seed(run)} it is known: {verdict.effect:.3f}"
+        sentence += f"; on the starts of this panel{_seed(run)} it is known: {verdict.effect:.3f}"
     if verdict.drop_passes is None:
-        return f"{told}."
+        return f"{sentence}."
     return (
-        f"{told}. A policy {verdict.drop:.2f} worse would still PASS in "
+        f"{sentence}. A policy {verdict.drop:.2f} worse would still PASS in "
         f"{percent(verdict.drop_passes)} of such runs."
     )
 
@@ -48,17 +49,12 @@ def confidence(verdict: Verdict) -> str:
     return f"{100 * verdict.confidence:.4g} %"
 
 
-def count(number: int, word: str) -> str:
-    """Return a number with its noun."""
-    return f"{number} {word}" if number == 1 else f"{number} {word}s"
-
-
 def _trials(verdict: Verdict) -> list[str]:
     """Return how many trials completed, and how many there were in how many scenes."""
     ran = sum(item.n for item in verdict.per_scene)
-    scenes = count(sum(item.n > 0 for item in verdict.per_scene), "scene")
+    scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
     if verdict.whole and ran == verdict.n:
-        return [f"completed {verdict.completed} of {count(ran, 'trial')} in {scenes}"]
+        return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
     done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []
     of = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
     return [*done, f"{of} trials in {scenes}"]

@@ -121,8 +121,8 @@ def read_run_info(path: Path) -> RunInfo:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the file"
-        said = clean(f"{place}: {first['msg'].lower()}", at_most=300)
-        raise StoreError(f"{path} is damaged: {said}", fix=fix) from None
+        reason = clean(f"{place}: {first['msg'].lower()}", at_most=300)
+        raise StoreError(f"{path} is damaged: {reason}", fix=fix) from None
     except ValueError as error:
         raise StoreError(f"{path} is damaged: {error}", fix=fix) from None
     return info

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault
+from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault, Status
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
@@ -35,7 +35,7 @@ class TrialResult:
     `action_digest` over the applied actions, so equal digests mean equal trajectories bit for bit.
     """
 
-    status: Literal["ok", "error"]
+    status: Status
     outcome: Outcome | None = None
     end_reason: str = ""  # what decided it: "roll", "contact face", "time", or a PolicyFault
     error_type: Fault | None = None

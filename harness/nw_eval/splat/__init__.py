@@ -16,7 +16,6 @@ from nw_eval.splat.cameras.camera_model import CameraModel
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.cameras.presets import PRESETS, Preset, PresetName
 from nw_eval.splat.composite import composite, paste
-from nw_eval.splat.coverage import Coverage, measure_coverage
 from nw_eval.splat.describe import SplatFigures, describe
 from nw_eval.splat.files import RestOrder, read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
@@ -33,7 +32,6 @@ __all__ = [
     "PRESETS",
     "Camera",
     "CameraModel",
-    "Coverage",
     "CpuRenderer",
     "Gaussians",
     "Image",
@@ -52,7 +50,6 @@ __all__ = [
     "describe",
     "framing_camera",
     "look_at",
-    "measure_coverage",
     "memory_store",
     "open_renderer",
     "open_store",

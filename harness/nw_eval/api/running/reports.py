@@ -59,7 +59,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     suite = saved_suite(info)
     found = read_trials(folder, info, saved_trials(info, suite))
     verdict = judge(found.rows, suite.gate, info.planned)
-    verdict = replace(verdict, reasons=(*verdict.reasons, *found.told))
+    verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     judged = RunReport(folder=folder.path, info=info, verdict=verdict, rows=found.rows)
     page = render_markdown(info, judged.rows, verdict, judged.typed_folder)
     write_report(out or folder.report_md, page)

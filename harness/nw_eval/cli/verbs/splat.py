@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
+
+from nw_eval.words import Backend, UpAxis
 
 Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
@@ -59,7 +61,7 @@ class Render:
     """Pixels across."""
     height: int = 360
     """Pixels down."""
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "-y"
+    up: UpAxis = "-y"
     """Upward axis of a file; built-in scenes have +z."""
     eye: Point = None
     """Where the camera stands, and a turn looks round from; chosen when absent."""
@@ -67,7 +69,7 @@ class Render:
     """What a PNG's camera looks at; needs --eye."""
     frames: int = 48
     """Frames of a turn."""
-    render: Literal["cpu", "cuda"] = "cpu"
+    render: Backend = "cpu"
     """The renderer. There is no silent fallback."""
 
     def __call__(self) -> int:

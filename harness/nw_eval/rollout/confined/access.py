@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.policies import Bundle
-    from nw_eval.rollout.job import Backend
+    from nw_eval.words import Backend
 
 OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
