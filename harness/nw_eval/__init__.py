@@ -55,6 +55,7 @@ _ROOMS = MappingProxyType(
         ),
         "cards.card": ("Card",),
         "cards.file.listing": ("ListedPolicy",),
+        "engine.forecast": ("Forecast",),
         "engine.plan": ("Plan",),
         "errors": (
             "CodeError",
@@ -71,6 +72,7 @@ _ROOMS = MappingProxyType(
         "gate.verdict": ("Verdict",),
         "onboarding.probe.rows": ("ProbeReport",),
         "onboarding.probe.summary": ("CardSummary",),
+        "request": ("Request",),
         "results.row": ("Row",),
         "rollout.replaying.report": ("ReplayReport",),
         "scenes.figures": ("SceneFigures",),

@@ -40,6 +40,7 @@ from nw_eval.api import (
 )
 from nw_eval.cards.card import Card
 from nw_eval.cards.file.listing import ListedPolicy
+from nw_eval.engine.forecast import Forecast
 from nw_eval.engine.plan import Plan
 from nw_eval.errors import (
     CodeError,
@@ -56,6 +57,7 @@ from nw_eval.errors import (
 from nw_eval.gate.verdict import Verdict
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
+from nw_eval.request import Request
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.report import ReplayReport
 from nw_eval.scenes.figures import SceneFigures
@@ -72,6 +74,7 @@ __all__ = [
     "CheckedScene",
     "CodeError",
     "FoldedGraph",
+    "Forecast",
     "IncomparableError",
     "ListedPolicy",
     "ListedScene",
@@ -83,6 +86,7 @@ __all__ = [
     "PrerequisiteError",
     "ProbeReport",
     "ReplayReport",
+    "Request",
     "Row",
     "RunReport",
     "SceneError",

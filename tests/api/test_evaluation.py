@@ -73,7 +73,7 @@ def test_rows_and_run_say_what_the_caller_calls_it(suite, tmp_path):
     info = json.loads((tmp_path / "zeros" / "run.json").read_text())
     assert info["policy"]["origin"].startswith("an object in the calling process")
     assert info["policy"]["card"] == ""
-    assert info["fence"] == "off: trials in the calling process"
+    assert info["fence"] == "off: in the calling process"
 
 
 def test_a_log_of_an_object_says_why_it_cannot_be_replayed(suite, tmp_path):

@@ -14,13 +14,14 @@ import pytest
 import torch
 
 from nw_eval.cache import cache_dir
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import FoundScene, get_scene
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.machine.output import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
+from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.trial import run_trial
@@ -34,7 +35,8 @@ SCENE = "flat/carpet_room"
 
 def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
     """Return the one job of a tiny run: a fifth of a second in the flat room."""
-    bundle, reference, scene = load_bundle(policy), scene, get_scene(scene)
+    bundle, place = load_bundle(policy), FoundScene.at(scene)
+    scene = place.scene
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -44,19 +46,18 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
             "trials": 1,
             "seed": 1,
             "episode": {"duration": 0.2},
-            "scenes": [reference],
+            "scenes": [place.reference],
             "record": record,
         }
     )
     if scene.splat is not None:
         scene.splat_store()  # As a run does first: the cache is out of a worker's reach.
     plan = Plan(
+        request=Request(allow_code=allow_code),
         suite=suite,
         bundle=bundle,
-        scenes=(scene,),
-        references={scene.name: reference},
+        found=(place,),
         trials=expand(suite, [scene]),
-        allow_code=allow_code,
     )
     return plan_jobs(plan, folder)
 

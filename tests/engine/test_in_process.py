@@ -6,15 +6,19 @@ import signal
 import numpy as np
 import pytest
 
+from nw_eval import api
 from nw_eval.cards.card import Card
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import FoundScene
+from nw_eval.engine import session
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
 from nw_eval.engine.workers.in_process import InProcess
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import PolicyError
 from nw_eval.policies import instance_bundle, load_bundle
+from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
+from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.mcap.reader import LogReader
@@ -92,6 +96,31 @@ class Ears:
             self.then()
 
 
+def plan_of(bundle, *, trials, allow_code=False):
+    """Return the plan of trials of a fifth of a second."""
+    place = FoundScene.at(SCENE)
+    suite = new_suite(
+        {
+            "nw-eval": 1,
+            "name": "tiny",
+            "robot": "go1",
+            "policy": bundle.name,
+            "trials": trials,
+            "seed": 7,
+            "episode": {"duration": 0.2},
+            "scenes": [SCENE],
+            "record": "none",
+        }
+    )
+    return Plan(
+        request=Request(allow_code=allow_code),
+        suite=suite,
+        bundle=bundle,
+        found=(place,),
+        trials=expand(suite, [place.scene]),
+    )
+
+
 @pytest.fixture
 def go(tmp_path):
     """Return what runs a bundle's trials of a fifth of a second, here or in worker processes."""
@@ -99,28 +128,7 @@ def go(tmp_path):
     def run(
         bundle, *, name="run", trials=2, apart=False, allow_code=False, ears=None, resume=False
     ):
-        suite = new_suite(
-            {
-                "nw-eval": 1,
-                "name": "tiny",
-                "robot": "go1",
-                "policy": bundle.name,
-                "trials": trials,
-                "seed": 7,
-                "episode": {"duration": 0.2},
-                "scenes": [SCENE],
-                "record": "none",
-            }
-        )
-        scene = get_scene(SCENE)
-        plan = Plan(
-            suite=suite,
-            bundle=bundle,
-            scenes=(scene,),
-            references={},
-            trials=expand(suite, [scene]),
-            allow_code=allow_code,
-        )
+        plan = plan_of(bundle, trials=trials, allow_code=allow_code)
         folder = RunFolder(path=tmp_path / name)
         jobs = plan_jobs(plan, folder)
         header = JournalHeader(suite_digest="s", policy_digest="p", scene_digests={})
@@ -135,6 +143,25 @@ def go(tmp_path):
                 workers=1,
                 listener=ears or Ears(),
             )
+
+    return run
+
+
+@pytest.fixture
+def session_of(tmp_path):
+    """Return what runs a bundle's trials as `nw-eval run` does, in this process."""
+
+    def run(bundle, *, trials, enough=None):
+        return session.run(
+            plan_of(bundle, trials=trials),
+            workers=None,
+            out=tmp_path / "run",
+            resume=None,
+            command=(),
+            listener=None,
+            in_process=True,
+            enough=enough,
+        )
 
     return run
 
@@ -243,3 +270,20 @@ def test_torch_has_its_threads_back_after_a_run(go):
     finally:
         torch.set_num_threads(before)
     assert set(seen) == {1}
+
+
+def test_run_json_and_report_say_that_nothing_stood_between(session_of):
+    folder = session_of(instance_bundle(standing, Card.model_validate(CARD)), trials=1)
+    info = read_run_info(folder.run_json)
+    assert info.fence == "off: in the calling process"
+    assert (info.workers, info.stopped_after) == (1, None)
+    assert (info.policy.card, info.policy.origin) == ("", "an object in the calling process")
+    ran = api.report(folder.path)
+    assert (ran.verdict.verdict, len(ran.rows)) == ("RAN", 1)
+    assert "mine, an object in the calling process" in folder.report_md.read_text()
+
+
+def test_run_json_says_after_which_round_there_was_enough(session_of):
+    folder = session_of(load_bundle("stand"), trials=3, enough=lambda rows: len(rows) == 2)
+    assert read_run_info(folder.run_json).stopped_after == 2
+    assert len(read_journal(folder.journal).rows) == 2

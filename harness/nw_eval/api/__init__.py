@@ -1,13 +1,11 @@
 """What one can do with nw-eval. The command line and other doors call these and nothing deeper.
 
 The hall of the house: the only room that sees both wings, the one that makes rows (scenes, sim,
-sensors, policies, rollout, engine) and the one that reads them (results, stats, gate, report).
+sensors, policies, rollout, engine) and the one that reads them (results, stats, gate, reporting).
 """
 
 from __future__ import annotations
 
-from nw_eval.api.evaluation import ActingPolicy, evaluate
-from nw_eval.api.message import Message
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -18,7 +16,6 @@ from nw_eval.api.places import (
     show_scene,
     warmup,
 )
-from nw_eval.api.plans import check, plan
 from nw_eval.api.policies import (
     CardDraft,
     FoldedGraph,
@@ -31,13 +28,16 @@ from nw_eval.api.policies import (
     show_policy,
 )
 from nw_eval.api.replays import replay
-from nw_eval.api.reports import RunReport, report
-from nw_eval.api.rows import read_rows
-from nw_eval.api.runs import run
+from nw_eval.api.running.evaluation import ActingPolicy, evaluate
+from nw_eval.api.running.plans import check, plan
+from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.rows import read_rows
+from nw_eval.api.running.runs import run
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, list_suites
+from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
@@ -47,7 +47,7 @@ __all__ = [
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
-    "Message",
+    "Request",
     "RunReport",
     "ServedPolicy",
     "WarmUp",

@@ -35,20 +35,23 @@ def list_suites() -> tuple[ListedSuite, ...]:
 
 
 def _listed(name: str, path: Path) -> ListedSuite:
-    from nw_eval.catalogue import references
+    from nw_eval.catalogue import names, open_scene, references
     from nw_eval.errors import NwEvalError
     from nw_eval.suite import load_suite
 
     try:
         suite = load_suite(str(path))
-        scenes = len(references(suite.scenes, suite.base))
+        scenes = references(suite.scenes, suite.base)
+        for reference, collision in scenes:
+            if reference not in names():  # A built-in one is right, and takes long to build.
+                open_scene(reference, collision)
     except NwEvalError as error:
         return ListedSuite(name=name, file=path, problem=clean(str(error).splitlines()[0]))
     return ListedSuite(
         name=name,
         file=path,
         purpose=_first_sentence(path),
-        scenes=scenes,
+        scenes=len(scenes),
         trials=suite.trials,
         bar=suite.gate.success_rate,
     )

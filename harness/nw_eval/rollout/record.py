@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval import __version__
+from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
@@ -71,7 +72,11 @@ def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
         ValueError: the metadata is damaged or of another version.
     """
     try:
-        job = TypeAdapter(TrialJob).validate_python(_kept(json.loads(metadata["job"])))
+        fields = _kept(json.loads(metadata["job"]))
+        scene = fields.get("scene")
+        if isinstance(scene, str) and "collision" not in fields:  # Older logs say it before it.
+            fields["scene"], fields["collision"] = parse_reference(scene)
+        job = TypeAdapter(TrialJob).validate_python(fields)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "job"

@@ -19,4 +19,4 @@ def worker_count(wanted: int | None, jobs: int) -> int:
         wanted: one for each core if None.
         jobs: those that are to be run.
     """
-    return max(1, min(wanted or default_workers(), jobs))
+    return max(1, min(default_workers() if wanted is None else wanted, jobs))

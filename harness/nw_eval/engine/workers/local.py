@@ -101,7 +101,8 @@ class LocalWorkers:
         self._recycle_after = recycle_after
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
-        self._busy: list[WorkerProcess] = []  # Every worker has a job, or is none of ours any more.
+        self._busy: list[WorkerProcess] = []
+        self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
         self._stillborn = 0
 
     def __enter__(self) -> Self:
@@ -124,7 +125,8 @@ class LocalWorkers:
         """
         while self._queue or self._busy:
             while self._queue and len(self._busy) < self._count:
-                self._start()
+                self._busy.append(self._idle.pop() if self._idle else self._started())
+                self._busy[-1].give(self._next(self._busy[-1]))
             wait([handle for each in self._busy for handle in each.handles], POLL)
             ended = [done for each in tuple(self._busy) if (done := self._look(each)) is not None]
             yield from ended or (None,)
@@ -133,16 +135,17 @@ class LocalWorkers:
         """End every worker now, running trials included; calling it again does nothing."""
         self._queue.clear()
         # A trial holds nothing that needs an orderly end, and one that hangs ignores SIGTERM.
-        for each in self._busy:
+        for each in (*self._busy, *self._idle):
             each.kill()
-        while self._busy:
-            self._busy.pop().close()
+        for ended in (self._busy, self._idle):
+            while ended:
+                ended.pop().close()
         self._cleanup.close()
 
-    def _start(self) -> None:
-        """Start one more worker with the next job."""
+    def _started(self) -> WorkerProcess:
+        """Return one more worker."""
         try:
-            new = WorkerProcess(
+            return WorkerProcess(
                 start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
             )
         except OSError as error:
@@ -150,12 +153,10 @@ class LocalWorkers:
                 f"worker processes cannot be started: {error.strerror or error}",
                 fix="use fewer --workers",
             ) from error
-        self._busy.append(new)
-        new.give(self._next(new))
 
     def _next(self, each: WorkerProcess) -> TrialJob:
         """Take a worker's next job from the queue."""
-        taken = {scene for other in self._busy for scene in other.scenes}
+        taken = {scene for other in (*self._busy, *self._idle) for scene in other.scenes}
         place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
         job = self._queue[place]
         del self._queue[place]
@@ -184,10 +185,13 @@ class LocalWorkers:
             return None
         self._stillborn = 0
         is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
-        if is_well and self._queue:
+        if not is_well:
+            self._dismiss(each)
+        elif self._queue:
             each.give(self._next(each))
         else:
-            self._dismiss(each)
+            self._busy.remove(each)
+            self._idle.append(each)
         return Finished(job=job, result=result)
 
     def _dismiss(self, each: WorkerProcess) -> None:

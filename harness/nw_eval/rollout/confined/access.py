@@ -95,7 +95,7 @@ def fence_in_server(bundle: Bundle) -> None:
 def why_off(*, allow_code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
     """Return why a process is not fenced in; empty if it is."""
     if in_process:
-        return "trials in the calling process"
+        return "in the calling process"
     if allow_code:
         return "--allow-code"
     return "--render cuda" if render == "cuda" else ""

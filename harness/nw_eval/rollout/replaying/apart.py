@@ -45,7 +45,8 @@ def replay_apart(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     job = recording.job
-    bundle, scene = library.bundle(job.policy, job.checkpoint), library.scene(job.scene)
+    bundle = library.bundle(job.policy, job.checkpoint)
+    scene = library.scene(job.scene, job.collision)
     sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
     renders = (sees or picture is not None) and scene.splat is not None
     if renders and job.render == "cuda" and not allow_code:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from nw_eval.api.reports import RunReport
+    from nw_eval.api.running.reports import RunReport
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.policies import Bundle
@@ -55,8 +55,8 @@ def evaluate(
         version: which policy an object is, such as its step or the hash of its weights.
         out: the run's folder; a new one in `reports/` if None.
         listener: hears of progress.
-        changes: as for `run`: trials, scenes, record, seed; checkpoint and workers for a policy by
-            name.
+        changes: fields of `Request` by name, such as trials, scenes, record and seed; for a policy
+            by name whatever `run` takes.
 
     Raises:
         UsageError: an object has no card, or a policy by name has one; no such suite.
@@ -64,14 +64,14 @@ def evaluate(
         PolicyError: the card or the checkpoint cannot be used.
         StoreError: results cannot be written; those that were written stay.
     """
-    from nw_eval.api.plans import plan
-    from nw_eval.api.runs import judged, run
+    from nw_eval.api.running.plans import plan_of
+    from nw_eval.api.running.runs import judged, run
     from nw_eval.engine import session
     from nw_eval.errors import UsageError
+    from nw_eval.request import Request
+    from nw_eval.suite import draft_suite
 
     out = None if out is None else Path(out)
-    if changes.get("checkpoint") is not None:
-        changes["checkpoint"] = Path(changes["checkpoint"])
     if isinstance(policy, str | Path):
         if card is not None or version != UNNAMED:
             raise UsageError(
@@ -85,13 +85,12 @@ def evaluate(
             fix="pass `card={'control': ..., 'observations': ...}`",
         )
     bundle = _bundle(policy, suite, card, version)
+    request = Request.of(suite, policy=bundle.name, **changes)
     folder = session.run(
-        plan(suite, bundle=bundle, **changes),
-        workers=None,
+        plan_of(request, draft_suite(suite), bundle=bundle),
+        workers=1,
         out=out,
         resume=None,
-        time_limit=None,
-        render="cpu",
         command=tuple(sys.argv),
         listener=listener,
         in_process=True,

@@ -26,7 +26,7 @@ def read_rows(run: str | Path) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from nw_eval.api.saved_run import saved_suite, saved_trials
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.row import Row, to_dict

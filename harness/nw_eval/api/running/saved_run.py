@@ -8,25 +8,13 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 
 if TYPE_CHECKING:
+    from nw_eval.engine.plan import Plan
+    from nw_eval.request import Request
     from nw_eval.results.provenance import RunInfo
-    from nw_eval.rollout.job import Record
-    from nw_eval.scenes.terrain.options import Collision
     from nw_eval.suite import Suite, Trial
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What an interrupted run was started with."""
-
-    suite: Suite
-    card: Path | None  # where the policy's card lies; None if it is there no more
-    checkpoint: Path | None
-    scenes: tuple[str, ...]
-    record: Record
-    collision: Collision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,26 +26,47 @@ class _Scene:
     digest: str
 
 
-def settings_of(run: Path) -> Settings:
-    """Return what the run of a folder was started with, to go on with it from any directory.
+def continued(run: Path, request: Request) -> Plan:
+    """Return the plan that goes on with the run of a folder, from any directory.
+
+    Args:
+        run: the folder.
+        request: what is asked for now; what it leaves out is as the run was begun.
 
     Raises:
         StoreError: it is no run's folder, or its run.json is damaged.
+        IncomparableError: its run.json does not say what was asked for.
+        UsageError, SuiteError, PolicyError: as `plan_of`.
     """
+    from nw_eval.api.running.plans import plan_of
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite import draft_of, draft_suite
 
     info = read_run_info(open_run_folder(run).run_json)
     suite = saved_suite(info)
-    card = Path(info.policy.card)
-    return Settings(
-        suite=suite,
-        card=card if info.policy.card and card.is_file() else None,
-        checkpoint=Path(info.policy.checkpoint) if info.policy.checkpoint else None,
-        scenes=tuple(escape(name) for name in info.scenes),
-        record=suite.record,
-        collision="triangles" if info.collision == "triangles" else "terrain",
+    if info.request is None:
+        raise IncomparableError(
+            f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
+            fix="start a new run without --resume",
+        )
+    whole = request.over(info.request)
+    if request.suite is not None:
+        card = None if whole.policy is None or request.policy is not None else _card(info)
+        return plan_of(whole, draft_suite(request.suite), card=card)
+    return plan_of(
+        whole,
+        draft_of(suite),
+        card=None if request.policy is not None else _card(info),
+        # A place that the suite's patterns match only now is none of the run's.
+        scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
     )
+
+
+def _card(info: RunInfo) -> Path | None:
+    """Return where the card of a run's policy lies; None if it is there no more."""
+    card = Path(info.policy.card)
+    return card if info.policy.card and card.is_file() else None
 
 
 def saved_suite(info: RunInfo) -> Suite:

@@ -9,10 +9,11 @@ from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, Problem, SuiteError
 
 if TYPE_CHECKING:
+    from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
-    from nw_eval.scenes import Scene
-    from nw_eval.scenes.terrain.options import Collision
+    from nw_eval.request import Request
     from nw_eval.suite import Draft
+    from nw_eval.words import Collision
 
 
 class Faults:
@@ -50,100 +51,94 @@ class Faults:
             raise SuiteError(ordered, self._others)
 
 
-def open_scenes(draft: Draft, faults: Faults, collision: Collision) -> tuple[Scene, ...]:
-    """Return the scenes that a suite names, as far as they can be opened."""
-    from nw_eval import catalogue
-    from nw_eval.errors import SceneError
-    from nw_eval.suite import tier_problems
-
-    def opened(patterns: list[str]) -> tuple[Scene, ...]:
-        return catalogue.match_scenes(patterns, draft.base, collision=collision)
-
-    found: list[Scene] = []
-    failed: list[str] = []
-    try:
-        found = list(opened(list(draft.scenes.values())))
-    except (SceneError, OSError):  # Which of them, and what is wrong with the others?
-        for index, pattern in draft.scenes.items():
-            try:
-                found += opened([pattern])
-            except SceneError as error:
-                faults.at(("scenes", index), error)
-                failed.append(pattern)
-            except OSError as error:  # No file system takes such a name.
-                message = f"no scene matches {clean(pattern, at_most=60)!r}: {error.strerror}"
-                faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
-                failed.append(pattern)
-    # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
-    meant = [scene.name for scene in found] + list(catalogue.names() if failed else ())
-    faults.extend(tier_problems(draft, meant, failed))
-    return tuple(found)
-
-
-def open_policy(
-    draft: Draft,
-    faults: Faults,
-    *,
-    given: str | None,
-    checkpoint: Path | None,
-    robot: str | None,
-    allow_code: bool,
-) -> Bundle | None:
-    """Return the policy of a suite or the one that was given, checked; None if it cannot be used.
+def open_scenes(
+    draft: Draft, faults: Faults, collision: Collision | None
+) -> tuple[FoundScene, ...]:
+    """Return the scenes that a suite names, each once, as far as they can be opened.
 
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
-        given: a bundle's name, folder or card in place of the suite's own.
-        checkpoint: weights to use with the card.
-        robot: in place of the suite's own.
-        allow_code: whether Python code that the card names may be imported.
+        collision: how meshes collide, whatever the suite says of it.
+    """
+    from nw_eval import catalogue
+    from nw_eval.errors import SceneError
+    from nw_eval.suite import tier_problems
+
+    found: dict[tuple[str, Collision], FoundScene] = {}
+    failed: list[str] = []
+    for index, pattern in draft.scenes.items():
+        try:
+            for each in catalogue.references([pattern], draft.base, collision=collision):
+                if each not in found:
+                    found[each] = catalogue.FoundScene.at(*each)
+        except SceneError as error:
+            faults.at(("scenes", index), error)
+            failed.append(pattern)
+        except OSError as error:  # No file system takes such a name.
+            message = f"no scene matches {clean(pattern, at_most=60)!r}: {error.strerror}"
+            faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
+            failed.append(pattern)
+    # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
+    meant = [place.scene.name for place in found.values()]
+    faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
+    return tuple(found.values())
+
+
+def open_policy(
+    draft: Draft, faults: Faults, request: Request, *, card: Path | None
+) -> Bundle | None:
+    """Return the policy of a request or else of the suite, checked; None if it cannot be used.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        request: what is asked for in place of the suite's own.
+        card: where the policy lies, if that is known.
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
 
     own = draft.text("policy")
-    if given is None and own is None:
+    named = request.policy if card is None else str(card)
+    if named is None and own is None:
         return None  # The file's own fault says so.
-    reference = given if given is not None else _from_base(draft.base, own or "")
     try:
-        card = find_card(reference)
+        path = find_card(_from_base(draft.base, own or "") if named is None else named)
     except PolicyError as error:
-        if given is None:
+        if named is None:
             faults.at(("policy",), error)
         else:
             faults.add(error)
         return None
     try:
-        bundle = load_bundle(card, checkpoint=checkpoint)
+        bundle = load_bundle(path, checkpoint=request.checkpoint)
     except NwEvalError as error:
         faults.add(error)
         return None
-    return vet_policy(draft, faults, bundle, robot=robot, allow_code=allow_code)
+    return vet_policy(draft, faults, request, bundle)
 
 
-def vet_policy(
-    draft: Draft, faults: Faults, bundle: Bundle, *, robot: str | None, allow_code: bool
-) -> Bundle | None:
+def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -> Bundle | None:
     """Return a policy that is loaded already, checked; None if it cannot be used.
 
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
+        request: what is asked for in place of the suite's own.
         bundle: the policy.
-        robot: in place of the suite's own.
-        allow_code: whether Python code that the card names may be imported.
     """
     from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
     from nw_eval.words import Robot
 
     try:
+        robot = _known(draft.text("robot"), Robot) if request.robot is None else request.robot
         return vet_bundle(
             bundle,
-            robot or _known(draft.text("robot"), Robot) or bundle.card.robot,
+            robot or bundle.card.robot,
             protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
-            allow_code=allow_code,
+            allow_code=request.allow_code,
         )
     except NwEvalError as error:
         faults.add(error)
