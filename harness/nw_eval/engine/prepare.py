@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
-    from nw_eval.rollout.job import Backend, Record
     from nw_eval.scenes import Scene
+    from nw_eval.words import Backend, Record
 
 _WORTH_SAYING = 3.0  # s
 
