@@ -97,6 +97,19 @@ def test_a_job_travels_to_a_worker_and_into_a_log_and_back(job):
     assert (read.duration, read.checkpoint, read.mcap) == (12.0, job.checkpoint, None)
 
 
+def test_an_older_log_says_before_its_scene_how_that_collides(job):
+    metadata = trial_metadata(replace(job, scene="/my/place", collision="triangles"))
+    fields = json.loads(metadata["job"])
+    assert (fields["scene"], fields["collision"]) == ("/my/place", "triangles")
+    del fields["collision"]
+    for scene, ways in {
+        "triangles:/my/place": ("/my/place", "triangles"),
+        "hurdles/x": ("hurdles/x", "terrain"),
+    }.items():
+        read = job_from_metadata({**metadata, "job": json.dumps({**fields, "scene": scene})})
+        assert (read.scene, read.collision) == ways
+
+
 def test_a_log_gives_no_leave_and_no_place_to_write(job):
     metadata = trial_metadata(replace(job, allow_code=True, mcap=Path("here.mcap")))
     fields = json.loads(metadata["job"])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards import Card
 from nw_eval.cards.inputs import InputSpec
+from nw_eval.catalogue import parse_reference
 from nw_eval.policies import Bundle
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.rollout.clock import StageClock
@@ -155,7 +156,8 @@ def record(
         NwEvalError: it cannot be run.
     """
     library = library or ThisBundle(bundle)
-    job = _job(bundle, library.scene(scene), scene, seconds=seconds, allow_code=allow_code)
+    place = library.scene(*parse_reference(scene))
+    job = _job(bundle, place, scene, seconds=seconds, allow_code=allow_code)
     rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
     seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
     given: dict[str, list[NDArray[Any]]] = {}
@@ -209,12 +211,14 @@ def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code
         task=place.task,
         index=0,
     )
+    reference, collision = parse_reference(scene)
     return TrialJob(
         trial=trial,
         robot=bundle.card.robot,
         duration=seconds,
-        scene=scene,
-        policy=str(bundle.card_path),
+        scene=reference,
+        collision=collision,
+        policy=bundle.reference,
         checkpoint=bundle.checkpoint,
         checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,

@@ -3,9 +3,4 @@
 from nw_eval.onboarding.reading.exporter import ExporterMetadata
 from nw_eval.onboarding.reading.facts import ArrayFacts, CheckpointFacts, inspect_checkpoint
 
-__all__ = [
-    "ArrayFacts",
-    "CheckpointFacts",
-    "ExporterMetadata",
-    "inspect_checkpoint",
-]
+__all__ = ["ArrayFacts", "CheckpointFacts", "ExporterMetadata", "inspect_checkpoint"]

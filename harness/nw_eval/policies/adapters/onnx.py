@@ -12,7 +12,6 @@ from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
-from nw_eval.plural import plural
 from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
@@ -131,8 +130,8 @@ class OnnxPolicy(ActingNetwork):
         size = shape[-1] if shape else None
         if isinstance(size, int) and size != joints:
             raise PolicyError(
-                f"{bundle.card_path}: output {clean(name, at_most=100)!r} of the checkpoint has "
-                f"{plural(size, 'number')}, the robot {bundle.card.robot!r} has {joints} joints",
+                f"{bundle.where}: output {clean(name, at_most=100)!r} of the checkpoint has "
+                f"{size} numbers, the robot {bundle.card.robot!r} has {joints} joints",
                 fix="name the action with `output`, or the right robot with `robot`",
             )
         super().__init__(network, joints=joints, policy=bundle.name)

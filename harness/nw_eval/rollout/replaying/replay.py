@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.inside import what_is
+from nw_eval.policies.instance import was_instance
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import TrialJob
@@ -18,13 +19,14 @@ from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata, provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
-from nw_eval.rollout.trial import ended, failed, so_far
+from nw_eval.rollout.replaying.report import Difference, ReplayReport
+from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.trial import ended, failed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.result import TrialResult
     from nw_eval.words import Outcome
 
 
@@ -45,39 +47,21 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """A trial that was run again.
-
-    `differences` says in words what is not as recorded; `version_differences` says which versions
-    are not, under which equal bits cannot be expected.
-    """
+    """A trial that was run again, and what came of it."""
 
     recording: Recording
     result: TrialResult
-    start_step: int
-    differences: tuple[str, ...]
-    version_differences: tuple[str, ...]
+    report: ReplayReport
 
     @property
     def is_identical(self) -> bool:
         """Whether the end is the recorded one, bit for bit."""
-        return not self.differences
+        return self.report.is_identical
 
     @property
-    def text(self) -> str:
-        """What happened, in one line; most words of it are the log's."""
-        return clean(self._text, at_most=2000)
-
-    @property
-    def _text(self) -> str:
-        trial = self.recording.job.trial.id
-        start = "" if self.start_step == 0 else f" from step {self.start_step}"
-        if self.is_identical:
-            end = as_metadata(self.result)["outcome"] or self.result.error_type
-            return f"{trial}{start}: {end} after {self.result.steps} steps, identical bit for bit"
-        said = "; ".join(self.differences)
-        if self.version_differences:
-            return f"{trial}{start}: {said} (recorded with {', '.join(self.version_differences)})"
-        return f"{trial}{start}: {said}"
+    def start_step(self) -> int:
+        """The control step from which on it was run."""
+        return self.report.start_step
 
 
 def read_recording(path: Path) -> Recording:
@@ -140,13 +124,17 @@ def replay(
             restore(trial, recording, start)
         start_step = trial.episode.step
         result = run_on(trial)
-    return Replayed(
-        recording=recording,
-        result=result,
+    was, now = recording.verdict, as_metadata(result)
+    built, builds = recording.versions, provenance()
+    report = ReplayReport(
+        trial=job.trial.id,
         start_step=start_step,
-        differences=_differences(recording.verdict, as_metadata(result)),
-        version_differences=_version_differences(recording.versions),
+        steps=result.steps,
+        end=now["outcome"] or now["error_type"],
+        differences=_differences((name for name in now if name != "error_text"), was, now),
+        versions=_differences(sorted({*built, *builds}), built, builds),
     )
+    return Replayed(recording=recording, result=result, report=report)
 
 
 def check_start(start: float) -> None:
@@ -175,6 +163,12 @@ def agreed(
     """
     recording = read_recording(path)
     recorded = recording.job
+    if policy is None and was_instance(recorded.policy):
+        name = clean(recorded.policy_name, at_most=100)
+        raise PolicyError(
+            f"{path}: policy {name!r} was an object of the process that ran it",
+            fix="name a bundle that does the same with --policy",
+        )
     job = replace(
         recorded,
         policy=policy or _found(recorded),
@@ -211,7 +205,7 @@ def run_on(trial: OpenTrial) -> TrialResult:
     except BaseException as error:
         if is_interrupt(error):
             raise
-        return failed(so_far(trial), error)  # As in a run, it is the result.
+        return failed(TrialResult.so_far(trial.episode), error)  # As in a run, it is the result.
     return ended(trial, outcome)
 
 
@@ -219,8 +213,8 @@ def _refuse_servers(recording: Recording, library: Library) -> None:
     bundle = library.bundle(recording.job.policy, recording.job.checkpoint)
     if bundle.card.adapter == "remote":
         raise PolicyError(
-            f"{recording.path}: {bundle.card_path}, which the log names, asks a policy on a server",
-            fix=f"add --policy {bundle.card_path} if you trust it",
+            f"{recording.path}: {bundle.where}, which the log names, asks a policy on a server",
+            fix=f"add --policy {bundle.where} if you trust it",
         )
 
 
@@ -230,20 +224,11 @@ def _found(job: TrialJob) -> str:
     return job.policy if known else job.policy_name
 
 
-def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    names = [name for name in now if name != "error_text" and recorded.get(name) != now[name]]
-    return tuple(f"{name} was {_short(recorded, name)}, now {_short(now, name)}" for name in names)
-
-
-def _short(values: Mapping[str, str], name: str) -> str:
-    text = values.get(name, "") or "none"
-    return text[:12] if name.endswith("_digest") else clean(text, at_most=100)
-
-
-def _version_differences(recorded: Mapping[str, str]) -> tuple[str, ...]:
-    now = provenance()
+def _differences(
+    names: Iterable[str], recorded: Mapping[str, str], now: Mapping[str, str]
+) -> tuple[Difference, ...]:
     return tuple(
-        f"{name} {recorded.get(name, 'unknown')}, not {now.get(name, 'none')}"
-        for name in sorted({*recorded, *now})
+        Difference(name=name, recorded=recorded.get(name, ""), now=now.get(name, ""))
+        for name in names
         if recorded.get(name) != now.get(name)
     )
