@@ -155,24 +155,24 @@ def wait_for_number(path):
 WITHOUT = """\
 import os, sys
 from nw_eval.confinement import Rules, confine
-from nw_eval.confinement.seccomp import Step, install
+from nw_eval.confinement.seccomp import Instruction, install
 
 # The kernel's answers where it is older, or a container forbids: of Landlock's calls, of a filter.
 landlock, seccomp = 0x00050026, 0x00050016  # ENOSYS, EINVAL
 load, equal, leave = 0x20, 0x15, 0x06
-steps = [Step(load, 0)]
+steps = [Instruction(load, 0)]
 if "landlock" in sys.argv:
     for number in (444, 445, 446):
-        steps += [Step(equal, number, if_false=1), Step(leave, landlock)]
+        steps += [Instruction(equal, number, if_false=1), Instruction(leave, landlock)]
 if "seccomp" in sys.argv:
     prctl = {"x86_64": 157, "aarch64": 167}[os.uname().machine]
     steps += [
-        Step(equal, prctl, if_false=3),
-        Step(load, 16),
-        Step(equal, 22, if_false=1),
-        Step(leave, seccomp),
+        Instruction(equal, prctl, if_false=3),
+        Instruction(load, 16),
+        Instruction(equal, 22, if_false=1),
+        Instruction(leave, seccomp),
     ]
-install([*steps, Step(leave, 0x7FFF0000)])
+install([*steps, Instruction(leave, 0x7FFF0000)])
 here = os.dup(1)
 said = str(confine(Rules()))
 os.write(here, f"{said}|{os.access(__file__, os.R_OK)}".encode())

@@ -20,7 +20,7 @@ from nw_eval.sim import Limits
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
 from nw_eval.suite import Suite, load_suite
-from nw_eval.suite.model import MAX_CELLS, Episode, Gate, Perturb
+from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb
 from nw_eval.suite.trials import MAX_TRIALS
 from nw_eval.words import OUTCOMES, Protocol, Tier
 
@@ -43,7 +43,7 @@ def test_every_key_is_there_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "model"), [("key of `episode`", Episode), ("key of `gate`", Gate)]
+    ("heading", "model"), [("key of `episode`", EpisodeRules), ("key of `gate`", Gate)]
 )
 def test_keys_and_defaults_of_parts_are_those_of_the_code(
     heading: str, model: type[BaseModel]
@@ -76,7 +76,7 @@ def test_its_bounds_are_those_of_the_code() -> None:
     schema = Suite.model_json_schema()
     assert schema["properties"]["trials"]["maximum"] == 100_000
     assert "1 to 100000" in TEXT
-    assert schema["$defs"]["Episode"]["properties"]["duration"]["maximum"] == 600.0
+    assert schema["$defs"]["EpisodeRules"]["properties"]["duration"]["maximum"] == 600.0
     assert "600 at most" in TEXT
     confidence = schema["$defs"]["Gate"]["properties"]["confidence"]
     assert f"{confidence['minimum']} to {confidence['maximum']}" in TEXT

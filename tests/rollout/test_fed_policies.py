@@ -161,7 +161,7 @@ def with_encoder(data, eyes, folder):
 def test_check_names_every_network_and_finds_the_deaf_one(eyes, tmp_path):
     place = "hurdles/one_low_carpet"
     told = probe_here(load_bundle(eyes), scene=place)
-    assert re.search(r"^network +gives +numbers +asked", probe_page(told), re.MULTILINE)
+    assert re.search(r"^network +gives +numbers +rate", probe_page(told), re.MULTILINE)
     assert re.search(r"^encoder +encoder +8 +10 Hz", probe_page(told), re.MULTILINE)
     assert "does not react to its inputs" not in probe_page(told)
     told = probe_here(with_encoder(scripted(Deaf()), eyes, tmp_path), scene=place)

@@ -49,7 +49,7 @@ class _Program(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Step:
+class Instruction:
     """One instruction of a filter; a comparison skips `if_true` or `if_false` instructions."""
 
     code: int
@@ -76,7 +76,7 @@ def refuse(*, network: Network) -> bool:
     return True
 
 
-def install(steps: Sequence[Step]) -> None:
+def install(steps: Sequence[Instruction]) -> None:
     """Put a filter round this thread, besides those that are there already.
 
     Raises:
@@ -89,7 +89,7 @@ def install(steps: Sequence[Step]) -> None:
     kernel.prctl(_SET_SECCOMP, _MODE_FILTER, ctypes.byref(_Program(len(steps), code)))
 
 
-def program(machine: str, *, process: int, network: Network) -> tuple[Step, ...]:
+def program(machine: str, *, process: int, network: Network) -> tuple[Instruction, ...]:
     """Return the filter of a machine.
 
     Args:
@@ -108,43 +108,45 @@ def program(machine: str, *, process: int, network: Network) -> tuple[Step, ...]
     if network == "none":
         refused += numbers(SOCKETS)
     return (
-        Step(_LOAD, _MACHINE),
-        Step(_EQUAL, MACHINES[machine], if_true=1),
-        Step(_RETURN, _KILL),
-        Step(_LOAD, _NUMBER),
-        *([Step(_AT_LEAST, _X32, if_false=1), _fail(errno.EPERM)] if column == 0 else ()),
+        Instruction(_LOAD, _MACHINE),
+        Instruction(_EQUAL, MACHINES[machine], if_true=1),
+        Instruction(_RETURN, _KILL),
+        Instruction(_LOAD, _NUMBER),
+        *([Instruction(_AT_LEAST, _X32, if_false=1), _fail(errno.EPERM)] if column == 0 else ()),
         *_for_each(refused, [_fail(errno.EPERM)]),
         # The C library then takes `clone`, whose flags can be seen here.
         *_for_each(numbers(CLONE3), [_fail(errno.ENOSYS)]),
         *_for_each(
             numbers(CLONE),
             [
-                Step(_LOAD, _FIRST_ARGUMENT),
-                Step(_ANY_BIT, _CLONE_THREAD, if_false=1),
-                Step(_RETURN, _ALLOW),
+                Instruction(_LOAD, _FIRST_ARGUMENT),
+                Instruction(_ANY_BIT, _CLONE_THREAD, if_false=1),
+                Instruction(_RETURN, _ALLOW),
                 _fail(errno.EPERM),
             ],
         ),
         *_for_each(
             numbers(ON_PROCESSES),
             [
-                Step(_LOAD, _FIRST_ARGUMENT),
-                Step(_EQUAL, process, if_true=1),
-                Step(_EQUAL, 0, if_false=1),
-                Step(_RETURN, _ALLOW),
+                Instruction(_LOAD, _FIRST_ARGUMENT),
+                Instruction(_EQUAL, process, if_true=1),
+                Instruction(_EQUAL, 0, if_false=1),
+                Instruction(_RETURN, _ALLOW),
                 _fail(errno.EPERM),
             ],
         ),
-        Step(_RETURN, _ALLOW),
+        Instruction(_RETURN, _ALLOW),
     )
 
 
-def _for_each(numbers: Iterable[int], then: Sequence[Step]) -> list[Step]:
+def _for_each(numbers: Iterable[int], then: Sequence[Instruction]) -> list[Instruction]:
     """Return steps that go into `then`, which returns, at each of some numbers."""
     return [
-        step for number in numbers for step in (Step(_EQUAL, number, if_false=len(then)), *then)
+        step
+        for number in numbers
+        for step in (Instruction(_EQUAL, number, if_false=len(then)), *then)
     ]
 
 
-def _fail(number: int) -> Step:
-    return Step(_RETURN, _FAIL | number)
+def _fail(number: int) -> Instruction:
+    return Instruction(_RETURN, _FAIL | number)

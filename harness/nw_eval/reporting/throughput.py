@@ -9,7 +9,7 @@ from nw_eval.results.row import Row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class StageTime:
     """Time of one stage over all trials."""
 
     name: str
@@ -22,7 +22,7 @@ class Stage:
 class Throughput:
     """Stages in their order, those of a control step after `setup`, and the time they simulated."""
 
-    stages: tuple[Stage, ...]
+    stages: tuple[StageTime, ...]
     sim_s: float
     real_time_factor: float  # Simulated over wall time, of one worker.
 
@@ -45,7 +45,7 @@ def throughput(rows: Sequence[Row]) -> Throughput:
     named["other"] = max(0.0, wall - sum(named.values()))
     return Throughput(
         stages=tuple(
-            Stage(
+            StageTime(
                 name=name,
                 seconds=seconds,
                 ms_per_step=1000.0 * seconds / steps if steps else 0.0,

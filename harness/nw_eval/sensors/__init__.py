@@ -2,16 +2,16 @@
 
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
-from nw_eval.sensors.place import Place
+from nw_eval.sensors.place import Surroundings
 from nw_eval.sensors.sensor import Moment, Sensor
 from nw_eval.sensors.wrappers.link import Shot
 
 __all__ = [
     "Moment",
     "ObservationSpec",
-    "Place",
     "Sensor",
     "Shot",
+    "Surroundings",
     "build_sensors",
     "check_card",
 ]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Surroundings:
     """The world of one trial, and what its sensors share.
 
     Attributes:

@@ -61,7 +61,7 @@ Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(_e
 Friction = Annotated[float, Field(gt=0.0, le=5.0)]
 
 
-class Episode(_Strict):
+class EpisodeRules(_Strict):
     """What ends a trial, besides its last waypoint and a fall."""
 
     duration: float = Field(
@@ -151,7 +151,7 @@ class Suite(_Strict):
     )
     trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
     seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
-    episode: Episode = Episode()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
+    episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
     scenes: Patterns = Field(
         description="Names, globs, paths of scene folders, neverwhere:<path> for a published one."
     )

@@ -114,10 +114,10 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     return trials
 
 
-def _damaged(info: RunInfo, said: str) -> StoreError:
+def _damaged(info: RunInfo, fault: str) -> StoreError:
     from nw_eval.clean import clean
 
     return StoreError(
-        f"run.json of {clean(info.id, at_most=100)} is damaged: {clean(said, at_most=300)}",
+        f"run.json of {clean(info.id, at_most=100)} is damaged: {clean(fault, at_most=300)}",
         fix="run again or restore it",
     )

@@ -20,7 +20,7 @@ def card_page(summary: CardSummary) -> str:
     lines = [
         f"{card.name}: {card.title}" if card.title else card.name,
         f"card        {clean(summary.path)}",
-        f"licence     {card.licence or 'not said'}",
+        f"licence     {card.licence or 'not stated'}",
         f"robot       {card.robot}",
         f"adapter     {card.adapter}",
         *_files(summary),

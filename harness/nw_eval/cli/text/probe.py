@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.text.table import aligned
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.onboarding.probe.rows import (
@@ -38,7 +39,7 @@ def probe_page(report: ProbeReport) -> str:
         *([""] if commands else []),
         *(f"{finding.kind}: {finding.text}" for finding in report.findings),
         *([report.caveat] if report.caveat else []),
-        "no fault found" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
+        "no fault found" if not faults else plural(faults, "fault"),
     ]
     return "\n".join(lines)
 
@@ -53,7 +54,7 @@ def _terms(terms: Sequence[ProbedTerm]) -> Rows:
 
 
 def _outputs(outputs: Sequence[ProbedOutput]) -> Rows:
-    rows: Rows = [("network", "gives", "numbers", "asked", "min", "mean", "max", "constant")]
+    rows: Rows = [("network", "gives", "numbers", "rate", "min", "mean", "max", "constant")]
     for output in outputs:
         names = output.network, output.output, f"{output.numbers}", f"{output.rate} Hz"
         rows.append((*names, *_span(output)))
@@ -84,9 +85,9 @@ def _joints(joints: Sequence[ProbedJoint], *, unit: str) -> Rows:
 
 
 def _commands(commands: Sequence[ProbedCommand]) -> Rows:
-    rows: Rows = [("command", "asked", "reached", "share")]
+    rows: Rows = [("command", "commanded", "reached", "share")]
     for each in commands:
-        asked, reached = f"{each.asked:g} {each.unit}", f"{each.reached:z.2f} {each.unit}"
+        commanded, reached = f"{each.commanded:g} {each.unit}", f"{each.reached:z.2f} {each.unit}"
         ending = ", fell" if each.fell else ", stumbled" if each.stumbled else ""
-        rows.append((each.command, asked, reached + ending, f"{each.share:z.2f}"))
+        rows.append((each.command, commanded, reached + ending, f"{each.share:z.2f}"))
     return rows if commands else []

@@ -171,7 +171,7 @@ def _command(followed: Followed) -> ProbedCommand:
     return ProbedCommand(
         command=motion.words,
         unit=motion.unit,
-        commanded=motion.commanded,
+        commanded=motion.size,
         reached=followed.reached,
         share=followed.ratio,
         fell=followed.fell,

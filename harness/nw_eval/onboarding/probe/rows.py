@@ -69,10 +69,10 @@ class ProbedCommand:
     command: str
     unit: str
     """m/s or rad/s."""
-    asked: float
+    commanded: float
     reached: float
     share: float
-    """Reached over asked."""
+    """Reached over commanded."""
     fell: bool
     stumbled: bool
 

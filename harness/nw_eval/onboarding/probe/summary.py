@@ -185,8 +185,8 @@ def _file(
 ) -> CardFile:
     part = card.networks[network] if network else card
     rate = card.networks[network].rate if network else None
-    said = None if part.checkpoint is None else part.checkpoint.sha256
-    is_other = weights is not None and said is not None and said != weights.sha256
+    declared = None if part.checkpoint is None else part.checkpoint.sha256
+    is_other = weights is not None and declared is not None and declared != weights.sha256
     return CardFile(
         network=network,
         file=file,
@@ -194,7 +194,7 @@ def _file(
         rate=rate or card.control.rate,
         bytes=0 if weights is None else weights.path.stat().st_size,
         sha256="" if weights is None else weights.sha256,
-        declared=said if is_other and said is not None else "",
+        declared=declared if is_other and declared is not None else "",
         problem=problem,
     )
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.observations import DepthObservation
 from nw_eval.robots import RobotSpec
-from nw_eval.sensors.cameras.view import View
+from nw_eval.sensors.cameras.view import PixelRays
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
 from nw_eval.sensors.sensor import Moment
@@ -42,7 +42,7 @@ class Depth(Stateless):
         self.shape: tuple[int, ...] = (observation.height * fine, observation.width * fine)
         self.dtype = np.dtype(np.float32)
         height, width = self.shape
-        self._view = View(name, observation.camera, robot, width=width, height=height)
+        self._view = PixelRays(name, observation.camera, robot, width=width, height=height)
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
 
     def measure(self, moment: Moment) -> NDArray[Any]:

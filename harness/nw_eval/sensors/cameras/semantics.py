@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.observations import SemanticsObservation
 from nw_eval.robots import RobotSpec
-from nw_eval.sensors.cameras.view import View
+from nw_eval.sensors.cameras.view import PixelRays
 from nw_eval.sensors.drawing.palette import PALETTE
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
@@ -35,7 +35,7 @@ class Semantics(Stateless):
         self.unit = "rgb" if self._in_colour else "class"
         self.shape: tuple[int, ...] = (*size, 3) if self._in_colour else size
         self.dtype = np.dtype(np.uint8)
-        self._view = View(name, observation.camera, robot, width=size[1], height=size[0])
+        self._view = PixelRays(name, observation.camera, robot, width=size[1], height=size[0])
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
 
     def measure(self, moment: Moment) -> NDArray[Any]:

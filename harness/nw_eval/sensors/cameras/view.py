@@ -32,7 +32,7 @@ def require_camera(name: str, camera: str, robot: RobotSpec) -> None:
         )
 
 
-class View:
+class PixelRays:
     """One ray for each pixel of a pinhole camera, row by row from the top left.
 
     Args:

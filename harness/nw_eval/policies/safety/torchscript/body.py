@@ -54,7 +54,7 @@ _RESERVED = frozenset(_KEYWORDS.split())
 _CASTS = frozenset({"bool", "float", "int", "sorted", "str"})
 
 
-class Body:
+class FunctionBody:
     """The statements of one function."""
 
     def __init__(self, function: ast.FunctionDef, known: Definitions) -> None:

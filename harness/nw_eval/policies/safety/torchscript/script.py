@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.limits import FileLimits
-from nw_eval.policies.safety.torchscript.body import Body
+from nw_eval.policies.safety.torchscript.body import FunctionBody
 from nw_eval.policies.safety.torchscript.words import (
     PLAIN,
     Definitions,
@@ -189,5 +189,5 @@ def _function(part: ast.FunctionDef, known: Definitions, indent: str) -> str:
         kind = f": {types.text(argument.annotation)}" if argument.annotation else ""
         written.append(argument.arg + kind + (f"={literal(default)}" if default else ""))
     returns = f" -> {types.text(part.returns)}" if part.returns else ""
-    body = Body(part, known).lines(part.body, indent + "  ")
+    body = FunctionBody(part, known).lines(part.body, indent + "  ")
     return f"{indent}def {part.name}({', '.join(written)}){returns}:\n{body}"
