@@ -18,11 +18,11 @@ _MOST = 16 * 2**20
 """Bytes of a run.json that is read: some 50,000 scenes."""
 
 
-class _Strict(BaseModel):
+class _Saved(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class SceneInfo(_Strict):
+class SceneInfo(_Saved):
     """One scene of a run."""
 
     digest: str
@@ -30,7 +30,7 @@ class SceneInfo(_Strict):
     trials: int = Field(ge=0)  # Planned.
 
 
-class PolicyInfo(_Strict):
+class PolicyInfo(_Saved):
     """The policy of a run."""
 
     name: str
@@ -41,7 +41,7 @@ class PolicyInfo(_Strict):
     origin: str = ""  # What the digest is of where there are no weights: server, code.
 
 
-class CodeInfo(_Strict):
+class CodeInfo(_Saved):
     """The code that ran."""
 
     version: str
@@ -50,7 +50,7 @@ class CodeInfo(_Strict):
     dirty: bool = False
 
 
-class MachineInfo(_Strict):
+class MachineInfo(_Saved):
     """The machine that it ran on."""
 
     host: str
@@ -60,7 +60,7 @@ class MachineInfo(_Strict):
     python: str
 
 
-class RunInfo(_Strict):
+class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
     run: int = Field(1, description="Version of this file.")

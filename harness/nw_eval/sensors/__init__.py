@@ -2,7 +2,7 @@
 
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
-from nw_eval.sensors.place import Surroundings
+from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment, Sensor
 from nw_eval.sensors.wrappers.link import Shot
 
@@ -11,7 +11,7 @@ __all__ = [
     "ObservationSpec",
     "Sensor",
     "Shot",
-    "Surroundings",
+    "TrialPlace",
     "build_sensors",
     "check_card",
 ]

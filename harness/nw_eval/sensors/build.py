@@ -11,7 +11,7 @@ from nw_eval.cards import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.measurements import Maker
-from nw_eval.sensors.place import Surroundings
+from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sampled import Sampled
 from nw_eval.sensors.sensor import Sensor
 from nw_eval.sim import World
@@ -52,7 +52,7 @@ def build_sensors(
             return RayScene(scene.mesh())
         return rays if isinstance(rays, RayScene) else rays()
 
-    place = Surroundings(
+    place = TrialPlace(
         world=world,
         rays=shared_rays,
         renderer=cache(lambda: (renderer or _cpu_renderer)(scene)),

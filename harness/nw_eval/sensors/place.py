@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Surroundings:
+class TrialPlace:
     """The world of one trial, and what its sensors share.
 
     Attributes:

@@ -12,7 +12,7 @@ from nw_eval.cards.observations import PluginObservation
 from nw_eval.cards.observations.plugins import SENSORS
 from nw_eval.errors import CodeError, NwEvalError
 from nw_eval.robots import RobotSpec
-from nw_eval.sensors.place import Surroundings
+from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.plugins import make_plugin
 from nw_eval.sensors.sensor import Moment
 
@@ -60,7 +60,7 @@ class PluginSensor:
         self.unit = str(getattr(made, "unit", "mixed"))
         self.is_image = bool(getattr(made, "is_image", False))
 
-    def attach(self, place: Surroundings) -> None:
+    def attach(self, place: TrialPlace) -> None:
         """Show it the place."""
         self._call("attach", place)
 

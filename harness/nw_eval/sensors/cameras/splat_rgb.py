@@ -14,7 +14,7 @@ from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
-from nw_eval.sensors.place import Surroundings
+from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.cameras.pixels import Pixels
@@ -61,7 +61,7 @@ class SplatRgb:
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
         self.dtype = np.dtype(np.uint8)
 
-    def attach(self, place: Surroundings) -> None:
+    def attach(self, place: TrialPlace) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:
