@@ -34,7 +34,7 @@ def test_a_state_of_the_middle_leads_to_the_same_last_state(recorded, library):
         trial.episode.restore(middle)
         assert trial.episode.step == middle.step
         again = run_on(trial)
-        last = trial.episode.snapshot()
+        last = trial.episode.state()
     last.timestamp.CopyFrom(end.timestamp)
     assert last.SerializeToString(deterministic=True) == end.SerializeToString(deterministic=True)
     assert (again.state_digest, again.action_digest) == (result.state_digest, result.action_digest)
@@ -47,7 +47,7 @@ def test_every_recorded_state_is_left_as_it_was_found(recorded, library):
     with open_trial(job, library, StageClock()) as trial:
         for state in LogReader(path).states()[::4]:
             trial.episode.restore(state)
-            found = trial.episode.snapshot()
+            found = trial.episode.state()
             found.timestamp.CopyFrom(state.timestamp)
             assert found == state
 

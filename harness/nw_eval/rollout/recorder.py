@@ -1,4 +1,4 @@
-"""Steps an episode and writes down what happens."""
+"""Looks on as an episode runs, and writes down what happens."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.episode import observation_digest
+from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
@@ -19,11 +19,10 @@ from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
     from nw_eval.rollout.clock import StageClock
-    from nw_eval.rollout.episode import Decision
+    from nw_eval.rollout.episode import Decision, Step
     from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
-    from nw_eval.words import Outcome
 
 # Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
 # stacks of images, which would otherwise be most of the file.
@@ -36,7 +35,7 @@ LOW_COVERAGE = 0.9
 
 
 class Recorder:
-    """One trial's loop with its log. Where there is no log, only the loop is left.
+    """Writes one trial's log. Where there is no log, it does nothing.
 
     Args:
         trial: stands at its first control step.
@@ -67,7 +66,7 @@ class Recorder:
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         self._state_due = True
         self._state_period = STATE_PERIOD
-        self._memory_digest = b""  # of the policy, where this step has a state
+        self._policy_digest = b""  # of the policy, where this step has a state
         self._touching = False
         self._covered = True
 
@@ -89,26 +88,29 @@ class Recorder:
         self._camera.calibrate()
         self._event("start", f"trial {job.trial.id} of suite {job.trial.suite}")
 
-    def step(self) -> Outcome | None:
-        """Run one control step and write it down."""
+    def before(self) -> None:
+        """Write a restartable state, where it is time for one."""
         episode = self._episode
         if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
             with self._clock("log"):
-                state = episode.snapshot()
+                state = episode.state()
                 if state.ByteSize() > LARGE_STATE:
                     self._state_period = LARGE_STATE_PERIOD
                 self._log.state(episode.world.time, state)
-                self._memory_digest = sha256(state.policy).digest()
+                self._policy_digest = sha256(state.policy).digest()
                 self._state_due = False
-        decision = episode.decide()
+
+    def decided(self, decision: Decision) -> None:
+        """Write where the robot is, what the policy saw and what it answered."""
         if self._log.is_open:
             with self._clock("log"):
                 self._write(decision)
-        outcome, credited = episode.advance(decision)
+
+    def advanced(self, step: Step) -> None:
+        """Write what happened in the step."""
         if self._log.is_open:
             with self._clock("log"):
-                self._notice(credited=credited)
-        return outcome
+                self._notice(credited=step.credited)
 
     def end(self, result: TrialResult) -> None:
         """Write how the trial ended and close the log."""
@@ -117,7 +119,7 @@ class Recorder:
         episode = self._episode
         self._write_body(is_last=True)
         if result.status == "ok":
-            self._log.state(episode.world.time, episode.snapshot())
+            self._log.state(episode.world.time, episode.state())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
             self._event("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
@@ -135,16 +137,16 @@ class Recorder:
             episode.world.time,
             step=episode.step,
             observation_digest=observation_digest(decision.observation),
-            state_digest=self._memory_digest,
+            state_digest=self._policy_digest,
             action=decision.action,
             applied=decision.applied,
             targets=decision.targets,
         )
-        self._memory_digest = b""
+        self._policy_digest = b""
         if decision.moment is not None:
             moment, command = decision.moment, self._trial.bundle.card.command
-            asked = (*velocity_command(command, moment), moment.delta_yaw)
-            self._log.command(episode.world.time, asked)
+            numbers = (*velocity_command(command, moment), moment.delta_yaw)
+            self._log.command(episode.world.time, numbers)
         self._seen.record(decision.observation)
         self._camera.record(episode.step)
 

@@ -54,10 +54,7 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
     try:
         with clock("log"):
             recorder.start()
-        outcome: Outcome | None = None
-        while outcome is None:
-            outcome = recorder.step()
-        result = ended(trial, outcome)
+        result = ended(trial, trial.episode.run(recorder))
     except BaseException as error:
         if is_interrupt(error):
             raise
@@ -105,6 +102,6 @@ def so_far(trial: OpenTrial) -> TrialResult:
         contact_s=episode.contact_seconds,
         coverage_min=episode.coverage.smallest,
         coverage_mean=episode.coverage.mean,
-        state_digest=episode.states.hex,
-        action_digest=episode.actions.hex,
+        state_digest=episode.state_digest.hex,
+        action_digest=episode.action_digest.hex,
     )

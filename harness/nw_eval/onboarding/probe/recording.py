@@ -160,15 +160,13 @@ def record(
     seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
     given: dict[str, list[NDArray[Any]]] = {}
     outcome: Outcome | None = None
-    tilt = 0.0
     with open_trial(job, library, StageClock()) as opened:
         episode = opened.episode
         world = episode.world
         fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
         first, start = world.joint_positions, world.trunk_position
-        while outcome is None and tilt < level:
-            decision = episode.decide()
-            outcome, _ = episode.advance(decision)
+        for step in episode.steps():
+            decision, outcome = step.decision, step.outcome
             for name, value in decision.observation.items():
                 seen[name].append(np.array(value))
             for name, value in fed.held.items() if fed else ():
@@ -176,6 +174,8 @@ def record(
             tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
             body = (world.joint_positions, world.torques, tilt, _velocity(world))
             rows.append((decision.action, decision.targets, *body))
+            if tilt >= level:
+                break
         travelled = float(np.linalg.norm((world.trunk_position - start)[:2]))
         limits = world.model.actuator_forcerange[:, 1].copy()
     actions, targets, positions, torques, tilts, velocities = zip(*rows, strict=True)

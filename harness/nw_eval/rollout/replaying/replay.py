@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
-    from nw_eval.words import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,11 +202,8 @@ def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
 
 def run_on(trial: OpenTrial) -> TrialResult:
     """Run a trial from where it stands to its end, without a log."""
-    episode = trial.episode
     try:
-        outcome: Outcome | None = None
-        while outcome is None:
-            outcome, _ = episode.advance(episode.decide())
+        outcome = trial.episode.run()
     except BaseException as error:
         if is_interrupt(error):
             raise
