@@ -26,7 +26,7 @@ class Metered:
 
     def __init__(self, rig: Rig, *, simulated: float, deadline: float = math.inf) -> None:
         self.spent = 0.0
-        self._stage = rig
+        self._rig = rig
         self._simulated = simulated
         self._deadline = deadline
 
@@ -39,6 +39,6 @@ class Metered:
         """
         if self.spent >= self._simulated or monotonic() >= self._deadline:
             raise SpentError
-        made = self._stage.record(card, seconds=seconds, level=level)
+        made = self._rig.record(card, seconds=seconds, level=level)
         self.spent += made.seconds
         return made
