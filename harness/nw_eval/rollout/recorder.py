@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
+from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
@@ -20,7 +21,7 @@ from nw_eval.sim.binding import mujoco
 if TYPE_CHECKING:
     from nw_eval.rollout.clock import StageClock
     from nw_eval.rollout.episode import Decision, Step
-    from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
+    from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
 
@@ -30,8 +31,6 @@ STATE_PERIOD, LARGE_STATE_PERIOD = 5, 25
 LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
 PATH_PERIOD, PATH_SHOWN = 5, 25
-# A camera image that the splat covers less than this is an event in the log.
-LOW_COVERAGE = 0.9
 
 
 class Recorder:
@@ -48,6 +47,7 @@ class Recorder:
         self._episode = trial.episode
         self._log = log
         self._clock = clock
+        self._events = Events(trial.episode, log)
         self._seen = Seen(
             card=trial.bundle.card,
             sensors=trial.episode.sensors,
@@ -67,8 +67,6 @@ class Recorder:
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
-        self._touching = False
-        self._covered = True
 
     def start(self) -> None:
         """Write what does not change, and that the trial begins."""
@@ -86,7 +84,7 @@ class Recorder:
         )
         self._seen.calibrate()
         self._camera.calibrate()
-        self._event("start", f"trial {job.trial.id} of suite {job.trial.suite}")
+        self._events.write("start", f"trial {job.trial.id} of suite {job.trial.suite}")
 
     def before(self) -> None:
         """Write a restartable state, where it is time for one."""
@@ -110,7 +108,7 @@ class Recorder:
         """Write what happened in the step."""
         if self._log.is_open:
             with self._clock("log"):
-                self._notice(credited=step.credited)
+                self._state_due = self._events.notice(credited=step.credited)
 
     def end(self, result: TrialResult) -> None:
         """Write how the trial ended and close the log."""
@@ -121,11 +119,11 @@ class Recorder:
         if result.status == "ok":
             self._log.state(episode.world.time, episode.state())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
-            self._event("end", f"{result.outcome} ({result.end_reason}): {reached}")
+            self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
             fault = policy_fault(result)
             kind = result.error_type if fault is None else f"policy_failed ({fault})"
-            self._event("error", f"{kind}: {result.error_text}")
+            self._events.write("error", f"{kind}: {result.error_text}")
         failed = result.outcome != "completed"
         keep = self._trial.job.record == "all" or failed
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
@@ -169,34 +167,6 @@ class Recorder:
         if is_last or step % PATH_PERIOD == 0:
             is_shown = is_last or step % PATH_SHOWN == 0
             self._log.path(world.time, world.trunk_position, is_shown=is_shown)
-
-    def _notice(self, *, credited: bool) -> None:
-        """Write events of the step that was just made."""
-        episode = self._episode
-        progress = episode.progress
-        if credited:
-            number = progress.reached - 1
-            self._log.waypoints(episode.world.time, reached=progress.reached)
-            self._event("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
-        force = episode.world.monitored_force()
-        if force > 0.0 and not self._touching:
-            forces = episode.world.monitored_forces()
-            geom = max(forces, key=forces.__getitem__)
-            self._event("contact", f"{geom} touches with {force:.1f} N", value=force)
-        self._state_due = credited or (force > 0.0 and not self._touching)
-        self._touching = force > 0.0
-        shares = [s.coverage for s in episode.sensors.values() if s.coverage is not None]
-        covered = min(shares, default=1.0) >= LOW_COVERAGE
-        if self._covered and not covered:
-            share = min(shares)
-            self._event("coverage", f"the splat covers {share:.0%} of the image", value=share)
-        self._covered = covered
-
-    def _event(self, kind: EventKind, text: str, *, number: int = -1, value: float = 0.0) -> None:
-        episode = self._episode
-        self._log.event(
-            episode.world.time, kind, text, step=episode.step, waypoint=number, value=value
-        )
 
 
 def _pose(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
