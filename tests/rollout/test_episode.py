@@ -4,10 +4,11 @@ import pytest
 
 from nw_eval.errors import TrialError
 from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.prepare import open_trial
 
 
-class Notes:
+class Notes(Observer):
     """An observer that notes what it is shown, and where the robot is then."""
 
     def __init__(self, episode):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.observed.events import Events
@@ -33,7 +34,7 @@ LARGE_STATE = 32 * 1024  # bytes
 PATH_PERIOD, PATH_SHOWN = 5, 25
 
 
-class Recorder:
+class Recorder(Observer):
     """Writes one trial's log. Where there is no log, it does nothing.
 
     Args:

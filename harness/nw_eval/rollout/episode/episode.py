@@ -144,7 +144,7 @@ class Episode:
         observation: Mapping[str, NDArray[Any]] = {}
         action = np.zeros_like(self._actions.output.array)
         is_asked = self.step % self._hold == 0
-        if self.step > 0 or self.world.protocol != "neverwhere-2026":
+        if self.step > 0 or not self.world.protocol.first_step_is_blind:
             moment = self._moment()
             observation = self._sense(moment)
             if is_asked:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +32,17 @@ class Step(NamedTuple):
     credited: bool  # whether a waypoint was credited in it
 
 
-class Observer(Protocol):
-    """Looks on as an episode runs, at three places of each control step, and changes nothing."""
+class Observer:
+    """Looks on as an episode runs, at three places of each control step, and changes nothing.
+
+    Its own methods look away: a subclass has those that it wants.
+    """
 
     def before(self) -> None:
         """A control step begins: the episode can be saved."""
-        ...
 
     def decided(self, decision: Decision) -> None:
         """The policy has decided, and nothing has moved yet."""
-        ...
 
     def advanced(self, step: Step) -> None:
         """The world has moved, and the trail and the judge have seen it."""
-        ...
