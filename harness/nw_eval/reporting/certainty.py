@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
+from nw_eval.protocol import PROTOCOLS, STRICT
 from nw_eval.reporting.headline import confidence
 from nw_eval.results.provenance import RunInfo
 
@@ -17,7 +18,7 @@ _CHANCES = (
     "scene is reached with one chance; what that is, beyond what was seen, is left open."
 )
 _SAME_OFFSETS = (
-    "The protocol neverwhere-2026 gives trial number i the same start offset in every scene, so "
+    "The protocol {protocol} gives trial number i the same start offset in every scene, so "
     "scenes are not independent of each other, as the bounds suppose."
 )
 
@@ -34,8 +35,9 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     critical = sum(item.tier == "critical" for item in verdict.per_scene)
     if critical and verdict.bar is not None:
         sentences.append(_alone(verdict, critical))
-    if run.suite.get("protocol") == "neverwhere-2026":
-        sentences.append(_SAME_OFFSETS)
+    protocol = PROTOCOLS.get(str(run.suite.get("protocol")), STRICT)
+    if protocol.one_start_for_all_scenes:
+        sentences.append(_SAME_OFFSETS.format(protocol=protocol.name))
     return tuple(sentences)
 
 

@@ -21,6 +21,7 @@ from nw_eval.cards.observations import (
     SemanticsObservation,
     SplatRgbObservation,
 )
+from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.body.direction import Direction
@@ -36,7 +37,6 @@ from nw_eval.sensors.plugin_sensor import PluginSensor
 from nw_eval.sensors.sampled import Measurement
 from nw_eval.sensors.wrappers import Chain, Link, Named, Spec, make_wrappers
 from nw_eval.sensors.wrappers.values import AddNoise
-from nw_eval.sim import Protocol
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +54,14 @@ class Maker:
     Attributes:
         card: whose observations they are.
         robot: what carries the sensors.
-        protocol: under `neverwhere-2026` some sensors are the published ones.
+        protocol: says which sensors are the published ones.
         rays: gives the scene's static geometry; called when a sensor first measures.
         code_from: folder of the card, whose modules may be imported; None = no code of the card's.
     """
 
     card: Card
     robot: RobotSpec
-    protocol: Protocol
+    protocol: EvaluationProtocol
     rays: Callable[[], RayScene]
     code_from: Path | None
 
@@ -85,14 +85,14 @@ class Maker:
     ) -> tuple[Measurement, list[Link], float]:
         """Return what measures, the links that give it its form, and what it reads for nothing."""
         robot, rays = self.robot, self.rays
-        published = self.protocol == "neverwhere-2026"
         match observation:
             case ProprioObservation():
                 control = JointControl.from_card(self.card, robot)
                 proprio = Proprio(name, observation, self.card.command, control)
-                return proprio, [*proprio.frame_links(published=published)], 0.0
+                spoils = self.protocol.spoils_first_observation
+                return proprio, [*proprio.frame_links(published=spoils)], 0.0
             case ScandotsObservation():
-                if published:
+                if self.protocol.scandots_from_height_image:
                     offset = robot.height_camera_offset
                     return PublishedScandots(observation, rays, offset), [], 0.0
                 return Scandots(observation, rays), [], 0.0

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval.protocol import STRICT, EvaluationProtocol
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.sim.protocol import Protocol
     from nw_eval.sim.trail import TrailProgress
     from nw_eval.sim.world import World
     from nw_eval.words import Outcome
@@ -29,8 +31,8 @@ class Limits:
     below_ground: float = 1.0  # m under the ground: fell through or off the scene
 
 
-class TerminationSnapshot(NamedTuple):
-    """The state of a `Termination`."""
+class _SoFar(NamedTuple):
+    """All that changes in a trial."""
 
     best_remaining: float  # m, the shortest way to the last waypoint so far
     best_step: int  # when that was
@@ -41,22 +43,21 @@ class Termination:
     """Decides after each control step whether the trial is over.
 
     Published outcomes, in this order: `completed` (all waypoints), `fell`, `collided`, `timeout`.
-    `strict` adds two that the published evaluation lets run to the timeout: `stuck`, when for 4 s
-    the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when the
-    robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
+    A protocol may add two that the published evaluation lets run to the timeout: `stuck`, when for
+    4 s the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when
+    the robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
     waypoint away; they only end a trial that has stopped going anywhere.
 
     `collided` means more than 10 N on one monitored geom at the end of a control step. Which geoms
-    those are is the robot's to say: the published evaluation watches the Go1's head, and its trunk
-    only in name, since the geom it names cannot touch anything; `strict` watches both. A belly that
-    hits an obstacle carries hundreds of newtons (the robot weighs 127 N), so the published limit
+    those are is the robot's and the protocol's to say. A belly that hits an obstacle carries
+    hundreds of newtons (the robot weighs 127 N), so the published limit, which is the head's,
     serves for the trunk as well. Without contact termination, as in the evaluation of LucidSim's
     repository, collisions are only counted.
 
     Args:
         waypoints: (K, 3) world, m, as the trial has them.
         start: (2,) or (3,) where the trail begins, world, m: the spawn.
-        protocol: see above.
+        protocol: whether it `ends_when_stuck` and `ends_off_course`.
         duration: of the trial, s.
         control_period: seconds of one control step.
         limits: thresholds.
@@ -68,7 +69,7 @@ class Termination:
         waypoints: npt.NDArray[np.float64],
         start: npt.NDArray[np.float64] | Sequence[float],
         *,
-        protocol: Protocol = "strict",
+        protocol: EvaluationProtocol = STRICT,
         duration: float = 12.0,
         control_period: float = 0.02,
         limits: Limits | None = None,
@@ -79,19 +80,19 @@ class Termination:
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
         # Way from each waypoint to the last one.
         self._onward = np.concatenate([np.cumsum(lengths[::-1])[::-1], [0.0]])
-        self._strict = protocol == "strict"
+        self._protocol = protocol
         self._last_step = round(duration / control_period)
         self._control_period = control_period
         self._contact_termination = contact_termination
         self._limits = Limits() if limits is None else limits
         to_first = float(np.linalg.norm(points[0] - self._corners[0]))
         whole = to_first + float(self._onward[0])
-        self._state = TerminationSnapshot(best_remaining=whole, best_step=0, contact_steps=0)
+        self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
 
     @property
     def contact_seconds(self) -> float:
         """Simulated time so far during which head or trunk collided, s."""
-        return self._state.contact_steps * self._control_period
+        return self._so_far.contact_steps * self._control_period
 
     def check(self, world: World, progress: TrailProgress, step: int) -> Outcome | None:
         """Return how the trial ends now, or None if it goes on.
@@ -104,7 +105,7 @@ class Termination:
         limits = self._limits
         has_collided = world.monitored_force() > limits.monitored_force
         if has_collided:
-            self._state = self._state._replace(contact_steps=self._state.contact_steps + 1)
+            self._so_far = self._so_far._replace(contact_steps=self._so_far.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
         roll, pitch, _ = world.roll_pitch_yaw
@@ -112,21 +113,21 @@ class Termination:
             return "fell"
         if has_collided and self._contact_termination:
             return "collided"
-        if self._strict:
-            position = world.trunk_position
-            if self._is_off_course(position, world.scene.ground.z):
-                return "off_course"
-            if self._is_stuck(position[:2], progress, step):
-                return "stuck"
+        position = world.trunk_position
+        ground = world.scene.ground.z
+        if self._protocol.ends_off_course and self._is_off_course(position, ground):
+            return "off_course"
+        if self._protocol.ends_when_stuck and self._is_stuck(position[:2], progress, step):
+            return "stuck"
         return "timeout" if step >= self._last_step else None
 
-    def snapshot(self) -> TerminationSnapshot:
-        """Return the state, for `restore`."""
-        return self._state
+    def state(self) -> bytes:
+        """Return how long it has waited and counted, for `restore`."""
+        return json.dumps(self._so_far).encode()
 
-    def restore(self, snapshot: TerminationSnapshot) -> None:
-        """Go back to a state of this trial."""
-        self._state = snapshot
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of this trial."""
+        self._so_far = _SoFar(*json.loads(state))
 
     def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
         if position[2] < ground - self._limits.below_ground:
@@ -139,9 +140,9 @@ class Termination:
     ) -> bool:
         to_target = float(np.linalg.norm(progress.target[:2] - position))
         remaining = to_target + float(self._onward[progress.index])
-        if remaining < self._state.best_remaining - self._limits.stuck_distance:
-            self._state = self._state._replace(best_remaining=remaining, best_step=step)
-        waited = (step - self._state.best_step) * self._control_period
+        if remaining < self._so_far.best_remaining - self._limits.stuck_distance:
+            self._so_far = self._so_far._replace(best_remaining=remaining, best_step=step)
+        waited = (step - self._so_far.best_step) * self._control_period
         return waited >= self._limits.stuck_after
 
 

@@ -128,15 +128,16 @@ def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -
         request: what is asked for in place of the suite's own.
         bundle: the policy.
     """
+    from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.words import Protocol, Robot
+    from nw_eval.words import Robot
 
     try:
         robot = _known(draft.text("robot"), Robot) if request.robot is None else request.robot
         return vet_bundle(
             bundle,
             robot or bundle.card.robot,
-            protocol=_known(draft.text("protocol"), Protocol) or "strict",
+            protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
             allow_code=request.allow_code,
         )
     except NwEvalError as error:

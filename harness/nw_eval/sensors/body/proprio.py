@@ -92,8 +92,7 @@ class Proprio(Stateless):
         """Return what a frame passes through to become the observation.
 
         Args:
-            published: under the protocol `neverwhere-2026`, whose history wrapper spoils the first
-                observation of its own 53 numbers.
+            published: whether the protocol spoils the first observation of its own 53 numbers.
         """
         observation = self._observation
         spoils = published and observation.layout == "parkour53"
