@@ -140,6 +140,15 @@ def test_a_renderer_that_is_not_installed_is_told_before_anything_runs(suite, tm
     assert not (tmp_path / "reports").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "said"), [({"workers": 2}, "--workers 2"), ({"time_limit": 9.0}, "--time-limit 9")]
+)
+def test_what_one_process_cannot_do_is_refused(suite, tmp_path, option, said):
+    with pytest.raises(UsageError, match=f"{said} with --in-process"):
+        api.run(suite(), in_process=True, **option)
+    assert not (tmp_path / "reports").exists()
+
+
 def test_no_workers_are_refused(suite):
     with pytest.raises(UsageError, match="give at least 1"):
         api.run(suite(), workers=0)

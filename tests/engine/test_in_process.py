@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -34,6 +36,16 @@ CARD = {
     "adapter": "python:mine:Policy",
     "control": {"action": "joint_position_offset", "scale": 0.25},
     "observations": {"proprio": {"sensor": "proprio", "layout": "parkour53"}},
+}
+
+SUITE = {
+    "nw-eval": 1,
+    "name": "tiny",
+    "robot": "go1",
+    "seed": 7,
+    "episode": {"duration": 0.2},
+    "scenes": [SCENE],
+    "record": "none",
 }
 
 MODULE = """\
@@ -99,19 +111,7 @@ class Ears:
 def plan_of(bundle, *, trials, allow_code=False):
     """Return the plan of trials of a fifth of a second."""
     place = FoundScene.at(SCENE)
-    suite = new_suite(
-        {
-            "nw-eval": 1,
-            "name": "tiny",
-            "robot": "go1",
-            "policy": bundle.name,
-            "trials": trials,
-            "seed": 7,
-            "episode": {"duration": 0.2},
-            "scenes": [SCENE],
-            "record": "none",
-        }
-    )
+    suite = new_suite(SUITE | {"policy": bundle.name, "trials": trials})
     return Plan(
         request=Request(allow_code=allow_code),
         suite=suite,
@@ -251,6 +251,30 @@ def test_an_object_that_cannot_act_costs_its_trials_and_says_why(go):
     [row] = go(instance_bundle(3, Card.model_validate(CARD)), trials=1).rows
     assert row.outcome == "policy_failed"
     assert "card 'mine': python:mine:Policy has no method `act`" in row.error_text
+
+
+def test_a_breakpoint_in_a_policy_opens_the_debugger(tmp_path):
+    written(tmp_path, "stopper", "breakpoint(); return [0.0] * 12")
+    suite = SUITE | {"policy": "./stopper", "trials": 1}
+    (tmp_path / "suite.yaml").write_text(str(suite))
+    main = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
+    typed = [
+        "p observation['proprio'].shape",
+        "import os",
+        "os.environ['PYTHONBREAKPOINT'] = '0'",
+        "c",
+    ]
+    ran = subprocess.run(
+        [*main, "run", "suite.yaml", "--allow-code", "--in-process", "--out", "run"],
+        input="\n".join(typed),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"> {tmp_path.resolve() / 'stopper' / 'mine.py'}(6)act()" in ran.stdout
+    assert "(Pdb) (53,)" in ran.stdout
+    assert [row.status for row in read_journal(tmp_path / "run" / "journal.jsonl").rows] == ["ok"]
 
 
 def test_torch_has_its_threads_back_after_a_run(go):

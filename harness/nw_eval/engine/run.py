@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.attempts import Attempts
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.machine.interrupts import Interrupts
 from nw_eval.engine.order import rounds
+from nw_eval.engine.trials.attempts import Attempts
 
 if TYPE_CHECKING:
     import signal
@@ -54,9 +54,9 @@ def run_trials(
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
-    A trial that ends in an error is run again in a process of its own (`engine.repeat`). The first
-    Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be resumed. A
-    second one raises KeyboardInterrupt.
+    A trial that ends in an error is run again in a process of its own (`engine.trials.repeat`). The
+    first Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be
+    resumed. A second one raises KeyboardInterrupt.
 
     Args:
         jobs: in the order in which to start them; their trials' ids differ.

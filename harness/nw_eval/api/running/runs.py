@@ -23,6 +23,7 @@ def run(
     workers: int | None = None,
     out: Path | None = None,
     resume: Path | None = None,
+    in_process: bool = False,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -37,6 +38,8 @@ def run(
         out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run, whose finished trials are kept. What the request
             does not ask for is as the run was begun, but for leave to run code.
+        in_process: run trials in this very process, one after another, for a debugger or a
+            notebook: nothing confines the policy, and nothing ends it if it hangs.
         listener: hears of progress.
         changes: fields of `Request` by name.
 
@@ -52,6 +55,8 @@ def run(
     if resume is not None and out is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     request = Request.of(request, **changes)
+    if in_process:
+        _check_in_process(request, workers)
     folder = session.run(
         plan(request) if resume is None else continued(resume, request),
         workers=workers,
@@ -59,8 +64,27 @@ def run(
         resume=resume,
         command=tuple(sys.argv),
         listener=listener,
+        in_process=in_process,
     )
     return judged(folder)
+
+
+def _check_in_process(request: Request, workers: int | None) -> None:
+    """Refuse what one process cannot do.
+
+    Raises:
+        UsageError: more workers than one, or a limit that nobody could hold a trial to.
+    """
+    if workers not in {None, 1}:
+        raise UsageError(
+            f"--workers {workers} with --in-process: it runs one trial after another",
+            fix="drop one of them",
+        )
+    if request.time_limit is not None:
+        raise UsageError(
+            f"--time-limit {request.time_limit:g} with --in-process: nobody could end the trial",
+            fix="drop one of them",
+        )
 
 
 def judged(folder: RunFolder) -> RunReport:

@@ -25,6 +25,10 @@ class Run(Options):
     Other trials, scenes, record or time limit may be given with it.
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
+    in_process: bool = False
+    """Run trials in this very process, one after another, so that `breakpoint()` works.
+    For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
+
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.terminal.interruption import INTERRUPTED
@@ -32,12 +36,13 @@ class Run(Options):
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.terminal.summary import summary
 
-        with RunProgress() as progress:
+        with RunProgress(bars=not self.in_process) as progress:
             outcome = api.run(
                 self.request,
                 workers=self.workers,
                 out=self.out,
                 resume=self.resume,
+                in_process=self.in_process,
                 listener=progress,
             )
         print(summary(outcome))

@@ -6,8 +6,8 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.repeat import is_open, settled
-from nw_eval.engine.rows import make_row
+from nw_eval.engine.trials.repeat import is_open, settled
+from nw_eval.engine.trials.rows import make_row
 from nw_eval.engine.workers.presence import Presence
 from nw_eval.rollout.result import policy_fault
 
