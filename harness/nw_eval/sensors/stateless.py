@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from numpy.typing import NDArray
+from nw_eval.memory import Forgetful
 
 
-class Stateless:
+class Stateless(Forgetful):
     """A measurement of numbers that depends on the moment alone."""
 
     is_image = False
@@ -15,10 +13,3 @@ class Stateless:
 
     def reset(self) -> None:
         """Nothing to forget."""
-
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Nothing to remember."""
-        return {}
-
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Nothing to go back to."""

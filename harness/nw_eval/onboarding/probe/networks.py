@@ -16,7 +16,7 @@ def network_rows(card: Card, recording: Recording) -> tuple[ProbedOutput, ...]:
     """Return what each output of each network gave."""
     found: list[ProbedOutput] = []
     for name, output in _outputs(card):
-        values = recording.given[output].reshape(len(recording.actions), -1).astype(np.float64)
+        values = recording.fed[output].reshape(len(recording.actions), -1).astype(np.float64)
         found.append(
             ProbedOutput(
                 network=name,
@@ -36,7 +36,7 @@ def network_findings(card: Card, recording: Recording) -> list[Finding]:
     """Return which networks do not hear what they are given."""
     found: list[Finding] = []
     for name, output in _outputs(card):
-        values = recording.given[output]
+        values = recording.fed[output]
         if len(values) > 1 and (values == values[:1]).all():
             text = f"network `{name}`: `{output}` is the same at every step: "
             found.append(Finding(kind="fault", text=f"{text}it does not hear its inputs"))

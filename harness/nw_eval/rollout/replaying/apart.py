@@ -14,7 +14,8 @@ from nw_eval.errors import PolicyError, UsageError
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.replaying.replay import agreed, check_start, replay
+from nw_eval.rollout.replaying.logged import agreed
+from nw_eval.rollout.replaying.replay import check_start, replay
 from nw_eval.rollout.replaying.report import ReplayReport
 
 _TIME_LIMIT = 3600.0
@@ -41,10 +42,10 @@ def replay_apart(
     """
     check_start(start)
     library = Library()
-    recording = agreed(
+    logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    job = recording.job
+    job = logged.job
     bundle = library.bundle(job.policy, job.checkpoint)
     scene = library.scene(job.scene, job.collision)
     sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
@@ -105,5 +106,5 @@ def _replay(
     if draws:
         from nw_eval.rollout.replaying.contact_sheet import contact_sheet
 
-        drawn = b64encode(contact_sheet(replayed.recording)).decode()
+        drawn = b64encode(contact_sheet(replayed.logged)).decode()
     return {"report": asdict(replayed.report), "picture": drawn}

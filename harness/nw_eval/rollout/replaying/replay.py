@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError, UsageError
-from nw_eval.inside import what_is
-from nw_eval.policies.instance import was_instance
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
-from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata, provenance
+from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
+from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
 from nw_eval.rollout.replaying.report import Difference, ReplayReport
 from nw_eval.rollout.result import TrialResult
 from nw_eval.rollout.trial import ended, failed
@@ -27,29 +23,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.words import Outcome
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """What a log says about its trial, read back; of a replay, with what its caller chose."""
-
-    path: Path
-    job: TrialJob
-    verdict: Mapping[str, str]
-    versions: Mapping[str, str]
-
-    @property
-    def log(self) -> LogReader:
-        """The log itself, for its states, pictures and poses."""
-        return LogReader(self.path)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
     """A trial that was run again, and what came of it."""
 
-    recording: Recording
+    logged: LoggedTrial
     result: TrialResult
     report: ReplayReport
 
@@ -62,24 +42,6 @@ class Replayed:
     def start_step(self) -> int:
         """The control step from which on it was run."""
         return self.report.start_step
-
-
-def read_recording(path: Path) -> Recording:
-    """Return what a log says about its trial.
-
-    Raises:
-        StoreError: the file is missing, damaged, or no log of a trial.
-    """
-    metadata = LogReader(path).metadata()
-    if TRIAL not in metadata or VERDICT not in metadata:
-        raise StoreError(f"{path} is no log of a finished trial", fix="name a file of mcap/")
-    try:
-        job = job_from_metadata(metadata[TRIAL])
-    except ValueError as error:
-        raise StoreError(f"{path}: {error}", fix="run the trial again") from None
-    return Recording(
-        path=path, job=job, verdict=metadata[VERDICT], versions=metadata.get(PROVENANCE, {})
-    )
 
 
 def replay(
@@ -115,17 +77,17 @@ def replay(
     """
     check_start(start)
     library = library or Library()
-    recording = agreed(
+    logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    job = recording.job
+    job = logged.job
     with open_trial(job, library, StageClock()) as trial:
         if start > 0.0:
-            restore(trial, recording, start)
+            restore(trial, logged, start)
         start_step = trial.episode.step
         result = run_on(trial)
-    was, now = recording.verdict, as_metadata(result)
-    built, builds = recording.versions, provenance()
+    was, now = logged.verdict, as_metadata(result)
+    built, builds = logged.versions, provenance()
     report = ReplayReport(
         trial=job.trial.id,
         start_step=start_step,
@@ -134,7 +96,7 @@ def replay(
         differences=_differences((name for name in now if name != "error_text"), was, now),
         versions=_differences(sorted({*built, *builds}), built, builds),
     )
-    return Replayed(recording=recording, result=result, report=report)
+    return Replayed(logged=logged, result=result, report=report)
 
 
 def check_start(start: float) -> None:
@@ -147,41 +109,7 @@ def check_start(start: float) -> None:
         raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
 
 
-def agreed(
-    path: Path,
-    *,
-    policy: str | None,
-    checkpoint: Path | None,
-    allow_code: bool,
-    library: Library,
-) -> Recording:
-    """Return what a log says about its trial, with what its caller chose; arguments as `replay`.
-
-    Raises:
-        StoreError: the log cannot be read.
-        PolicyError: the bundle is missing, or is on a server that the log alone names.
-    """
-    recording = read_recording(path)
-    recorded = recording.job
-    if policy is None and was_instance(recorded.policy):
-        name = clean(recorded.policy_name, at_most=100)
-        raise PolicyError(
-            f"{path}: policy {name!r} was an object of the process that ran it",
-            fix="name a bundle that does the same with --policy",
-        )
-    job = replace(
-        recorded,
-        policy=policy or _found(recorded),
-        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
-        allow_code=allow_code,
-    )
-    recording = replace(recording, job=job)
-    if policy is None:
-        _refuse_servers(recording, library)
-    return recording
-
-
-def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
+def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
     """Bring a trial to the last recorded state at or before `time` (s).
 
     Raises:
@@ -189,39 +117,21 @@ def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
         TrialError: the state does not fit the trial.
     """
     limit = round(time / trial.episode.world.control_period)
-    states = [state for state in recording.log.states() if state.step <= limit]
+    states = [state for state in logged.log.states() if state.step <= limit]
     if not states:
-        raise StoreError(f"{recording.path} has no state at or before {time:g} s", fix="run it all")
+        raise StoreError(f"{logged.path} has no state at or before {time:g} s", fix="run it all")
     trial.episode.restore(states[-1])
 
 
 def run_on(trial: OpenTrial) -> TrialResult:
     """Run a trial from where it stands to its end, without a log."""
-    episode = trial.episode
     try:
-        outcome: Outcome | None = None
-        while outcome is None:
-            outcome, _ = episode.advance(episode.decide())
+        outcome = trial.episode.run()
     except BaseException as error:
         if is_interrupt(error):
             raise
         return failed(TrialResult.so_far(trial.episode), error)  # As in a run, it is the result.
     return ended(trial, outcome)
-
-
-def _refuse_servers(recording: Recording, library: Library) -> None:
-    bundle = library.bundle(recording.job.policy, recording.job.checkpoint)
-    if bundle.card.adapter == "remote":
-        raise PolicyError(
-            f"{recording.path}: {bundle.where}, which the log names, asks a policy on a server",
-            fix=f"add --policy {bundle.where} if you trust it",
-        )
-
-
-def _found(job: TrialJob) -> str:
-    """Return the recorded bundle's path, or its name where the path is of another machine."""
-    known = what_is(Path(job.policy)) != "nothing" or not job.policy_name
-    return job.policy if known else job.policy_name
 
 
 def _differences(

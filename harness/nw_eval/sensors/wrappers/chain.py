@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
+from nw_eval.memory import Arrays
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.wrappers.link import Link, Memory, Sample, Shot, Spec
+from nw_eval.sensors.wrappers.link import Link, Sample, Shot, Spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,20 +73,20 @@ class Chain:
                 )
         return sample
 
-    def memory(self) -> Memory:
+    def state(self) -> Arrays:
         """Return what all wrappers remember."""
         return {
             f"{number}.{key}": value
             for number, named in enumerate(self._links)
-            for key, value in named.link.memory().items()
+            for key, value in named.link.state().items()
         }
 
-    def remember(self, memory: Memory) -> None:
-        """Go back to a `memory`."""
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""
         for number, named in enumerate(self._links):
             own = f"{number}."
-            named.link.remember(
-                {key.removeprefix(own): memory[key] for key in memory if key.startswith(own)}
+            named.link.restore(
+                {key.removeprefix(own): state[key] for key in state if key.startswith(own)}
             )
 
     def _trial_run(self, number: int, named: Named, spec: Spec) -> Spec:

@@ -10,8 +10,9 @@ import numpy as np
 from nw_eval.cards.observations.plugins import WRAPPERS
 from nw_eval.cards.observations.wraps import PluginWrap
 from nw_eval.errors import PolicyError
-from nw_eval.sensors.plugins import make_plugin
-from nw_eval.sensors.wrappers.link import Link, Memory, Sample, Shot
+from nw_eval.memory import Arrays
+from nw_eval.sensors.plugins import make_plugin, remembers
+from nw_eval.sensors.wrappers.link import Link, Sample, Shot
 
 
 def foreign_wrapper(wrap: PluginWrap, *, code_from: Path | None) -> Link:
@@ -25,11 +26,6 @@ def foreign_wrapper(wrap: PluginWrap, *, code_from: Path | None) -> Link:
         raise PolicyError(
             f"wrapper {wrap.wrapper} has no method `__call__`",
             fix="write `def __call__(self, sample, shot)`",
-        )
-    if hasattr(made, "memory") != hasattr(made, "remember"):
-        raise PolicyError(
-            f"wrapper {wrap.wrapper} has only one of `memory` and `remember`",
-            fix="write both, or neither if it remembers nothing between samples",
         )
     return _Foreign(made)
 
@@ -45,9 +41,9 @@ class _Foreign:
         if hasattr(self._wrapper, "reset"):
             self._wrapper.reset(rng)
 
-    def memory(self) -> Memory:
-        return self._wrapper.memory() if hasattr(self._wrapper, "memory") else {}
+    def state(self) -> Arrays:
+        return self._wrapper.state() if remembers(self._wrapper) else {}
 
-    def remember(self, memory: Memory) -> None:
-        if hasattr(self._wrapper, "remember"):
-            self._wrapper.remember(memory)
+    def restore(self, state: Arrays) -> None:
+        if remembers(self._wrapper):
+            self._wrapper.restore(state)
