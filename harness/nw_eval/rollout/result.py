@@ -72,8 +72,8 @@ class TrialResult:
             contact_s=episode.contact_seconds,
             coverage_min=episode.coverage.smallest,
             coverage_mean=episode.coverage.mean,
-            state_digest=episode.states.hex,
-            action_digest=episode.actions.hex,
+            state_digest=episode.state_digest.hex,
+            action_digest=episode.action_digest.hex,
         )
 
     @property

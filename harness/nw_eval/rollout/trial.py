@@ -87,21 +87,3 @@ def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
     return replace(
         so_far, status="error", end_reason=fault or "", error_type=kind, error_text=one_line(error)
     )
-
-
-def so_far(trial: OpenTrial) -> TrialResult:
-    """Return what a trial has come to, with status `error` until it has an outcome."""
-    episode = trial.episode
-    return TrialResult(
-        status="error",
-        waypoints_reached=episode.progress.reached,
-        waypoints_total=episode.progress.total,
-        waypoint_times=episode.progress.times,
-        steps=episode.step,
-        sim_seconds=episode.world.time,
-        contact_s=episode.contact_seconds,
-        coverage_min=episode.coverage.smallest,
-        coverage_mean=episode.coverage.mean,
-        state_digest=episode.state_digest.hex,
-        action_digest=episode.action_digest.hex,
-    )
