@@ -8,16 +8,28 @@ import nw_eval
 
 PACKAGE = Path(nw_eval.__file__).parent
 
-# Each of these was the name of a dozen different things.
 MEANINGLESS = {"told", "said", "made", "given", "asked"}
+"""Each of these was the name of a dozen different things."""
 
-# Classes of one name, and why they may share it.
+_VERB = "verbs of the command line are called as they are typed: `scenes check`"
+_WRAPPER = "an entry of a card's `wrap`, and what it does to samples: two sides of one thing"
 SHARED = {
-    "Check": "verbs of the command line are called as they are typed: `scenes check`",
-    "List": "as Check",
-    "Render": "as Check",
-    "Show": "as Check",
+    "Check": _VERB,
+    "List": _VERB,
+    "Render": _VERB,
+    "Show": _VERB,
+    "Channels": _WRAPPER,
+    "Clip": _WRAPPER,
+    "Crop": _WRAPPER,
+    "Flatten": _WRAPPER,
+    "Grayscale": _WRAPPER,
+    "Normalize": _WRAPPER,
+    "Quantize": _WRAPPER,
+    "Resize": _WRAPPER,
+    "Scale": _WRAPPER,
+    "Stack": _WRAPPER,
 }
+"""Classes of one name, and why they may share it."""
 
 
 def trees():
