@@ -64,7 +64,7 @@ class RunProgress:
         self._fresh = 0
         self._errors = 0
         self._successes: list[float] = []
-        self._began = self._said = time.perf_counter()
+        self._began = self._last_line_at = time.perf_counter()
 
     def __enter__(self) -> Self:
         self._start()
@@ -105,7 +105,7 @@ class RunProgress:
     def planned(self, *, total: int, finished: int) -> None:
         """Show how many trials there are, and how many an earlier run already finished."""
         self._total, self._done = total, finished
-        self._began = self._said = time.perf_counter()
+        self._began = self._last_line_at = time.perf_counter()
         self._tasks["trials"] = self._bars.add_task(
             "trials", total=total, completed=finished, note=""
         )
@@ -125,8 +125,8 @@ class RunProgress:
         note = self._note()
         if self._bars.disable:
             now = time.perf_counter()
-            if now - self._said >= _LOG_EVERY or self._done == self._total:
-                self._said = now
+            if now - self._last_line_at >= _LOG_EVERY or self._done == self._total:
+                self._last_line_at = now
                 self.message(f"{self._done}/{self._total} trials, {note}")
         else:
             self._bars.update(self._tasks["trials"], completed=self._done, note=note)

@@ -36,7 +36,7 @@ def vet_bundle(
     """
     physics_steps(bundle.card, protocol)
     if bundle.card.adapter == "remote":
-        bundle = _asked(bundle, robot, allow_code=allow_code)
+        bundle = _with_server(bundle, robot, allow_code=allow_code)
     if bundle.checkpoint is None and not bundle.code_sha256:
         # There is nothing of a stranger's to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code)
@@ -53,7 +53,7 @@ def vet_bundle(
     return bundle
 
 
-def _asked(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
+def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
     """Return a remote bundle with the digest of what is served, which takes what the card makes."""
     from nw_eval.policies.remote.client import ask_server  # Not everybody has websockets.
 
