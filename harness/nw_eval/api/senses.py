@@ -9,7 +9,7 @@ def list_sensors() -> str:
     """Return the sensors and wrappers that cards can name, with the packages of plug-ins."""
     from nw_eval.cards.observations import BUILT_IN_SENSORS
     from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS
-    from nw_eval.cards.observations.wraps import BUILT_IN_WRAPPERS
+    from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
     from nw_eval.sensors.plugins import usable
 
     lines: list[str] = []

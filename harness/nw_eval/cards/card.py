@@ -150,6 +150,11 @@ class Card(CardModel):
                 message = f"{name!r} feeds a clipped action back but the card clips none"
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
 
+    @property
+    def splat_images(self) -> list[str]:
+        """Names of the observations that no scene without a splat can give."""
+        return [name for name, seen in self.observations.items() if seen.needs_splat]
+
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
         """Return input names with the observations and networks they are made of.
 

@@ -70,16 +70,14 @@ def build_sensors(
     first_step = _PUBLISHED_FIRST_STEP if world.protocol == "neverwhere-2026" else 0
     sensors: dict[str, Sensor] = {}
     for name, observation in card.observations.items():
-        made = maker.pipeline(name, observation)
-        attach = getattr(made.measurement, "attach", None)
-        if attach is not None:
-            attach(place)
+        pipeline = maker.pipeline(name, observation)
+        pipeline.measurement.attach(place)
         sensors[name] = Sampled(
             name,
-            made.measurement,
+            pipeline.measurement,
             rate=observation.rate,
             latency=observation.latency,
-            chain=made.chain,
+            chain=pipeline.chain,
             first_step=first_step,
         )
     return sensors

@@ -15,9 +15,10 @@ from nw_eval.robots import RobotSpec
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.plugins import make_plugin
 from nw_eval.sensors.sensor import Moment
+from nw_eval.sensors.stateless import BaseMeasurement
 
 
-class PluginSensor:
+class PluginSensor(BaseMeasurement):
     """A measurement by an object of a plug-in's class.
 
     The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and
@@ -27,8 +28,6 @@ class PluginSensor:
     Raises:
         CodeError: the class cannot be imported or made, or is no sensor.
     """
-
-    coverage: float | None = None
 
     def __init__(
         self,
@@ -40,25 +39,25 @@ class PluginSensor:
     ) -> None:
         self._name = name
         self._sensor = observation.sensor
-        made = make_plugin(
+        plugin = make_plugin(
             observation.sensor, SENSORS, (robot,), observation.parameters, code_from=code_from
         )
         for needed in ("shape", "dtype", "measure"):
-            if not hasattr(made, needed):
+            if not hasattr(plugin, needed):
                 raise CodeError(
                     f"`{name}`: sensor {self._sensor} has no `{needed}`",
                     fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
                 )
-        if hasattr(made, "memory") != hasattr(made, "remember"):
+        if hasattr(plugin, "memory") != hasattr(plugin, "remember"):
             raise CodeError(
                 f"`{name}`: sensor {self._sensor} has only one of `memory` and `remember`",
                 fix="write both, or neither if it remembers nothing between samples",
             )
-        self._made = made
-        self.shape: tuple[int, ...] = tuple(int(side) for side in made.shape)
-        self.dtype = np.dtype(made.dtype)
-        self.unit = str(getattr(made, "unit", "mixed"))
-        self.is_image = bool(getattr(made, "is_image", False))
+        self._plugin = plugin
+        self.shape: tuple[int, ...] = tuple(int(side) for side in plugin.shape)
+        self.dtype = np.dtype(plugin.dtype)
+        self.unit = str(getattr(plugin, "unit", "mixed"))
+        self.is_image = bool(getattr(plugin, "is_image", False))
 
     def attach(self, place: Place) -> None:
         """Show it the place."""
@@ -76,13 +75,13 @@ class PluginSensor:
         """
         sample = self._call("measure", moment)
         if not isinstance(sample, np.ndarray):
-            told = type(sample).__name__
+            form = type(sample).__name__
         elif sample.shape != self.shape or sample.dtype != self.dtype:
-            told = f"{sample.shape} {sample.dtype}"
+            form = f"{sample.shape} {sample.dtype}"
         else:
             return sample
         raise CodeError(
-            f"`{self._name}`: sensor {self._sensor} returned {told}",
+            f"`{self._name}`: sensor {self._sensor} returned {form}",
             fix=f"it says that it returns {self.shape} {self.dtype}",
         )
 
@@ -96,7 +95,7 @@ class PluginSensor:
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Call a method if the object has it."""
-        function = getattr(self._made, method, None)
+        function = getattr(self._plugin, method, None)
         if function is None:
             return None
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
-from nw_eval.sensors.wrappers.link import Spec
+from nw_eval.sensors.wrappers.wrapper import Spec, Wrapper
 
 
 class Measurement(Protocol):
@@ -41,6 +43,25 @@ class Measurement(Protocol):
     @property
     def coverage(self) -> float | None:
         """As `Sensor.coverage`."""
+        ...
+
+    @property
+    def nothing(self) -> float:
+        """What a number reads where there is nothing, and where noise loses it."""
+        ...
+
+    @property
+    def form(self) -> Sequence[Wrapper]:
+        """What brings a measurement, behind its noise, into the form that the card asks for."""
+        ...
+
+    @property
+    def sum_of(self) -> str:
+        """What its size is the sum or the product of, in words: `3 + 3 + 12`; may be empty."""
+        ...
+
+    def attach(self, place: Place) -> None:
+        """Take what it needs of the world; called once, before `reset`."""
         ...
 
     def reset(self) -> None:

@@ -1,17 +1,31 @@
-"""What measurements have in common that remember nothing."""
+"""What most measurements have in common: they give numbers, at once, and remember nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from numpy.typing import NDArray
 
+from nw_eval.sensors.place import Place
+from nw_eval.sensors.wrappers.wrapper import Wrapper
 
-class Stateless:
-    """A measurement of numbers that depends on the moment alone."""
+
+class BaseMeasurement:
+    """A measurement of numbers, seen as they are measured, unless it says otherwise."""
 
     is_image = False
     coverage: float | None = None
+    nothing = 0.0
+    form: Sequence[Wrapper] = ()
+    sum_of = ""
+
+    def attach(self, place: Place) -> None:
+        """Nothing to take."""
+
+
+class Stateless(BaseMeasurement):
+    """One that depends on the moment alone."""
 
     def reset(self) -> None:
         """Nothing to forget."""

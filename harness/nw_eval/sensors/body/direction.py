@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import DirectionObservation
+from nw_eval.cards.observations.direction import DirectionObservation
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.stateless import Stateless
 

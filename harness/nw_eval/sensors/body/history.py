@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations import History
-from nw_eval.sensors.wrappers.link import Memory, Plain, Shot
+from nw_eval.sensors.wrappers.wrapper import Memory, Plain, Shot
 
 Frame = NDArray[np.float32]
 Indices = NDArray[np.intp]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import DepthObservation
+from nw_eval.cards.observations.cameras import DepthObservation
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.cameras.view import View
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.stateless import Stateless
-from nw_eval.sensors.wrappers.link import Plain, Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 # Nearer than this, m, nothing is told apart: it keeps inverse depth finite.
 _NEAREST = 1e-3
@@ -23,12 +24,12 @@ _NEAREST = 1e-3
 class Depth(Stateless):
     """Metres along the optical axis, (H, W) float32, inf where a ray meets nothing.
 
-    The form that the card asks for is a link behind it, `DepthForm`, so that noise is that of the
-    measured metres.
+    `DepthForm` makes of them what the card asks for, so that noise is that of the measured metres.
     """
 
     unit = "m"
     is_image = True
+    nothing = math.inf
 
     def __init__(
         self, name: str, observation: DepthObservation, robot: RobotSpec, rays: Rays
@@ -41,6 +42,7 @@ class Depth(Stateless):
         fine = observation.supersample
         self.shape: tuple[int, ...] = (observation.height * fine, observation.width * fine)
         self.dtype = np.dtype(np.float32)
+        self.form = (DepthForm(observation),)
         height, width = self.shape
         self._view = View(name, observation.camera, robot, width=width, height=height)
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
@@ -58,7 +60,7 @@ class DepthForm(Plain):
     def __init__(self, observation: DepthObservation) -> None:
         self._observation = observation
 
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every link.
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return (height, width) float32."""
         seen = self._observation
         depth = np.clip(np.nan_to_num(sample, nan=seen.far, posinf=seen.far), 0.0, seen.far)

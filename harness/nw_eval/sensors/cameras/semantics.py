@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import SemanticsObservation
+from nw_eval.cards.observations.cameras import SemanticsObservation
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.cameras.view import View
 from nw_eval.sensors.drawing.palette import PALETTE

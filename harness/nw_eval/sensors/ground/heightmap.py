@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import HeightmapObservation
+from nw_eval.cards.observations.heights import HeightmapObservation
 from nw_eval.sensors.ground.heights import HeightGrid, Rays, limited
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.stateless import Stateless

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import ScandotsObservation
+from nw_eval.cards.observations.heights import ScandotsObservation
 from nw_eval.sensors.ground.heights import Rays, grid
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.stateless import Stateless

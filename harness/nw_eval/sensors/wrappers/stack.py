@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from nw_eval.sensors.wrappers.link import Memory, Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Memory, Sample, Shot
 
 
 class Stack:
