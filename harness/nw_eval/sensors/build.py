@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cards import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.measurements import Maker
+from nw_eval.sensors.pipeline import Maker
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.sampled import Sampled
 from nw_eval.sensors.sensor import Sensor

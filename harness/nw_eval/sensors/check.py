@@ -13,7 +13,7 @@ from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.measurements import Maker, Pipeline
+from nw_eval.sensors.pipeline import Maker, Pipeline
 
 Answer = TypeVar("Answer")
 

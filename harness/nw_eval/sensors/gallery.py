@@ -173,8 +173,8 @@ def _observe(
         world.reset(position=(x, y, height), yaw=yaw)
         for _ in range(_SETTLING):
             world.step(robot.default_pose)
-        given = None if renderer is None else lambda _scene: renderer
-        sensors = build_sensors(card, world, renderer=given, code_from=code_from)
+        opened = None if renderer is None else lambda _scene: renderer
+        sensors = build_sensors(card, world, renderer=opened, code_from=code_from)
         for sensor in sensors.values():
             sensor.reset(0)
         moment = Moment(

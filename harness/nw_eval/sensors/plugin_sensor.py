@@ -12,13 +12,13 @@ from nw_eval.cards.observations import PluginObservation
 from nw_eval.cards.observations.plugins import SENSORS
 from nw_eval.errors import CodeError, NwEvalError
 from nw_eval.robots import RobotSpec
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.plugins import make_plugin
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import BaseMeasurement
 
 
-class PluginSensor(BaseMeasurement):
+class PluginSensor(Measurement):
     """A measurement by an object of a plug-in's class.
 
     The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and

@@ -3,82 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.sensors.place import Place
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
-from nw_eval.sensors.wrappers.wrapper import Spec, Wrapper
-
-
-class Measurement(Protocol):
-    """What a sensor measures each time that it samples, before noise and wrappers."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of a measurement."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of a measurement."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """As `Sensor.unit`."""
-        ...
-
-    @property
-    def is_image(self) -> bool:
-        """As `Sensor.is_image`."""
-        ...
-
-    @property
-    def coverage(self) -> float | None:
-        """As `Sensor.coverage`."""
-        ...
-
-    @property
-    def nothing(self) -> float:
-        """What a number reads where there is nothing, and where noise loses it."""
-        ...
-
-    @property
-    def form(self) -> Sequence[Wrapper]:
-        """What brings a measurement, behind its noise, into the form that the card asks for."""
-        ...
-
-    @property
-    def sum_of(self) -> str:
-        """What its size is the sum or the product of, in words: `3 + 3 + 12`; may be empty."""
-        ...
-
-    def attach(self, place: Place) -> None:
-        """Take what it needs of the world; called once, before `reset`."""
-        ...
-
-    def reset(self) -> None:
-        """Forget earlier measurements."""
-        ...
-
-    def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return a new measurement, which nobody will change."""
-        ...
-
-    def memory(self) -> dict[str, NDArray[Any]]:
-        """Return what the next measurements depend on beside the moment."""
-        ...
-
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
-        ...
+from nw_eval.sensors.wrappers.wrapper import Spec
 
 
 class Sampled:

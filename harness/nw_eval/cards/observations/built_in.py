@@ -23,6 +23,6 @@ BuiltInObservation = (
     | LidarObservation
     | DirectionObservation
 )
-"""What measures each of them stands in `sensors.measurements`."""
+"""What measures each of them stands in `sensors.pipeline`."""
 
 BUILT_IN_SENSORS = names_of(BuiltInObservation, "sensor")

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,8 +135,21 @@ class View:
                         cx=seen.cx * across,
                         cy=seen.cy * down,
                     )
-                case _:
+                case (
+                    wrappers.NoiseWrap()
+                    | wrappers.Normalize()
+                    | wrappers.Scale()
+                    | wrappers.Clip()
+                    | wrappers.Grayscale()
+                    | wrappers.Quantize()
+                    | wrappers.Stack()
+                    | wrappers.Channels()
+                    | wrappers.Flatten()
+                    | wrappers.PluginWrap()
+                ):
                     pass
+                case _:
+                    assert_never(wrapper)
         return seen
 
     @property

@@ -14,11 +14,11 @@ from nw_eval.cards.terms import AnyTerm, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.sensors.body.history import HistoryStack, Select
 from nw_eval.sensors.body.terms import Reader, fixed_values, reader
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Proprio(Stateless):
+class Proprio(Measurement):
     """Numbers of the body at this moment: one whole frame, (n,) float32.
 
     What the card takes of a frame, and its history, are its `form`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,15 @@ from nw_eval.robots import RobotSpec
 from nw_eval.sensors.cameras.view import View
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 # Nearer than this, m, nothing is told apart: it keeps inverse depth finite.
 _NEAREST = 1e-3
 
 
-class Depth(Stateless):
+class Depth(Measurement):
     """Metres along the optical axis, (H, W) float32, inf where a ray meets nothing.
 
     `DepthForm` makes of them what the card asks for, so that noise is that of the measured metres.
@@ -64,10 +64,15 @@ class DepthForm(Plain):
         """Return (height, width) float32."""
         seen = self._observation
         depth = np.clip(np.nan_to_num(sample, nan=seen.far, posinf=seen.far), 0.0, seen.far)
-        if seen.mode == "linear":
-            depth = np.minimum(depth, np.float32(seen.clip)) / np.float32(seen.clip)
-        elif seen.mode == "midas":
-            depth = stretched_inverse(depth)
+        match seen.mode:
+            case "metres":
+                pass
+            case "linear":
+                depth = np.minimum(depth, np.float32(seen.clip)) / np.float32(seen.clip)
+            case "midas":
+                depth = stretched_inverse(depth)
+            case _:
+                assert_never(seen.mode)
         fine = seen.supersample
         if fine > 1:
             # In float64: the mean of pixels must not depend on the order in which they are added.

@@ -14,9 +14,9 @@ from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import BaseMeasurement
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.composite import paste
@@ -27,7 +27,7 @@ _PUBLISHED_SIZE = (1280, 720)
 _PUBLISHED_PIXELS = Pixels(stride=16, block=2, offset=7)
 
 
-class SplatRgb(BaseMeasurement):
+class SplatRgb(Measurement):
     """Images of the splat from a camera of the robot, with cones and robot where the card asks.
 
     A measurement is one image (H, W, 3) of bytes; axes, type and stack of the card are a

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations.lidar import LidarObservation
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 _HALF_RECTANGLE = 0.6  # rad to each side, unless the card says otherwise
 
 
-class Lidar(Stateless):
+class Lidar(Measurement):
     """Distances along the rays, (channels, columns) float32 m, inf where there is no return.
 
     Points are made of them by `LidarForm`, so that noise acts along the rays.

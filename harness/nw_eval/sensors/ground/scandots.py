@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.observations.heights import ScandotsObservation
 from nw_eval.sensors.ground.heights import HeightGrid, Rays, limited
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Scandots(Stateless):
+class Scandots(Measurement):
     """clip(trunk_z + offset - ground_z) under the points of the grid, (N,) m.
 
     A view of the same grid as `Heightmap`, counted downwards. The published evaluation reads a

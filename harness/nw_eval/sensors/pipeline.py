@@ -1,4 +1,4 @@
-"""The table of measurements: what measures each observation that a card can name."""
+"""The table of what measures each observation that a card can name, and the chain behind it."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from nw_eval.sensors.ground.heightmap import Heightmap
 from nw_eval.sensors.ground.lidar import Lidar
 from nw_eval.sensors.ground.published_scandots import PublishedScandots
 from nw_eval.sensors.ground.scandots import Scandots
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.plugin_sensor import PluginSensor
-from nw_eval.sensors.sampled import Measurement
 from nw_eval.sensors.wrappers import Chain, NamedWrapper, Spec, make_wrappers
 from nw_eval.sensors.wrappers.values import AddNoise
 from nw_eval.sim import Protocol
