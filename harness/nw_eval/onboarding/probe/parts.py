@@ -15,6 +15,7 @@ from nw_eval.onboarding.variants.written import settings
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors import ObservationSpec
 from nw_eval.sensors.body.proprio import Proprio
+from nw_eval.sensors.body.terms import fixed_values
 from nw_eval.sensors.wrappers.wrapper import Shot
 
 
@@ -101,7 +102,7 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
                 steps=steps,
                 form=_form(term),
                 limits=_limits(term, observation),
-                is_fixed=term.term in {"constant", "speed"}
+                is_fixed=fixed_values(term, card.command) is not None
                 or (term.term == "command" and card.command.source == "constant")
                 or bool(is_zero[indices].all()),
             )
