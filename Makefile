@@ -8,6 +8,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
+# Every trial's process and some hundred of the tests import the package: compiled once, not each time.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run test check bench build
 .DEFAULT_GOAL := run
