@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal, assert_never
+from typing import Any, Literal
 
 Kind = Literal["suite", "policy", "scene", "collision"]
 
@@ -14,18 +14,14 @@ def schema(kind: Kind) -> str:
 
 
 def _schema(kind: Kind) -> dict[str, Any]:
-    match kind:
-        case "suite":
-            from nw_eval.suite import json_schema as of_suite
+    if kind == "suite":
+        from nw_eval.suite import json_schema as of_suite
 
-            return of_suite()
-        case "policy":
-            from nw_eval.cards.file.schema import json_schema as of_card
+        return of_suite()
+    if kind == "policy":
+        from nw_eval.cards.file.schema import json_schema as of_card
 
-            return of_card()
-        case "scene" | "collision":
-            from nw_eval.scenes.folder import json_schema as of_scene
+        return of_card()
+    from nw_eval.scenes.folder import json_schema as of_scene
 
-            return of_scene(kind)
-        case _:
-            assert_never(kind)
+    return of_scene(kind)

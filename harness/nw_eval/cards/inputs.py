@@ -114,9 +114,7 @@ def _mismatch(
         )
     total = joined[0]
     if len(names) == 1:
-        sizes = f"`{names[0]}` is {total} numbers"
+        said = f"`{names[0]}` is {total} numbers"
     else:
-        sizes = (
-            " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
-        )
-    return f"{sizes}; the checkpoint's input `{spec.name}` wants {wanted[0]}"
+        said = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
+    return f"{said}; the checkpoint's input `{spec.name}` wants {wanted[0]}"

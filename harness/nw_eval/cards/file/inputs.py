@@ -29,9 +29,9 @@ def input_problems(card: Card, file: YamlFile) -> list[Problem]:
         words = f"networks: adapter `{card.adapter}` has no checkpoint here that they could feed"
         fix = "remove them; a server has its networks on the card that it serves"
         return [file.problem(("networks",), words, None if card.adapter == "zero" else fix)]
-    checked = _Checked(card, file)
-    checked.look()
-    return sorted(checked.problems, key=lambda problem: (problem.line, problem.column))
+    told = _Checked(card, file)
+    told.look()
+    return sorted(told.problems, key=lambda problem: (problem.line, problem.column))
 
 
 class _Checked:
@@ -127,5 +127,5 @@ class _Checked:
     def _tell(self, place: Location, words: str, fix: str, *, named: bool = True) -> None:
         parts = [str(part) for part in place if isinstance(part, str)]
         shown = ".".join(parts[:3] if parts[0] == "networks" else parts[:1])
-        text = f"{shown}: {words}" if named else words
-        self.problems.append(self._file.problem(place, text, fix))
+        said = f"{shown}: {words}" if named else words
+        self.problems.append(self._file.problem(place, said, fix))

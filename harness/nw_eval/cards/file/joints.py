@@ -30,19 +30,19 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         return [file.problem(("robot",), f"robot: unknown robot {card.robot!r}", known)]
     robot = get_robot(card.robot)
     own = robot.joints
-    found: list[Problem | None] = []
+    told: list[Problem | None] = []
     joints = own
     if (named := card.control.joints) is not None:
         order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
-        found.append(order)
+        told.append(order)
         joints = own if order else named
     for key in _PER_JOINT:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:
-            found += _value_problems(file, key, value, joints)
-    if (pose := card.control.default_pose) is not None and not any(found):
-        found += _range_problems(file, pose, joints, robot)
-    problems = [problem for problem in found if problem is not None]
+            told += _value_problems(file, key, value, joints)
+    if (pose := card.control.default_pose) is not None and not any(told):
+        told += _range_problems(file, pose, joints, robot)
+    problems = [problem for problem in told if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
 
 
@@ -50,28 +50,28 @@ def _value_problems(
     file: YamlFile, key: str, value: PerJoint, joints: Sequence[str]
 ) -> list[Problem | None]:
     place = ("control", key)
-    found: list[Problem | None] = []
+    told: list[Problem | None] = []
     # Where a mapping leaves joints out, the robot's own figures stand; a scale has none.
     default = None if key == "scale" else [0.0] * len(joints)
     if isinstance(value, dict):
         for name in value:
             alone = {name: value[name]}
-            found.append(
+            told.append(
                 _fault(
                     file,
                     (*place, name),
                     lambda one=alone: joint_values(one, joints, [0.0] * len(joints)),
                 )
             )
-    if not any(found):
-        found.append(_fault(file, place, lambda: joint_values(value, joints, default)))
+    if not any(told):
+        told.append(_fault(file, place, lambda: joint_values(value, joints, default)))
     if key in _NEVER_NEGATIVE:
-        found += [
+        told += [
             file.problem(where, f"control.{key}: {number:g} is negative", "give 0 or more")
             for where, number in _numbers(value, place)
             if number < 0.0
         ]
-    return found
+    return told
 
 
 def _range_problems(
@@ -80,7 +80,7 @@ def _range_problems(
     """Return a problem for each number of a default pose that a joint of its cannot take."""
     ranges = {short_name(j): r for j, r in zip(robot.joints, robot.joint_ranges, strict=True)}
     names = [short_name(joint) for joint in joints]
-    found: list[Problem] = []
+    told: list[Problem] = []
     for where, number in _numbers(pose, ("control", "default_pose")):
         meant = names
         if isinstance(pose, dict):
@@ -92,9 +92,9 @@ def _range_problems(
             if not low <= number <= high:
                 message = f"control.default_pose: {number:g} is beyond the range of {name}"
                 fix = f"give radians from {low:g} to {high:g}, in the robot's own signs"
-                found.append(file.problem(where, message, fix))
+                told.append(file.problem(where, message, fix))
                 break
-    return found
+    return told
 
 
 def _numbers(value: PerJoint, place: Location) -> list[tuple[Location, float]]:

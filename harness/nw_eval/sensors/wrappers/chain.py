@@ -66,7 +66,7 @@ class Chain:
             spec = self._specs[number]
             if sample.shape != spec.shape or sample.dtype != spec.dtype:
                 raise PolicyError(
-                    f"`{self._observation}`: wrapper {named.name} returned {_form(sample)}, on "
+                    f"`{self._observation}`: wrapper {named.name} returned {_told(sample)}, on "
                     f"its trial run {spec.shape} {spec.dtype}",
                     fix="a wrapper's output keeps its shape and type",
                 )
@@ -107,7 +107,7 @@ class Chain:
         except Exception as error:
             raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
-                f"{_form(sample)}: {error}",
+                f"{_told(sample)}: {error}",
                 fix="see what it is given with `python -m nw_eval.sensors`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
@@ -118,7 +118,7 @@ class Chain:
         return np.asarray(result)
 
 
-def _form(sample: Sample) -> str:
+def _told(sample: Sample) -> str:
     return f"{sample.shape} {sample.dtype}"
 
 
