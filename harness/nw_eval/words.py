@@ -1,8 +1,38 @@
-"""The words for how trials end, and how much their scenes count, each list of them defined once."""
+"""The vocabulary: every list of words that rooms share, each defined once."""
 
 from __future__ import annotations
 
 from typing import Literal, get_args
+
+Robot = Literal["go1", "go2"]
+"""As `robots.robot_names()`, which a test compares: suites and the gate may know no robots."""
+
+Task = Literal["hurdles", "gaps", "ramps", "stairs"]
+"""What a scene asks for."""
+
+Tier = Literal["critical", "supporting", "informational"]
+"""How much a scene counts for the verdict: alone, in the mean, or not at all."""
+
+Protocol = Literal["strict", "neverwhere-2026"]
+"""How a trial is run: `neverwhere-2026` is the published evaluation, bug for bug."""
+
+Record = Literal["all", "failures", "none"]
+"""Trials whose camera images are kept in their logs; states and events always are."""
+
+Backend = Literal["cpu", "cuda"]
+"""What draws splats."""
+
+Collision = Literal["terrain", "triangles"]
+"""How scan meshes collide: as height fields and boxes, fast, or by their own triangles."""
+
+UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+"""Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
+
+Arm = Literal["candidate", "baseline"]
+"""Whether a trial's policy is the one that is judged, or one that it is compared with."""
+
+Status = Literal["ok", "error"]
+"""Whether a trial came to a result."""
 
 Outcome = Literal[
     "completed", "fell", "collided", "stuck", "off_course", "timeout", "policy_failed"
@@ -16,10 +46,9 @@ physics diverged under what it told the motors; its process ended by itself in m
 Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
 """How a trial can fail to come to a result: never counted as a failure of the policy."""
 
-Tier = Literal["critical", "supporting", "informational"]
-"""How much a scene counts for the verdict: alone, in the mean, or not at all."""
-
+ROBOTS: tuple[Robot, ...] = get_args(Robot)
+TIERS: tuple[Tier, ...] = get_args(Tier)
+STATUSES: tuple[Status, ...] = get_args(Status)
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)
-TIERS: tuple[Tier, ...] = get_args(Tier)

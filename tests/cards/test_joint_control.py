@@ -5,6 +5,7 @@ from nw_eval.cards import Card, JointControl, actuator_values, physics_steps
 from nw_eval.cards.joints import joint_values
 from nw_eval.errors import PolicyError
 from nw_eval.policies import ActionDelay
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")
@@ -120,10 +121,10 @@ def test_torques_need_no_gain_and_bring_no_damping():
 
 
 def test_a_physics_rate_is_steps_of_a_control_step():
-    assert physics_steps(card(physics_rate=250), "strict") == (0.004, 5)
-    assert physics_steps(card(), "neverwhere-2026") == (0.005, 4)
+    assert physics_steps(card(physics_rate=250), STRICT) == (0.004, 5)
+    assert physics_steps(card(), NEVERWHERE_2026) == (0.005, 4)
     with pytest.raises(PolicyError, match=r"physics_rate is 250, the protocol 'neverwhere-2026'"):
-        physics_steps(card(physics_rate=250), "neverwhere-2026")
+        physics_steps(card(physics_rate=250), NEVERWHERE_2026)
 
 
 def test_targets_of_another_order_with_limits_are_those_of_numpy():

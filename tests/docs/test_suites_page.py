@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from nw_eval.built_in.splits import Split
 from nw_eval.catalogue.find import names
 from nw_eval.gate.outlook import DROP
+from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
 from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED
 from nw_eval.sim import Limits
@@ -148,7 +149,7 @@ def test_with_a_friction_of_the_suite_that_value_alone_counts() -> None:
         model = compile_model(
             robot,
             scene,
-            protocol="strict",
+            protocol=STRICT,
             actuators=Actuators.of(robot),
             friction=friction,
             payload=0.0,

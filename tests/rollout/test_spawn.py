@@ -1,8 +1,11 @@
 """Where trials begin."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.rollout.spawn import draw_start
 from nw_eval.suite.trials import Trial
 
@@ -46,18 +49,29 @@ def start(*, protocol, index=0, waypoints=3, seed=5, noise=(0.1, 0.3)):
 
 @pytest.mark.parametrize(("index", "waypoints"), PUBLISHED)
 def test_the_published_protocol_spawns_where_the_published_evaluation_does(index, waypoints):
-    drawn, _ = start(protocol="neverwhere-2026", index=index, waypoints=waypoints)
+    drawn, _ = start(protocol=NEVERWHERE_2026, index=index, waypoints=waypoints)
     expected = PUBLISHED[index, waypoints]
     np.testing.assert_allclose((drawn.x, drawn.y, drawn.yaw), expected, atol=5e-10)
 
 
 def test_the_published_protocol_moves_no_waypoint():
-    drawn, trail = start(protocol="neverwhere-2026")
+    drawn, trail = start(protocol=NEVERWHERE_2026)
     np.testing.assert_array_equal(drawn.trail, trail)
 
 
+def test_its_noise_moves_waypoints_and_no_start_where_it_acts():
+    acting = dataclasses.replace(NEVERWHERE_2026, waypoint_noise_acts=True)
+    drawn, trail = start(protocol=acting, waypoints=200)
+    still, _ = start(protocol=NEVERWHERE_2026, waypoints=200)
+    assert (drawn.x, drawn.y, drawn.yaw) == (still.x, still.y, still.yaw)
+    shift = np.abs(drawn.trail - trail).max(axis=0)
+    assert 0.08 < shift[0] <= 0.1
+    assert 0.25 < shift[1] <= 0.3
+    assert shift[2] == 0.0
+
+
 def test_the_strict_protocol_moves_waypoints_within_their_noise_and_never_up():
-    drawn, trail = start(protocol="strict", waypoints=200)
+    drawn, trail = start(protocol=STRICT, waypoints=200)
     shift = drawn.trail - trail
     assert np.abs(shift[:, 0]).max() <= 0.1
     assert 0.25 < np.abs(shift[:, 1]).max() <= 0.3
@@ -65,12 +79,12 @@ def test_the_strict_protocol_moves_waypoints_within_their_noise_and_never_up():
 
 
 def test_the_spawn_does_not_depend_on_the_number_of_waypoints():
-    few, _ = start(protocol="strict", waypoints=2)
-    many, _ = start(protocol="strict", waypoints=9)
+    few, _ = start(protocol=STRICT, waypoints=2)
+    many, _ = start(protocol=STRICT, waypoints=9)
     assert (few.x, few.y, few.yaw) == (many.x, many.y, many.yaw)
 
 
 def test_two_seeds_start_differently():
-    one, _ = start(protocol="strict", seed=1)
-    two, _ = start(protocol="strict", seed=2)
+    one, _ = start(protocol=STRICT, seed=1)
+    two, _ = start(protocol=STRICT, seed=2)
     assert one.x != two.x

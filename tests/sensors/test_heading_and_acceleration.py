@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from nw_eval.cards.terms import EARLIER_OUTPUTS
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 from nw_eval.sensors import Moment, build_sensors
 from nw_eval.sim import TrailProgress, World
@@ -100,7 +101,7 @@ def test_acceleration_is_gravity_at_rest_along_the_trunks_axes(world, read):
     assert read(world, "acceleration") == pytest.approx(up, abs=0.02)
 
 
-@pytest.mark.parametrize("protocol", ["strict", "neverwhere-2026"])
+@pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
 def test_a_restored_world_reads_the_same_to_the_last_bit(place, read, protocol):
     with World(get_robot("go1"), place(), protocol=protocol) as world:
         world.reset(position=(0.3, -0.2, 0.33), yaw=0.4)
@@ -116,7 +117,7 @@ def test_a_restored_world_reads_the_same_to_the_last_bit(place, read, protocol):
         world.restore(state)
         for term, expected in zip(terms, before, strict=True):
             np.testing.assert_array_equal(read(world, term), expected)
-        if protocol == "strict":
+        if protocol is STRICT:
             assert np.abs(before[0]).max() > 5.0
 
 

@@ -110,8 +110,8 @@ def test_feet_come_in_the_order_of_the_card(world, read):
     world.reset(position=(0.0, 0.0, 0.26), yaw=0.0)
     for _ in range(3):
         world.step(world.robot.default_pose)
-    world._contacts[:] = [True, False, False, True]
-    world._previous_contacts[:] = [False, False, True, False]
+    world._forces.contacts[:] = [True, False, False, True]
+    world._forces.previous_contacts[:] = [False, False, True, False]
     now = {"term": "foot_contacts", "filter": "none", "feet": ["FL", "FR", "RL", "RR"]}
     assert read(world, terms(now)).tolist() == [0.0, 1.0, 1.0, 0.0]
     assert read(world, terms("foot_contacts")).tolist() == [1.0, 0.0, 1.0, 1.0]

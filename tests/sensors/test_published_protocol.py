@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nw_eval.policies import ActionDelay
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 from nw_eval.robots.go1 import go1
 from nw_eval.robots.go2 import go2
@@ -18,7 +19,7 @@ NOW = {"sensor": "proprio", "layout": "parkour53"}
 PAST = NOW | {"history": {"steps": 10, "current": False, "zero": ["6:8"]}}
 
 
-def walk(place, card_of, moment_of, observations, steps, protocol="neverwhere-2026"):
+def walk(place, card_of, moment_of, observations, steps, protocol=NEVERWHERE_2026):
     """Yield what observations read before the first control step and after each."""
     robot = get_robot("go1")
     with World(robot, place(), protocol=protocol) as world:
@@ -45,7 +46,7 @@ def test_pixels_of_the_height_image_are_the_published_size():
 )
 def test_masses_and_height_cameras_are_the_published_ones(place, robot, mass, height_camera):
     spec = robot()
-    with World(spec, place(), protocol="neverwhere-2026") as world:
+    with World(spec, place(), protocol=NEVERWHERE_2026) as world:
         assert world.model.body_mass.sum() == pytest.approx(mass, abs=5e-4)
     offset = np.array(spec.height_camera_offset)
     np.testing.assert_allclose(offset, height_camera, atol=5e-6)
@@ -64,7 +65,7 @@ def test_the_camera_is_mounted_as_published(robot, position, pitch):
 
 
 def test_the_first_observation_repeats_numbers_where_it_means_frames(place, card_of, moment_of):
-    clean = list(walk(place, card_of, moment_of, {"now": NOW}, 2, protocol="strict"))
+    clean = list(walk(place, card_of, moment_of, {"now": NOW}, 2, protocol=STRICT))
     both = {"now": NOW, "past": PAST}
     seen = list(walk(place, card_of, moment_of, both, 2))
     for step in (0, 1):
@@ -98,7 +99,7 @@ def test_the_history_begins_with_the_first_frame_ten_times_without_heading(
 
 
 def test_the_strict_protocol_spoils_nothing(place, card_of, moment_of):
-    seen = next(walk(place, card_of, moment_of, {"now": NOW, "past": PAST}, 0, protocol="strict"))
+    seen = next(walk(place, card_of, moment_of, {"now": NOW, "past": PAST}, 0, protocol=STRICT))
     frame = seen["now"].copy()
     frame[6:8] = 0.0
     np.testing.assert_array_equal(seen["past"].reshape(10, 53), np.tile(frame, (10, 1)))
@@ -108,7 +109,7 @@ def test_other_layouts_are_not_spoilt(place, card_of, moment_of):
     own = {"now": {"sensor": "proprio", "terms": ["joint_pos", "joint_vel"]}}
     published, strict = (
         next(walk(place, card_of, moment_of, own, 0, protocol=protocol))["now"]
-        for protocol in ("neverwhere-2026", "strict")
+        for protocol in (NEVERWHERE_2026, STRICT)
     )
     np.testing.assert_array_equal(published, strict)
 
@@ -134,7 +135,7 @@ def test_a_stack_begins_with_the_first_step_not_before_it(place, card_of, moment
     seen = list(walk(place, card_of, moment_of, stacked, 3))
     assert len(np.unique(seen[1]["way"])) == 1
     assert seen[1]["way"][0, 0] != seen[0]["way"][0, 0]
-    strict = list(walk(place, card_of, moment_of, stacked, 1, protocol="strict"))
+    strict = list(walk(place, card_of, moment_of, stacked, 1, protocol=STRICT))
     assert len(np.unique(strict[1]["way"])) == 2
 
 

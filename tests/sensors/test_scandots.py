@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.ground.heights import grid
@@ -13,7 +14,7 @@ DOTS = {"dots": {"sensor": "scandots"}}
 def scan(card_of, moment_of):
     """A function: the scan of a scene with the robot's trunk at a position, (12, 11)."""
 
-    def scan(scene, position, yaw=0.0, protocol="strict"):
+    def scan(scene, position, yaw=0.0, protocol=STRICT):
         with World(get_robot("go1"), scene, protocol=protocol) as world:
             world.reset(position=position, yaw=yaw)
             sensor = build_sensors(card_of(DOTS), world)["dots"]
@@ -75,7 +76,7 @@ def test_points_are_counted_in_the_order_of_the_card():
     np.testing.assert_array_equal(grid(*GRID), grid(*GRID, "y_fastest"))
 
 
-@pytest.mark.parametrize("protocol", ["strict", "neverwhere-2026"])
+@pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
 @pytest.mark.parametrize(("order", "seen"), [("y_fastest", Y_FASTEST), ("x_fastest", X_FASTEST)])
 def test_a_box_is_seen_at_its_number_in_either_order(
     order, seen, protocol, place, card_of, moment_of
@@ -108,7 +109,7 @@ def test_a_card_that_leaves_the_order_out_is_the_card_that_it_was(card_of):
 
 def test_the_published_scan_equals_the_exact_one_in_the_default_stance(scan, place):
     # Its constants were measured there: 1.43 cm above 25 m over the trunk.
-    published = scan(place(), (0.0, 0.0, 0.3), protocol="neverwhere-2026")
+    published = scan(place(), (0.0, 0.0, 0.3), protocol=NEVERWHERE_2026)
     np.testing.assert_allclose(published, 0.0143, atol=1e-3)
 
 
@@ -118,7 +119,7 @@ def test_the_published_scan_reads_pixels(scan, place):
     # 25.3143 m above this ground.
     def ahead(edge):
         box = ((edge + 0.2, 0.0, 0.0005), (0.2, 2.0, 0.0005))
-        seen = scan(place(box), (0.0, 0.0, 0.3), protocol="neverwhere-2026")
+        seen = scan(place(box), (0.0, 0.0, 0.3), protocol=NEVERWHERE_2026)
         return seen[8, 5] < seen[0, 5] - 0.0005
 
     with World(get_robot("go1"), place()) as world:
@@ -132,6 +133,6 @@ def test_the_published_scan_ends_at_the_border_of_its_image(scan, place):
     # Half the image is 1.31 m; turned by 30 degrees, the farthest corner lies 1.41 m away.
     box = ((1.6, 0.0, 0.1), (0.265, 3.0, 0.1))  # From 1.335 m on.
     exact = scan(place(box), (0.0, 0.0, 0.3), yaw=0.5)
-    published = scan(place(box), (0.0, 0.0, 0.3), yaw=0.5, protocol="neverwhere-2026")
+    published = scan(place(box), (0.0, 0.0, 0.3), yaw=0.5, protocol=NEVERWHERE_2026)
     assert (exact < -0.1).any()
     assert not (published < -0.1).any()

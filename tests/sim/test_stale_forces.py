@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from nw_eval.sim import World
-from nw_eval.sim.contacts import ContactForces
+from nw_eval.sim.readings.contacts import ContactForces
 
 SCRIPT = """\
 import hashlib, numpy as np
+from nw_eval.protocol import NEVERWHERE_2026
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
 from nw_eval.scenes.mesh import quad_mesh
@@ -21,7 +22,7 @@ from nw_eval.sim import World
 scene = Scene(name="t/t", task="gaps", title="", solids=(), trail=np.zeros((1, 3)), splat=None,
               static_mesh=quad_mesh((0, 0, 0), (1, 0, 0), (0, 1, 0), "ground"))
 digest, robot = hashlib.sha256(), get_robot("go1")
-with World(robot, scene, protocol="neverwhere-2026") as world:
+with World(robot, scene, protocol=NEVERWHERE_2026) as world:
     for step in range(60):
         world.step(np.array(robot.default_pose) + 0.4 * np.sin(0.4 * step + np.arange(12)))
         digest.update(world.foot_forces().tobytes())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import TrialError
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.sim import World
 
 
@@ -32,7 +33,7 @@ def run(world, swing, steps):
     return seen
 
 
-@pytest.mark.parametrize("protocol", ["strict", "neverwhere-2026"])
+@pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
 def test_a_restored_world_has_the_same_future_bit_for_bit(go1, bumpy, swing, protocol):
     with World(go1, bumpy, protocol=protocol) as world:
         # Step 8 is in the middle of touch-down, where forces change most.
@@ -75,7 +76,7 @@ def test_damaged_states_are_refused(go1, flat):
 def test_states_of_other_worlds_are_refused(go1, flat, bumpy):
     with World(go1, flat) as world:
         state = world.state()
-    others = [{"payload": 1.0}, {"friction": 0.8}, {"protocol": "neverwhere-2026"}]
+    others = [{"payload": 1.0}, {"friction": 0.8}, {"protocol": NEVERWHERE_2026}]
     for options in others:
         with World(go1, flat, **options) as other, pytest.raises(TrialError):
             other.restore(state)

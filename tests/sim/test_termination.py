@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from nw_eval.catalogue import get_scene
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.sim import Termination, TrailProgress, World
 from nw_eval.sim.termination import distance_to_polyline
 
-PROTOCOLS = ("strict", "neverwhere-2026")
+PROTOCOLS = (STRICT, NEVERWHERE_2026)
 TRAIL = np.array([(2.0, 0.0, 0.3), (4.0, 0.0, 0.0)])
 
 
@@ -22,7 +23,7 @@ def robot_at(x=0.0, y=0.0, z=0.3, *, roll=0.0, pitch=0.0, force=0.0):
     )
 
 
-def outcome(world, *, protocol="strict", step=1, progress=None, trail=TRAIL):
+def outcome(world, *, protocol=STRICT, step=1, progress=None, trail=TRAIL):
     progress = TrailProgress(trail, protocol) if progress is None else progress
     return Termination(trail, (0.0, 0.0), protocol=protocol).check(world, progress, step)
 
@@ -80,8 +81,8 @@ def test_leaving_the_trail_ends_a_strict_trial_only():
     assert outcome(away) == "off_course"
     assert outcome(below) == "off_course"
     assert outcome(robot_at(x=3.0, y=1.9)) is None
-    assert outcome(away, protocol="neverwhere-2026") is None
-    assert outcome(below, protocol="neverwhere-2026") is None
+    assert outcome(away, protocol=NEVERWHERE_2026) is None
+    assert outcome(below, protocol=NEVERWHERE_2026) is None
 
 
 def test_going_nowhere_for_4_s_ends_a_strict_trial():
@@ -144,7 +145,7 @@ def play(world, targets, protocol):
             return end, progress.fraction, world.time
 
 
-@pytest.mark.parametrize(("protocol", "how"), [("strict", "stuck"), ("neverwhere-2026", "timeout")])
+@pytest.mark.parametrize(("protocol", "how"), [(STRICT, "stuck"), (NEVERWHERE_2026, "timeout")])
 def test_doing_nothing_scores_nothing(go1, protocol, how):
     with World(go1, get_scene("hurdles/one_low_carpet"), protocol=protocol) as world:
         end, fraction, time = play(world, go1.default_pose, protocol)
@@ -170,5 +171,5 @@ def test_a_belly_on_a_bar_is_a_collision_under_strict_only(go1, place):
     for protocol in PROTOCOLS:
         with World(go1, scene, protocol=protocol) as world:
             world.reset(position=(0, 0, 0.42), yaw=0.0)
-            ends[protocol], _, _ = play(world, go1.default_pose, protocol)
+            ends[protocol.name], _, _ = play(world, go1.default_pose, protocol)
     assert ends == {"strict": "collided", "neverwhere-2026": "timeout"}

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import SceneError
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.sim import TrailProgress
 
-PROTOCOLS = ("strict", "neverwhere-2026")
+PROTOCOLS = (STRICT, NEVERWHERE_2026)
 NEAR, FAR = (0.0, 0.0), (5.0, 5.0)
 
 
-def trail(*points, protocol="strict"):
+def trail(*points, protocol=STRICT):
     return TrailProgress(np.array(points, dtype=float), protocol)
 
 
@@ -45,7 +46,7 @@ def test_five_steps_are_not_enough():
 
 
 def test_leaving_starts_the_count_again_only_under_strict():
-    for protocol, expected in (("strict", 0), ("neverwhere-2026", 1)):
+    for protocol, expected in ((STRICT, 0), (NEVERWHERE_2026, 1)):
         progress = trail((0, 0, 0), protocol=protocol)
         for _ in range(20):
             for place in (NEAR, NEAR, NEAR, FAR):

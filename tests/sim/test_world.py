@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import TrialError, UsageError
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots.go1 import FIGURES
 from nw_eval.robots.mjcf import write_mjcf
 from nw_eval.sim import Actuators, World
-from nw_eval.sim.contacts import ContactForces
+from nw_eval.sim.readings.contacts import ContactForces
 
 WEIGHT = 12.985904 * 9.806
-PROTOCOLS = ("strict", "neverwhere-2026")
 
 
 def test_solver_options_are_the_published_ones(go1, flat):
@@ -28,7 +28,7 @@ def test_solver_options_are_the_published_ones(go1, flat):
         assert world.control_period == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
 def test_a_control_step_is_four_plain_physics_steps_bit_for_bit(go1, flat, swing, protocol):
     with World(go1, flat, protocol=protocol) as world:
         data = mujoco.MjData(world.model)
@@ -126,7 +126,7 @@ def fresh_forces(world):
     mujoco.mj_setState(world.model, other, state, mujoco.mjtState.mjSTATE_INTEGRATION)
     mujoco.mj_forward(world.model, other)
     reader = ContactForces(
-        world.model, world.robot.feet, in_contact_frames=world.protocol == "neverwhere-2026"
+        world.model, world.robot.feet, in_contact_frames=world.protocol is NEVERWHERE_2026
     )
     return reader.read(other)
 
@@ -139,7 +139,7 @@ def test_strict_forces_are_those_of_the_present_state(go1, flat, swing):
 
 
 def test_published_forces_are_stale_while_things_move(go1, flat, swing):
-    with World(go1, flat, protocol="neverwhere-2026") as world:
+    with World(go1, flat, protocol=NEVERWHERE_2026) as world:
         differences = []
         for step in range(40):
             world.step(swing(step))
@@ -178,10 +178,10 @@ def test_joint_defaults_drag_the_free_joint_only_in_the_published_protocol(go1, 
             return (world.center_of_mass[0] - start[0]) / world.time
 
     # In the air nothing else acts along x, so the mean speed stays 1 m/s.
-    assert speed_after_flight("strict") == pytest.approx(1.0, abs=1e-6)
+    assert speed_after_flight(STRICT) == pytest.approx(1.0, abs=1e-6)
     # 0.5 N s/m x 1 m/s + 0.2 N of friction on 13 kg: 0.054 m/s^2, half of it in the mean of 0.2 s.
     lost = 0.5 * (0.5 * 1.0 + 0.2) / 12.995904 * 0.2
-    assert speed_after_flight("neverwhere-2026") == pytest.approx(1.0 - lost, abs=5e-4)
+    assert speed_after_flight(NEVERWHERE_2026) == pytest.approx(1.0 - lost, abs=5e-4)
 
 
 def test_a_contact_has_the_published_margin_and_the_larger_friction(go1, flat):

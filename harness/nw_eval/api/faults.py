@@ -101,8 +101,9 @@ def open_policy(
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
+    from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.suite.model import Protocol, Robot
+    from nw_eval.suite.model import Robot
 
     own = draft.text("policy")
     if given is None and own is None:
@@ -121,7 +122,7 @@ def open_policy(
         return vet_bundle(
             bundle,
             robot or _known(draft.text("robot"), Robot) or bundle.card.robot,
-            protocol=_known(draft.text("protocol"), Protocol) or "strict",
+            protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
             allow_code=allow_code,
         )
     except NwEvalError as error:

@@ -108,6 +108,7 @@ def _gaussians(source: str | Path) -> Gaussians:
     path = Path(source)
     if not path.suffix and what_is(path) == "nothing":
         raise SceneError(
-            f"no file and no built-in scene is called {name!r}", fix=nearest(name, catalogue.names())
+            f"no file and no built-in scene is called {name!r}",
+            fix=nearest(name, catalogue.names()),
         )
     return read_splat(path)

@@ -14,6 +14,7 @@ from nw_eval.cards.control import PHYSICS_RATE
 from nw_eval.cards.joints import PerJoint, joint_order, joint_values
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import PolicyError
+from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 
 Action = NDArray[np.float64]
@@ -121,17 +122,17 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
     return result
 
 
-def physics_steps(card: Card, protocol: str) -> tuple[float, int]:
+def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]:
     """Return the physics step, s, and how many of them make a control step.
 
     Raises:
-        PolicyError: the published protocol has a physics rate of its own.
+        PolicyError: the card's physics rate is not that of the protocol.
     """
     rate = card.control.physics_rate
-    if protocol != "strict" and rate != PHYSICS_RATE:
+    if protocol.fixed_physics_rate and rate != PHYSICS_RATE:
         raise PolicyError(
-            f"card {card.name!r}: control.physics_rate is {rate}, the protocol {protocol!r} has "
-            f"{PHYSICS_RATE}",
+            f"card {card.name!r}: control.physics_rate is {rate}, the protocol "
+            f"{protocol.name!r} has {PHYSICS_RATE}",
             fix="remove it from the card, or use `protocol: strict` in the suite",
         )
     return 1.0 / rate, rate // CONTROL_RATE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.gate.verdict import Verdict
+from nw_eval.protocol import PROTOCOLS, STRICT
 from nw_eval.report.headline import confidence, count
 from nw_eval.results.provenance import RunInfo
 
@@ -16,7 +17,7 @@ _CHANCES = (
     "scene is reached with one chance; what that is, beyond what was seen, is left open."
 )
 _SAME_OFFSETS = (
-    "The protocol neverwhere-2026 gives trial number i the same start offset in every scene, so "
+    "The protocol {protocol} gives trial number i the same start offset in every scene, so "
     "scenes are not independent of each other, as the bounds suppose."
 )
 
@@ -33,8 +34,9 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     critical = sum(item.tier == "critical" for item in verdict.per_scene)
     if critical and verdict.bar is not None:
         told.append(_alone(verdict, critical))
-    if run.suite.get("protocol") == "neverwhere-2026":
-        told.append(_SAME_OFFSETS)
+    protocol = PROTOCOLS.get(str(run.suite.get("protocol")), STRICT)
+    if protocol.one_start_for_all_scenes:
+        told.append(_SAME_OFFSETS.format(protocol=protocol.name))
     return tuple(told)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -62,32 +61,6 @@ class FollowingCamera:
     fovy: float  # rad
 
 
-# Of the published robots, both.
-FOLLOWERS = (
-    FollowingCamera(
-        name="heightmap",
-        position=(0.0, 0.0, 25.0),
-        x_axis=(0.0, -1.0, 0.0),
-        y_axis=(1.0, 0.0, 0.0),
-        fovy=math.radians(6.0),
-    ),
-    FollowingCamera(
-        name="tracking",
-        position=(0.0, -1.0, 1.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 1.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-    FollowingCamera(
-        name="tracking-2",
-        position=(0.0, -1.0, 0.0),
-        x_axis=(1.0, 0.0, 0.0),
-        y_axis=(0.0, 0.0, 1.0),
-        fovy=math.radians(60.0),
-    ),
-)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Figures:
     """Everything that a robot and its MJCF are made from."""
@@ -109,6 +82,6 @@ class Figures:
     geom_friction: Vector3
     contact_margin: float  # m, of a pair of geoms
     default_pose: tuple[float, ...]  # rad, in the order of the joints
-    monitored_geoms: tuple[str, ...]  # under `strict`
+    monitored_geoms: tuple[str, ...]
     published_monitored_geoms: tuple[str, ...]
     height_camera_offset: Vector3  # m, of the published height map's camera

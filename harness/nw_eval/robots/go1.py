@@ -7,38 +7,34 @@ trunk box that is shorter than the trunk one sees. The hips collide with nothing
 
 from __future__ import annotations
 
-import math
-
-from nw_eval.robots.figures import FOLLOWERS, Attachment, Figures, Inertial, Leg, Link
+from nw_eval.robots.figures import Attachment, Figures, Inertial, Leg
 from nw_eval.robots.go1_visuals import go1_visuals
 from nw_eval.robots.make import make_spec
-from nw_eval.robots.spec import LEGS, CameraMount, Quaternion, RobotSpec, Shape
+from nw_eval.robots.published import (
+    DEFAULT_POSE,
+    FOLLOWERS,
+    SEGMENT,
+    TRUNK,
+    published_cameras,
+    published_leg,
+)
+from nw_eval.robots.spec import LEGS, Z_TO_X, Quaternion, RobotSpec, Shape
 
 _HEAD = (0.27, 0.0, 0.015)  # in the trunk; the camera looks out of its middle
 _HIP = (0.1881, 0.04675, 0.0)
 _THIGH_OFFSET = 0.08  # of the thigh joint from the hip joint, outwards
-_SEGMENT = 0.213  # length of thigh and calf
 _FOOT_RADIUS = 0.02
 
 _HIP_RANGE = (-0.802851, 0.802851)
 _THIGH_RANGE = (-1.0472, 4.18879)
 _CALF_RANGE = (-2.69653, -0.916298)
 
-_TRUNK = Inertial(
-    mass=4.801,
-    com=(0.0116053, 0.00442221, 0.000106692),
-    principal=(0.0447997, 0.0366257, 0.0162187),
-    quat=(0.0111438, 0.707126, -0.00935374, 0.706938),
-)
 _HIP_QUATS: dict[str, Quaternion] = {
     "FR": (0.467526, 0.531662, -0.466259, 0.530431),
     "FL": (0.531662, 0.467526, -0.530431, 0.466259),
     "RR": (0.530431, 0.466259, -0.531662, 0.467526),
     "RL": (0.466259, 0.530431, -0.467526, 0.531662),
 }
-
-# A quarter turn about y lays the long x axis of the link boxes along z.
-_QUARTER_TURN_Y: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 
 
 def _leg(name: str) -> Leg:
@@ -62,21 +58,12 @@ def _leg(name: str) -> Leg:
         principal=(0.00399678, 0.00398122, 3.99428e-05),
         quat=(0.762045, 0.00970173, 0.0180098, 0.647201),
     )
-    return Leg(
-        name=name,
-        hip=Link(
-            position=(_HIP[0] * front, _HIP[1] * left, _HIP[2]),
-            axis=(1, 0, 0),
-            range=_HIP_RANGE,
-            inertial=hip,
-        ),
-        thigh=Link(
-            position=(0.0, _THIGH_OFFSET * left, 0.0),
-            axis=(0, 1, 0),
-            range=_THIGH_RANGE,
-            inertial=thigh,
-        ),
-        calf=Link(position=(0.0, 0.0, -_SEGMENT), axis=(0, 1, 0), range=_CALF_RANGE, inertial=calf),
+    return published_leg(
+        name,
+        hip=_HIP,
+        thigh_offset=_THIGH_OFFSET,
+        ranges=(_HIP_RANGE, _THIGH_RANGE, _CALF_RANGE),
+        inertials=(hip, thigh, calf),
     )
 
 
@@ -85,16 +72,16 @@ def _collisions() -> tuple[Shape, ...]:
         Shape(body="trunk", kind="box", name="trunk", size=(0.13, 0.04675, 0.057)),
         Shape(body="face", kind="box", name="face", size=(0.05, 0.05, 0.05)),
     ]
-    middle = (0.0, 0.0, -_SEGMENT / 2)
+    middle = (0.0, 0.0, -SEGMENT / 2)
     for leg in LEGS:
         shapes += [
             Shape(
                 body=f"{leg}_{kind}",
                 kind="box",
                 name=f"{leg}_{kind}",
-                size=(_SEGMENT / 2, *cross_section),
+                size=(SEGMENT / 2, *cross_section),
                 position=middle,
-                quat=_QUARTER_TURN_Y,
+                quat=Z_TO_X,  # and x to z, along which the long axis of a link's box lies
             )
             for kind, cross_section in (("thigh", (0.01225, 0.017)), ("calf", (0.008, 0.008)))
         ]
@@ -104,38 +91,23 @@ def _collisions() -> tuple[Shape, ...]:
                 kind="sphere",
                 name=leg,
                 size=(_FOOT_RADIUS,),
-                position=(0.0, 0.0, -_SEGMENT),
+                position=(0.0, 0.0, -SEGMENT),
             )
         )
     return tuple(shapes)
 
 
-def _ahead(fovy_degrees: float) -> CameraMount:
-    """Return a camera in the head that looks along x, its image upright."""
-    return CameraMount(
-        position=_HEAD,
-        R_trunk_camera=((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
-        fovy=math.radians(fovy_degrees),
-    )
-
-
-# Published names: ego-rgb, ego-rgb-render, realsense, realsense-rgb, realsense-rgb-render.
-_CAMERAS = {
-    "ego": _ahead(90.0),
-    "ego-render": _ahead(92.69673787219053),
-    "realsense": _ahead(56.18593669466556),
-    "realsense-rgb": _ahead(42.61),
-    "realsense-rgb-render": _ahead(45.1729792),
-}
+# In the head, looking along x, the image upright.
+_AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 FIGURES = Figures(
     name="go1",
-    trunk=_TRUNK,
+    trunk=TRUNK,
     attachments=(Attachment(name="face", position=_HEAD),),
     legs=tuple(_leg(name) for name in LEGS),
     collisions=_collisions(),
     visuals=go1_visuals(),
-    cameras=_CAMERAS,
+    cameras=published_cameras(_HEAD, _AHEAD),
     followers=FOLLOWERS,
     spawn_height=0.4,
     kp=20.0,
@@ -145,7 +117,7 @@ FIGURES = Figures(
     torque_limit=23.7,
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
-    default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+    default_pose=DEFAULT_POSE,
     monitored_geoms=("face", "trunk"),
     published_monitored_geoms=("face",),
     height_camera_offset=(-0.02443, -0.00170, 25.03206),

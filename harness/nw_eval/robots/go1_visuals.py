@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from nw_eval.robots.spec import LEGS, Quaternion, Shape
+from nw_eval.robots.spec import LEGS, Z_TO_X, Z_TO_Y, Shape
 
 _SILVER = (0.80, 0.82, 0.84, 1.0)
 _GRAPHITE = (0.30, 0.31, 0.33, 1.0)
@@ -12,10 +10,6 @@ _BLACK = (0.07, 0.07, 0.08, 1.0)
 _RUBBER = (0.13, 0.13, 0.14, 1.0)
 _LENS = (0.22, 0.36, 0.55, 1.0)
 _LIGHT = (0.25, 0.80, 0.95, 1.0)
-
-# Cylinders stand along z; these turn them to x and to y.
-_ALONG_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-_ALONG_Y: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 def go1_visuals() -> tuple[Shape, ...]:
@@ -31,7 +25,7 @@ def _trunk() -> list[Shape]:
             kind="cylinder",
             size=(0.043, 0.034),
             position=(0.158 * front, 0.04675 * left, 0.0),
-            quat=_ALONG_X,
+            quat=Z_TO_X,
             rgba=_GRAPHITE,
         )
         for front in (1, -1)
@@ -87,7 +81,7 @@ def _head() -> list[Shape]:
             kind="cylinder",
             size=(0.010, 0.004),
             position=(0.3155, side * 0.019, 0.026),
-            quat=_ALONG_X,
+            quat=Z_TO_X,
             rgba=_LENS,
         )
         for side in (1, -1)
@@ -141,16 +135,16 @@ def _leg(leg: str) -> list[Shape]:
             kind="cylinder",
             size=(0.046, 0.020),
             position=(0.0, 0.044 * left, 0.0),
-            quat=_ALONG_Y,
+            quat=Z_TO_Y,
             rgba=_GRAPHITE,
         ),
-        Shape(body=thigh, kind="cylinder", size=(0.043, 0.017), quat=_ALONG_Y, rgba=_SILVER),
+        Shape(body=thigh, kind="cylinder", size=(0.043, 0.017), quat=Z_TO_Y, rgba=_SILVER),
         Shape(  # motor of the knee, in the thigh's head
             body=thigh,
             kind="cylinder",
             size=(0.027, 0.010),
             position=(0.0, 0.014 * left, 0.0),
-            quat=_ALONG_Y,
+            quat=Z_TO_Y,
             rgba=_BLACK,
         ),
         Shape(
@@ -168,7 +162,7 @@ def _leg(leg: str) -> list[Shape]:
             rgba=_SILVER,
         ),
         Shape(  # knee
-            body=calf, kind="cylinder", size=(0.020, 0.016), quat=_ALONG_Y, rgba=_BLACK
+            body=calf, kind="cylinder", size=(0.020, 0.016), quat=Z_TO_Y, rgba=_BLACK
         ),
         Shape(
             body=calf,

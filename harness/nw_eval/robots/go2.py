@@ -9,15 +9,22 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.figures import FOLLOWERS, Figures, Inertial, Leg, Link
+from nw_eval.robots.figures import Figures, Inertial, Leg
 from nw_eval.robots.go2_visuals import go2_visuals
 from nw_eval.robots.make import make_spec
-from nw_eval.robots.spec import LEGS, CameraMount, Quaternion, RobotSpec, Shape
+from nw_eval.robots.published import (
+    DEFAULT_POSE,
+    FOLLOWERS,
+    SEGMENT,
+    TRUNK,
+    published_cameras,
+    published_leg,
+)
+from nw_eval.robots.spec import LEGS, Z_TO_Y, Quaternion, RobotSpec, Shape, Vector3
 
 _EYE = (0.285, 0.0, 0.175)  # in the trunk; the release's camera stands above the head
 _HIP = (0.1934, 0.0465, 0.0)
 _THIGH_OFFSET = 0.0955  # of the thigh joint from the hip joint, outwards
-_SEGMENT = 0.213  # length of thigh and calf
 _FOOT_RADIUS = 0.022
 
 _HIP_RANGE = (-1.0472, 1.0472)
@@ -25,12 +32,6 @@ _FRONT_THIGH_RANGE = (-1.5708, 3.4907)
 _REAR_THIGH_RANGE = (-0.5236, 4.5379)
 _CALF_RANGE = (-2.7227, -0.83776)
 
-_TRUNK = Inertial(
-    mass=4.801,
-    com=(0.0116053, 0.00442221, 0.000106692),
-    principal=(0.0447997, 0.0366257, 0.0162187),
-    quat=(0.0111438, 0.707126, -0.00935374, 0.706938),
-)
 _HIP_QUATS: dict[str, Quaternion] = {
     "FR": (0.498237, 0.505462, 0.499245, 0.497014),
     "FL": (0.497014, 0.499245, 0.505462, 0.498237),
@@ -51,10 +52,8 @@ def _about_y(angle: float) -> Quaternion:
     return (math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0)
 
 
-# A quarter turn about y lays the long x axis of the link boxes along z; one about x lays the z
-# axis of the hip cylinders along y.
+# Lays the long x axis of the link boxes along z.
 _QUARTER_TURN_Y = _about_y(math.pi / 2)
-_QUARTER_TURN_X: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 def _leg(name: str) -> Leg:
@@ -79,21 +78,13 @@ def _leg(name: str) -> Leg:
         principal=(0.0014901, 0.00146356, 5.31397e-05),
         quat=_CALF_QUATS[side],
     )
-    return Leg(
-        name=name,
-        hip=Link(
-            position=(_HIP[0] * front, _HIP[1] * left, _HIP[2]),
-            axis=(1, 0, 0),
-            range=_HIP_RANGE,
-            inertial=hip,
-        ),
-        thigh=Link(
-            position=(0.0, _THIGH_OFFSET * left, 0.0),
-            axis=(0, 1, 0),
-            range=_FRONT_THIGH_RANGE if front > 0 else _REAR_THIGH_RANGE,
-            inertial=thigh,
-        ),
-        calf=Link(position=(0.0, 0.0, -_SEGMENT), axis=(0, 1, 0), range=_CALF_RANGE, inertial=calf),
+    thigh_range = _FRONT_THIGH_RANGE if front > 0 else _REAR_THIGH_RANGE
+    return published_leg(
+        name,
+        hip=_HIP,
+        thigh_offset=_THIGH_OFFSET,
+        ranges=(_HIP_RANGE, thigh_range, _CALF_RANGE),
+        inertials=(hip, thigh, calf),
     )
 
 
@@ -128,14 +119,14 @@ def _leg_collisions(leg: str) -> tuple[Shape, ...]:
             name=f"{leg}_hip",
             size=(0.046, 0.02),
             position=(0.0, 0.08 if is_left else -0.08, 0.0),
-            quat=_QUARTER_TURN_X,
+            quat=Z_TO_Y,
         ),
         Shape(
             body=f"{leg}_thigh",
             kind="box",
             name=f"{leg}_thigh",
-            size=(_SEGMENT / 2, 0.01225, 0.017),
-            position=(0.0, 0.0, -_SEGMENT / 2),
+            size=(SEGMENT / 2, 0.01225, 0.017),
+            position=(0.0, 0.0, -SEGMENT / 2),
             quat=_QUARTER_TURN_Y,
         ),
         # The two sides differ by a millimetre or two in the published file.
@@ -160,40 +151,27 @@ def _leg_collisions(leg: str) -> tuple[Shape, ...]:
             kind="sphere",
             name=leg,
             size=(_FOOT_RADIUS,),
-            position=(-0.002, 0.0, -_SEGMENT),
+            position=(-0.002, 0.0, -SEGMENT),
         ),
     )
 
 
-def _down(fovy_degrees: float) -> CameraMount:
-    """Return a camera above the head that looks ahead and 18.4 degrees down."""
+def _down() -> tuple[Vector3, Vector3, Vector3]:
+    """Return R_trunk_camera of a camera that looks ahead and 18.4 degrees down."""
     # The published image axes are x = (0, -1, 0) and y = (0.316, 0, 0.949), normalised on loading.
     length = math.hypot(0.316, 0.949)
     s, c = 0.316 / length, 0.949 / length
-    return CameraMount(
-        position=_EYE,
-        R_trunk_camera=((0.0, -s, c), (-1.0, 0.0, 0.0), (0.0, -c, -s)),
-        fovy=math.radians(fovy_degrees),
-    )
+    return (0.0, -s, c), (-1.0, 0.0, 0.0), (0.0, -c, -s)
 
-
-# Published names: ego-rgb, ego-rgb-render, realsense, realsense-rgb, realsense-rgb-render.
-_CAMERAS = {
-    "ego": _down(90.0),
-    "ego-render": _down(92.69673787219053),
-    "realsense": _down(56.18593669466556),
-    "realsense-rgb": _down(42.61),
-    "realsense-rgb-render": _down(45.1729792),
-}
 
 FIGURES = Figures(
     name="go2",
-    trunk=_TRUNK,
+    trunk=TRUNK,
     attachments=(),
     legs=tuple(_leg(name) for name in LEGS),
     collisions=_collisions(),
     visuals=go2_visuals(),
-    cameras=_CAMERAS,
+    cameras=published_cameras(_EYE, _down()),
     followers=FOLLOWERS,
     spawn_height=0.4,
     kp=30.0,
@@ -203,7 +181,7 @@ FIGURES = Figures(
     torque_limit=23.7,
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
-    default_pose=(-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5),
+    default_pose=DEFAULT_POSE,
     monitored_geoms=("face_head", "face_dome", "base"),
     published_monitored_geoms=("face_head", "face_dome", "base"),
     height_camera_offset=(-0.00341, -0.00162, 25.03764),

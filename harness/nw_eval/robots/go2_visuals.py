@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.spec import LEGS, Quaternion, Shape
+from nw_eval.robots.spec import LEGS, Z_TO_X, Z_TO_Y, Shape
 
 _LIGHT_GREY = (0.78, 0.79, 0.80, 1.0)
 _DARK_GREY = (0.24, 0.25, 0.26, 1.0)
@@ -12,10 +12,6 @@ _BLACK = (0.07, 0.07, 0.08, 1.0)
 _RUBBER = (0.13, 0.13, 0.14, 1.0)
 _LENS = (0.22, 0.36, 0.55, 1.0)
 _LAMP = (0.92, 0.94, 0.90, 1.0)
-
-# Cylinders stand along z; these turn them to x and to y.
-_ALONG_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-_ALONG_Y: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 def go2_visuals() -> tuple[Shape, ...]:
@@ -31,7 +27,7 @@ def _trunk() -> list[Shape]:
             kind="cylinder",
             size=(0.045, 0.036),
             position=(0.165 * front, 0.0465 * left, 0.0),
-            quat=_ALONG_X,
+            quat=Z_TO_X,
             rgba=_DARK_GREY,
         )
         for front in (1, -1)
@@ -99,7 +95,7 @@ def _head() -> list[Shape]:
             kind="cylinder",
             size=(0.010, 0.004),
             position=(0.318, 0.0, 0.020),
-            quat=_ALONG_X,
+            quat=Z_TO_X,
             rgba=_LENS,
         ),
         Shape(  # front lamp
@@ -128,16 +124,16 @@ def _leg(leg: str) -> list[Shape]:
             kind="cylinder",
             size=(0.046, 0.022),
             position=(0.0, 0.062 * left, 0.0),
-            quat=_ALONG_Y,
+            quat=Z_TO_Y,
             rgba=_DARK_GREY,
         ),
-        Shape(body=thigh, kind="cylinder", size=(0.044, 0.018), quat=_ALONG_Y, rgba=_LIGHT_GREY),
+        Shape(body=thigh, kind="cylinder", size=(0.044, 0.018), quat=Z_TO_Y, rgba=_LIGHT_GREY),
         Shape(  # motor of the knee, in the thigh's head
             body=thigh,
             kind="cylinder",
             size=(0.028, 0.010),
             position=(0.0, 0.015 * left, 0.0),
-            quat=_ALONG_Y,
+            quat=Z_TO_Y,
             rgba=_BLACK,
         ),
         Shape(
@@ -154,7 +150,7 @@ def _leg(leg: str) -> list[Shape]:
             position=(0.0, 0.0, -0.135),
             rgba=_LIGHT_GREY,
         ),
-        Shape(body=calf, kind="cylinder", size=(0.021, 0.016), quat=_ALONG_Y, rgba=_BLACK),
+        Shape(body=calf, kind="cylinder", size=(0.021, 0.016), quat=Z_TO_Y, rgba=_BLACK),
         Shape(
             body=calf,
             kind="cylinder",

@@ -7,6 +7,7 @@ z forward. Quaternions are w x y z. Joints, actuators and actions share one orde
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,10 @@ import numpy.typing as npt
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+
+# Turns that lay what stands along z, such as a cylinder, along x and along y.
+Z_TO_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+Z_TO_Y: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINT_KINDS = ("hip", "thigh", "calf")
@@ -76,8 +81,8 @@ class RobotSpec:
     armature: float  # kg m^2
     friction_loss: float  # N m
     feet: tuple[str, ...]  # geom names, in leg order
-    monitored_geoms: tuple[str, ...]  # whose contact ends an episode under `strict`
-    published_monitored_geoms: tuple[str, ...]  # the same under `neverwhere-2026`
+    monitored_geoms: tuple[str, ...]  # whose contact ends an episode
+    published_monitored_geoms: tuple[str, ...]  # the same under a protocol that watches those
     cameras: dict[str, CameraMount]
     height_camera_offset: Vector3  # published scandots camera minus the centre of mass, m
     bodies: tuple[str, ...]  # every body, trunk first, parents before children

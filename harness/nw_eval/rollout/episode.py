@@ -117,7 +117,7 @@ class Episode:
                 huge.
             ServerError: a served policy could not be asked.
         """
-        if self.step == 0 and self.world.protocol == "neverwhere-2026":
+        if self.step == 0 and self.world.protocol.first_step_is_blind:
             nothing = np.zeros_like(self._output)
             applied = self._delay.push(nothing)
             return Decision(

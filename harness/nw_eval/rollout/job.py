@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from nw_eval.suite.trials import Trial
-
-Protocol = Literal["strict", "neverwhere-2026"]
-Record = Literal["all", "failures", "none"]
-Backend = Literal["cpu", "cuda"]
+from nw_eval.words import Backend, Protocol, Record
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy as np
 from nw_eval.cards import JointControl, actuator_values, physics_steps
 from nw_eval.errors import PolicyError, UsageError, nearest
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
+from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
 from nw_eval.rollout.fault import is_interrupt, policy_at_fault
@@ -66,16 +67,17 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     bundle = library.bundle(job.policy, job.checkpoint)
     _check_same(job, scene, bundle)
     renderer = cache(lambda: _open_renderer(scene, job.render))
+    protocol = protocol_named(job.protocol)
     start = draw_start(
         trial,
-        protocol=job.protocol,
+        protocol=protocol,
         spawn=(*scene.spawn.position[:2], scene.spawn.yaw),
         jitter=(scene.spawn.x_jitter, scene.spawn.y_jitter, scene.spawn.yaw_jitter),
         trail=scene.trail,
         waypoint_noise=scene.waypoint_noise,
     )
     with ExitStack() as cleanup:
-        world = cleanup.enter_context(_open_world(job, robot, scene, bundle))
+        world = cleanup.enter_context(_open_world(job, robot, scene, bundle, protocol))
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -104,11 +106,11 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             delay_steps=bundle.card.control.delay_steps,
             hold=bundle.card.control.hold,
             action_filter=ActionFilter.from_card(bundle.card, control),
-            progress=TrailProgress(start.trail, job.protocol, control_period=period),
+            progress=TrailProgress(start.trail, protocol, control_period=period),
             termination=Termination(
                 start.trail,
                 (start.x, start.y),
-                protocol=job.protocol,
+                protocol=protocol,
                 duration=job.duration,
                 control_period=period,
                 contact_termination=job.contact_termination,
@@ -167,7 +169,9 @@ def _close(policy: Policy) -> None:
             raise
 
 
-def _open_world(job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle) -> World:
+def _open_world(
+    job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle, protocol: EvaluationProtocol
+) -> World:
     cell = dict(job.trial.perturbation)
     for axis in cell:
         if axis not in PERTURBATIONS:
@@ -175,11 +179,11 @@ def _open_world(job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle) -
     motors = actuator_values(bundle.card, robot)
     follow = "torque" if bundle.card.control.action == "joint_torque" else "position"
     actuators = None if motors is None else Actuators(follow=follow, **motors)
-    timestep, substeps = physics_steps(bundle.card, job.protocol)
+    timestep, substeps = physics_steps(bundle.card, protocol)
     return World(
         robot,
         scene,
-        protocol=job.protocol,
+        protocol=protocol,
         actuators=actuators,
         friction=cell.get("friction"),
         timestep=timestep,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.rollout.job import Protocol
+from nw_eval.protocol import EvaluationProtocol
 from nw_eval.suite.trials import Trial
 
 # The published evaluation numbers its episodes from here.
@@ -26,7 +26,7 @@ class Start:
 def draw_start(
     trial: Trial,
     *,
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     spawn: tuple[float, float, float],
     jitter: tuple[float, float, float],
     trail: np.ndarray,
@@ -36,10 +36,9 @@ def draw_start(
 
     Args:
         trial: whose streams `spawn` and `waypoints` are drawn from.
-        protocol: `strict` moves spawn and waypoints, each from its own stream. `neverwhere-2026`
-            draws in the published order from `RandomState(10000 + index)`, where waypoint noise
-            consumes draws and moves nothing (reference: the published task, whose waypoints are
-            mocap bodies that are placed before the noise is written).
+        protocol: whether spawn and waypoints are drawn each from its own stream, or all in the
+            published order from `RandomState(10000 + index)`: `one_start_for_all_scenes`; and
+            whether `waypoint_noise_acts`. Noise that does not act consumes draws all the same.
         spawn: nominal x, y (m) and yaw (rad).
         jitter: half-widths of the uniform draws on x, y (m) and yaw (rad).
         trail: (K, 3) nominal waypoints, m.
@@ -47,15 +46,17 @@ def draw_start(
     """
     nominal = np.asarray(spawn, dtype=np.float64)
     width = np.asarray(jitter, dtype=np.float64)
-    if protocol == "neverwhere-2026":
+    count = len(trail)
+    if protocol.one_start_for_all_scenes:
         published = np.random.RandomState(PUBLISHED_FIRST_SEED + trial.index)
-        published.uniform(size=1 + 2 * len(trail))  # speed; y, x of waypoints
+        published.uniform()  # The commanded speed, between 0.8 and 0.8 m / s.
+        noise = published.uniform(-1.0, 1.0, size=(count, 2))[:, ::-1]  # y before x
         offset = published.uniform(-width, width)
-        moved = trail.copy()
     else:
         offset = trial.generator("spawn").uniform(-width, width)
-        noise = trial.generator("waypoints").uniform(-1.0, 1.0, size=(len(trail), 2))
-        moved = trail.copy()
+        noise = trial.generator("waypoints").uniform(-1.0, 1.0, size=(count, 2))
+    moved = trail.copy()
+    if protocol.waypoint_noise_acts:
         moved[:, :2] += noise * np.asarray(waypoint_noise, dtype=np.float64)
     x, y, yaw = nominal + offset
     return Start(x=float(x), y=float(y), yaw=float(yaw), trail=moved)

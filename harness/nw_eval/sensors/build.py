@@ -19,9 +19,6 @@ from nw_eval.sim import World
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
 
-# The published evaluation shows its policy nothing before the first control step is done.
-_PUBLISHED_FIRST_STEP = 1
-
 
 def build_sensors(
     card: Card,
@@ -67,7 +64,7 @@ def build_sensors(
         rays=shared_rays,
         code_from=code_from,
     )
-    first_step = _PUBLISHED_FIRST_STEP if world.protocol == "neverwhere-2026" else 0
+    first_step = 1 if world.protocol.first_step_is_blind else 0
     sensors: dict[str, Sensor] = {}
     for name, observation in card.observations.items():
         pipeline = maker.pipeline(name, observation)

@@ -11,6 +11,7 @@ import numpy as np
 from nw_eval.cards import Card, JointControl, actuator_values
 from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.errors import NwEvalError, PolicyError, UsageError
+from nw_eval.protocol import STRICT
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.pipeline import Maker, Pipeline
@@ -75,7 +76,7 @@ def check_card(
         can_move = False
         problems.append(str(error))
     # The form of what a policy sees is the same under every protocol.
-    maker = Maker(card=card, robot=own, protocol="strict", rays=_no_rays, code_from=code_from)
+    maker = Maker(card=card, robot=own, protocol=STRICT, rays=_no_rays, code_from=code_from)
     specs: list[ObservationSpec] = []
     for name, observation in card.observations.items():
         if isinstance(observation, ProprioObservation) and not can_move:

@@ -18,7 +18,7 @@ from nw_eval.sensors.drawing import pictures
 from nw_eval.sensors.drawing.pictures import Bytes
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sensors.sensor import Moment, Sensor
-from nw_eval.sim import Protocol, TrailProgress, World
+from nw_eval.sim import TrailProgress, World
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
@@ -93,7 +93,7 @@ def draw_gallery(
             "observations": shown,
         }
     )
-    _, seen = _observe(card, scene, "strict", renderer=renderer)
+    _, seen = _observe(card, scene, renderer=renderer)
     _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one moment")
 
 
@@ -102,7 +102,6 @@ def draw_card(
     scene: Scene,
     path: Path,
     *,
-    protocol: Protocol = "strict",
     code_from: Path | None = None,
 ) -> str:
     """Draw those observations of a policy's card that are images, and describe all of them.
@@ -111,7 +110,6 @@ def draw_card(
         card: whose observations.
         scene: where the robot stands.
         path: of the PNG; nothing is written if no observation is an image.
-        protocol: as in a suite.
         code_from: as for `build_sensors`.
 
     Returns:
@@ -120,7 +118,7 @@ def draw_card(
     Raises:
         PolicyError: an observation cannot be made. StoreError: the PNG cannot be written.
     """
-    sensors, seen = _observe(card, scene, protocol, code_from=code_from)
+    sensors, seen = _observe(card, scene, code_from=code_from)
     told: list[str] = []
     cells: list[Cell] = []
     for name, sample in seen.items():
@@ -154,14 +152,13 @@ def _write(cells: Sequence[Cell], path: Path, title: str) -> None:
 def _observe(
     card: Card,
     scene: Scene,
-    protocol: Protocol,
     *,
     renderer: Renderer | None = None,
     code_from: Path | None = None,
 ) -> tuple[dict[str, Sensor], dict[str, NDArray[Any]]]:
     """Let the robot stand before the first waypoint, and read all sensors there once."""
     robot = get_robot(card.robot)
-    with World(robot, scene, protocol=protocol) as world:
+    with World(robot, scene) as world:
         start = np.array(scene.spawn.position[:2])
         way = scene.trail[0, :2] - start
         length = float(np.linalg.norm(way))
@@ -179,7 +176,7 @@ def _observe(
             sensor.reset(0)
         moment = Moment(
             world=world,
-            progress=TrailProgress(scene.trail, protocol),
+            progress=TrailProgress(scene.trail),
             step=_SETTLING,
             applied_action=np.zeros(len(robot.joints)),
             last_output=np.zeros(len(robot.joints)),

@@ -17,6 +17,7 @@ from nw_eval.cards.observations.cameras import (
 from nw_eval.cards.observations.direction import DirectionObservation
 from nw_eval.cards.observations.heights import HeightmapObservation, ScandotsObservation
 from nw_eval.cards.observations.lidar import LidarObservation
+from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.body.direction import Direction
@@ -31,7 +32,6 @@ from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.plugin_sensor import PluginSensor
 from nw_eval.sensors.wrappers import Chain, NamedWrapper, Spec, make_wrappers
 from nw_eval.sensors.wrappers.values import AddNoise
-from nw_eval.sim import Protocol
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,14 +49,14 @@ class Maker:
     Attributes:
         card: whose observations they are.
         robot: what carries the sensors.
-        protocol: under `neverwhere-2026` some sensors are the published ones.
+        protocol: says which sensors are the published ones.
         rays: gives the scene's static geometry; called when a sensor first measures.
         code_from: folder of the card, whose modules may be imported; None = no code of the card's.
     """
 
     card: Card
     robot: RobotSpec
-    protocol: Protocol
+    protocol: EvaluationProtocol
     rays: Callable[[], RayScene]
     code_from: Path | None
 
@@ -79,13 +79,14 @@ class Maker:
         self, name: str, observation: AnyObservation
     ) -> Measurement:
         robot, rays = self.robot, self.rays
-        published = self.protocol == "neverwhere-2026"
         match observation:
             case ProprioObservation():
                 control = JointControl.from_card(self.card, robot)
-                return Proprio(name, observation, self.card.command, control, published=published)
+                spoils = self.protocol.spoils_first_observation
+                command = self.card.command
+                return Proprio(name, observation, command, control, spoils_first=spoils)
             case ScandotsObservation():
-                if published:
+                if self.protocol.scandots_from_height_image:
                     return PublishedScandots(observation, rays, robot.height_camera_offset)
                 return Scandots(observation, rays)
             case HeightmapObservation():

@@ -11,10 +11,10 @@ from nw_eval.sim.binding import MjModel, MjSpec, mujoco
 from nw_eval.sim.geometry import add_geometry
 
 if TYPE_CHECKING:
+    from nw_eval.protocol import EvaluationProtocol
     from nw_eval.robots import RobotSpec
     from nw_eval.scenes.scene import Scene
     from nw_eval.sim.actuators import Actuators
-    from nw_eval.sim.protocol import Protocol
 
 GRAVITY = 9.806
 SOLVER_ITERATIONS = 50
@@ -28,7 +28,7 @@ def compile_model(
     robot: RobotSpec,
     scene: Scene,
     *,
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     actuators: Actuators,
     friction: float | None,
     payload: float,
@@ -39,9 +39,7 @@ def compile_model(
     Args:
         robot: its MJCF is the root of the model.
         scene: gives the static collision geometry.
-        protocol: `neverwhere-2026` lets the joint defaults (damping, armature, friction loss) act
-            on the free joint as well, as the published file does by accident: a drag of
-            0.5 N s / m and 0.5 N m s / rad on the trunk.
+        protocol: whether its `joint_defaults_act_on_trunk`.
         actuators: servo figures, in robot order.
         friction: tangential friction of all scene geometry, or None for each solid's own.
         payload: kg on the back; 0 adds no body.
@@ -77,7 +75,9 @@ def _set_options(spec: MjSpec, timestep: float) -> None:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
-def _set_joints(spec: MjSpec, robot: RobotSpec, actuators: Actuators, protocol: Protocol) -> None:
+def _set_joints(
+    spec: MjSpec, robot: RobotSpec, actuators: Actuators, protocol: EvaluationProtocol
+) -> None:
     for index, name in enumerate(robot.joints):
         joint = spec.joint(name)
         joint.damping[0] = actuators.kd[index]
@@ -89,7 +89,7 @@ def _set_joints(spec: MjSpec, robot: RobotSpec, actuators: Actuators, protocol: 
         servo.biasprm[1] = -actuators.kp[index] if follows_position else 0.0
         limit = actuators.torque_limits[index]
         servo.forcerange = [-limit, limit]
-    if protocol == "neverwhere-2026":
+    if protocol.joint_defaults_act_on_trunk:
         root = spec.joint("root")
         root.damping[0] = robot.joint_damping
         root.armature = robot.armature

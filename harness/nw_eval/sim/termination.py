@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval.protocol import STRICT, EvaluationProtocol
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.sim.protocol import Protocol
     from nw_eval.sim.trail import TrailProgress
     from nw_eval.sim.world import World
     from nw_eval.words import Outcome
@@ -41,22 +42,21 @@ class Termination:
     """Decides after each control step whether the trial is over.
 
     Published outcomes, in this order: `completed` (all waypoints), `fell`, `collided`, `timeout`.
-    `strict` adds two that the published evaluation lets run to the timeout: `stuck`, when for 4 s
-    the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when the
-    robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
+    A protocol may add two that the published evaluation lets run to the timeout: `stuck`, when for
+    4 s the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when
+    the robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
     waypoint away; they only end a trial that has stopped going anywhere.
 
     `collided` means more than 10 N on one monitored geom at the end of a control step. Which geoms
-    those are is the robot's to say: the published evaluation watches the Go1's head, and its trunk
-    only in name, since the geom it names cannot touch anything; `strict` watches both. A belly that
-    hits an obstacle carries hundreds of newtons (the robot weighs 127 N), so the published limit
+    those are is the robot's and the protocol's to say. A belly that hits an obstacle carries
+    hundreds of newtons (the robot weighs 127 N), so the published limit, which is the head's,
     serves for the trunk as well. Without contact termination, as in the evaluation of LucidSim's
     repository, collisions are only counted.
 
     Args:
         waypoints: (K, 3) world, m, as the trial has them.
         start: (2,) or (3,) where the trail begins, world, m: the spawn.
-        protocol: see above.
+        protocol: whether it `ends_when_stuck` and `ends_off_course`.
         duration: of the trial, s.
         control_period: seconds of one control step.
         limits: thresholds.
@@ -68,7 +68,7 @@ class Termination:
         waypoints: npt.NDArray[np.float64],
         start: npt.NDArray[np.float64] | Sequence[float],
         *,
-        protocol: Protocol = "strict",
+        protocol: EvaluationProtocol = STRICT,
         duration: float = 12.0,
         control_period: float = 0.02,
         limits: Limits | None = None,
@@ -79,7 +79,7 @@ class Termination:
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
         # Way from each waypoint to the last one.
         self._onward = np.concatenate([np.cumsum(lengths[::-1])[::-1], [0.0]])
-        self._strict = protocol == "strict"
+        self._protocol = protocol
         self._last_step = round(duration / control_period)
         self._control_period = control_period
         self._contact_termination = contact_termination
@@ -112,12 +112,12 @@ class Termination:
             return "fell"
         if has_collided and self._contact_termination:
             return "collided"
-        if self._strict:
-            position = world.trunk_position
-            if self._is_off_course(position, world.scene.ground.z):
-                return "off_course"
-            if self._is_stuck(position[:2], progress, step):
-                return "stuck"
+        position = world.trunk_position
+        ground = world.scene.ground.z
+        if self._protocol.ends_off_course and self._is_off_course(position, ground):
+            return "off_course"
+        if self._protocol.ends_when_stuck and self._is_stuck(position[:2], progress, step):
+            return "stuck"
         return "timeout" if step >= self._last_step else None
 
     def snapshot(self) -> TerminationSnapshot:

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import SceneError
+from nw_eval.protocol import STRICT, EvaluationProtocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from nw_eval.sim.protocol import Protocol
 
 REACH_RADIUS = 0.3  # m, in the ground plane; the waypoint's height does not matter
 REACH_STEPS = 6  # control steps within the radius
@@ -32,9 +31,9 @@ class TrailProgress:
     """Counts waypoints. Call `update` once after every control step.
 
     A waypoint is credited on the step after its sixth step within 0.3 m, so a robot that enters at
-    step n and stays has it at step n + 6. Waypoints count in order only. Under `strict` the six
-    steps are consecutive: leaving starts the count again. Under `neverwhere-2026` the count never
-    goes back, as in the published evaluation (neverwhere/tasks, commit 5774a18).
+    step n and stays has it at step n + 6. Waypoints count in order only. The six steps are
+    consecutive if the protocol's `reach_timer_forgets`: leaving starts the count again. Otherwise
+    it never goes back.
 
     Args:
         waypoints: (K, 3) world, m; K at least 1.
@@ -48,14 +47,14 @@ class TrailProgress:
     def __init__(
         self,
         waypoints: npt.NDArray[np.float64],
-        protocol: Protocol = "strict",
+        protocol: EvaluationProtocol = STRICT,
         *,
         control_period: float = 0.02,
     ) -> None:
         self.waypoints = np.array(waypoints, dtype=np.float64).reshape(-1, 3)
         if not len(self.waypoints):
             raise SceneError("a trail without waypoints", fix="give the scene at least one")
-        self._forgets = protocol == "strict"
+        self._forgets = protocol.reach_timer_forgets
         self._control_period = control_period
         self._state = TrailSnapshot(updates=0, waypoint=0, reached=0, timer=0, times=())
 

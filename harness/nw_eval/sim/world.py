@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from nw_eval.errors import TrialError, UsageError, nearest
+from nw_eval.errors import TrialError
+from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.sim import health, snapshot
 from nw_eval.sim.actuators import Actuators
-from nw_eval.sim.binding import MjData, MjModel, mujoco
-from nw_eval.sim.contacts import ContactForces
+from nw_eval.sim.binding import mujoco
 from nw_eval.sim.model import compile_model
-from nw_eval.sim.rays import RobotRays, cast_at_visuals
+from nw_eval.sim.readings.body import JOINTS, Body
+from nw_eval.sim.readings.contacts import ContactForces
+from nw_eval.sim.readings.forces import CONTACT_THRESHOLD, Forces, specific_force
+from nw_eval.sim.readings.rays import RobotRays, cast_at_visuals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,36 +24,27 @@ if TYPE_CHECKING:
 
     from nw_eval.robots import RobotSpec
     from nw_eval.scenes.scene import Scene
-    from nw_eval.sim.protocol import Protocol
 
 Array = npt.NDArray[np.float64]
 
-# A foot is in contact above this force, N.
-CONTACT_THRESHOLD = 2.0
 
-_JOINTS = slice(7, None)  # of qpos, after the free joint's 7 numbers
-_JOINT_RATES = slice(6, None)  # of qvel
-
-
-class World:
+class World(Body):
     """Owns one MuJoCo model and its state.
 
-    Frames: world z up; the trunk frame x forward, y left, z up; quaternions w x y z; joints,
-    targets and torques in the order of `robot.joints`. Every property returns a fresh array.
+    What can be read of the robot's pose and motion is in `Body`, with its frames; targets and
+    torques are in the order of `robot.joints` too.
 
     One control step is `substeps` physics steps with constant targets. After it, poses, velocities
-    and contacts all belong to the same, newest instant. Under `strict` the contact forces do as
-    well, since the solver runs once more without integrating. Under `neverwhere-2026` the forces
-    are what the solver left behind one physics step earlier, read at the new contacts, which is
-    how the published evaluation reads them (dm_control's legacy step); a contact that has no force
-    from that solve reads 0.
+    and contacts all belong to the same, newest instant. The contact forces do as well, since the
+    solver runs once more without integrating, unless the protocol `reads_forces_of_last_solve`: a
+    contact that has no force from that solve reads 0.
 
     Use it as a context manager, or call `close`. It is not shared between threads.
 
     Args:
         robot: which robot.
         scene: where; its `ground` and `solids` collide.
-        protocol: see `sim.protocol`.
+        protocol: which of its behaviours are the published ones.
         actuators: servo figures, the robot's own if None.
         friction: tangential friction coefficient of the whole scene, or None for each solid's own.
         payload: extra mass on the back, kg.
@@ -58,8 +52,9 @@ class World:
         substeps: physics steps per control step.
 
     Attributes:
-        model: compiled model. Read it; changing it makes trials incomparable.
-        data: state of the simulation, for sensors that need more than the properties here.
+        scene: as given.
+        protocol: as given.
+        monitored_geoms: names of the geoms whose contact is a collision.
         control_period: seconds of one control step.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
@@ -70,23 +65,16 @@ class World:
         robot: RobotSpec,
         scene: Scene,
         *,
-        protocol: Protocol = "strict",
+        protocol: EvaluationProtocol = STRICT,
         actuators: Actuators | None = None,
         friction: float | None = None,
         payload: float = 0.0,
         timestep: float = 0.005,
         substeps: int = 4,
     ) -> None:
-        self.robot = robot
-        self.scene = scene
-        self.protocol: Protocol = protocol
-        self.control_period = timestep * substeps
-        self.steps = 0
-        self.start_yaw = 0.0
-        motors = Actuators.of(robot) if actuators is None else actuators
-        self._holds_pose = motors.follow == "position"
         health.keep_warnings_out_of_files()
-        self.model: MjModel = compile_model(
+        motors = Actuators.of(robot) if actuators is None else actuators
+        model = compile_model(
             robot,
             scene,
             protocol=protocol,
@@ -95,26 +83,27 @@ class World:
             payload=payload,
             timestep=timestep,
         )
-        self.data: MjData = mujoco.MjData(self.model)
-        self._fingerprint = snapshot.fingerprint(self.model)
-        self._closed = False
-        self._substeps = substeps
-        self._trunk = int(self.model.body("trunk").id)
-        self._bodies = {name: int(self.model.body(name).id) for name in robot.bodies}
-        published = protocol == "neverwhere-2026"
+        super().__init__(robot, model, mujoco.MjData(model))
+        self.scene = scene
+        self.protocol = protocol
+        self.control_period = timestep * substeps
+        self.steps = 0
+        self.start_yaw = 0.0
         self.monitored_geoms = (
-            robot.published_monitored_geoms if published else robot.monitored_geoms
+            robot.published_monitored_geoms
+            if protocol.watches_published_geoms
+            else robot.monitored_geoms
         )
+        self._holds_pose = motors.follow == "position"
+        self._substeps = substeps
+        self._fingerprint = snapshot.fingerprint(model)
+        self._closed = False
         self._contact_forces = ContactForces(
-            self.model, (*robot.feet, *self.monitored_geoms), in_contact_frames=published
+            model,
+            (*robot.feet, *self.monitored_geoms),
+            in_contact_frames=protocol.adds_forces_in_contact_frames,
         )
-        count = len(robot.feet)
-        self._foot_forces = np.zeros(count)
-        self._monitored_forces = np.zeros(len(self.monitored_geoms))
-        self._torques = np.zeros(len(robot.joints))
-        self._acceleration = np.zeros(6)
-        self._contacts = np.zeros(count, dtype=np.bool_)
-        self._previous_contacts = np.zeros(count, dtype=np.bool_)
+        self._forces: Forces
         start = scene.spawn
         x, y, z = start.position
         self.reset(position=(x, y, z + robot.spawn_height), yaw=start.yaw)
@@ -158,14 +147,13 @@ class World:
         mujoco.mj_resetData(self.model, data)
         data.qpos[:3] = position
         data.qpos[3:7] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
-        data.qpos[_JOINTS] = pose
+        data.qpos[JOINTS] = pose
         data.ctrl[:] = pose if self._holds_pose else 0.0
         self.steps = 0
         self.start_yaw = yaw
         mujoco.mj_forward(self.model, data)
         # Nothing has been sensed before the first step.
-        self._contacts[:] = False
-        self._read_forces()
+        self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         health.check(data, self.time)
 
     def step(self, targets: Sequence[float] | Array) -> None:
@@ -191,16 +179,12 @@ class World:
         mujoco.mj_step2(model, data)
         for _ in range(self._substeps - 1):
             mujoco.mj_step(model, data)
-        solved: Array | None = None
-        if self.protocol == "strict":
-            mujoco.mj_forward(model, data)
-        else:
-            # The published evaluation reads what the last solve left in memory, at the places of
-            # the new contacts. Beyond its last row that memory is anything; here it is 0.
-            solved = data.efc_force.copy()
-            mujoco.mj_step1(model, data)
+        # Taken before contacts move its rows; beyond the last, that memory is anything: it reads 0.
+        reads_last = self.protocol.reads_forces_of_last_solve
+        solved: Array | None = data.efc_force.copy() if reads_last else None
+        self._derive()
         self.steps += 1
-        self._read_forces(solved)
+        self._forces = self._read_forces(self._forces.contacts, solved)
         health.check(data, self.time)
 
     def state(self) -> bytes:
@@ -217,19 +201,18 @@ class World:
         self._require_open()
         numbers = self._numbers()
         snapshot.unpack(self.model, self.data, numbers, self._fingerprint, state)
-        # Derived quantities follow from the state; the solver's warm start is part of it.
-        if self.protocol == "strict":
-            mujoco.mj_forward(self.model, self.data)
-        else:
-            mujoco.mj_step1(self.model, self.data)
+        # The rest follows from the state; the solver's warm start is part of it.
+        self._derive()
         self.steps = int(numbers["steps"][0])
-        self._foot_forces = numbers["foot_forces"]
-        self._monitored_forces = numbers["monitored_forces"]
-        self._torques = numbers["torques"]
-        self._acceleration = numbers["acceleration"]
         self.start_yaw = float(numbers["start_yaw"][0])
-        self._contacts = numbers["contacts"] > 0.0
-        self._previous_contacts = numbers["previous_contacts"] > 0.0
+        self._forces = Forces(
+            feet=numbers["foot_forces"],
+            monitored=numbers["monitored_forces"],
+            torques=numbers["torques"],
+            acceleration=numbers["acceleration"],
+            contacts=numbers["contacts"] > 0.0,
+            previous_contacts=numbers["previous_contacts"] > 0.0,
+        )
 
     # What there is to know.
 
@@ -238,36 +221,10 @@ class World:
         """Seconds since the reset."""
         return self.steps * self.control_period
 
-    @property
-    def trunk_position(self) -> Array:
-        """Origin of the trunk in the world, (3,) m."""
-        return self.data.xpos[self._trunk].copy()
-
-    @property
-    def trunk_quat(self) -> Array:
-        """Orientation of the trunk in the world, (4,) w x y z, normalised."""
-        return self.data.xquat[self._trunk].copy()
-
-    @property
-    def trunk_rotation(self) -> Array:
-        """R_world_trunk, (3, 3)."""
-        return self.data.xmat[self._trunk].reshape(3, 3).copy()
-
-    @property
-    def trunk_linear_velocity(self) -> Array:
-        """Velocity of the trunk's origin, world frame, (3,) m / s."""
-        return self.data.qvel[:3].copy()
-
-    @property
-    def trunk_angular_velocity(self) -> Array:
-        """Angular velocity of the trunk, trunk frame, (3,) rad / s."""
-        return self.data.qvel[3:6].copy()
-
     def specific_force(self, at: Sequence[float]) -> Array:
         """Return what an accelerometer on the trunk reads: acceleration minus gravity.
 
-        It is what MuJoCo's accelerometer reads at a site there. Under `neverwhere-2026` the
-        acceleration is that of the last physics step, as forces are.
+        It belongs to the instant that contact forces do.
 
         Args:
             at: (3,) where it sits, trunk frame, m.
@@ -275,104 +232,40 @@ class World:
         Returns:
             (3,) m / s^2, trunk frame.
         """
-        # Plain cross products: `np.cross` takes longer than all the rest.
-        px, py, pz = at
-        wx, wy, wz = self.data.qvel[3:6].tolist()
-        ax, ay, az = self._acceleration[3:].tolist()
-        # Speed of the point around the origin, and what its circling adds: w x (w x p) + a x p.
-        vx, vy, vz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
-        circling = np.array(
-            [
-                wy * vz - wz * vy + ay * pz - az * py,
-                wz * vx - wx * vz + az * px - ax * pz,
-                wx * vy - wy * vx + ax * py - ay * px,
-            ]
+        return specific_force(
+            at,
+            acceleration=self._forces.acceleration,
+            rates=self.trunk_angular_velocity,
+            R_world_trunk=self.trunk_rotation,
+            gravity=self.model.opt.gravity,
         )
-        in_world = self._acceleration[:3] - self.model.opt.gravity
-        return self.trunk_rotation.T @ in_world + circling
-
-    @property
-    def roll_pitch_yaw(self) -> Array:
-        """Euler angles of the trunk, (3,) rad; yaw in (-pi, pi]."""
-        w, x, y, z = self.data.xquat[self._trunk]
-        return np.array(
-            [
-                np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-                np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            ]
-        )
-
-    @property
-    def center_of_mass(self) -> Array:
-        """Centre of mass of the whole robot in the world, (3,) m."""
-        return self.data.subtree_com[self._trunk].copy()
-
-    @property
-    def joint_positions(self) -> Array:
-        """(12,) rad."""
-        return self.data.qpos[_JOINTS].copy()
-
-    @property
-    def joint_velocities(self) -> Array:
-        """(12,) rad / s."""
-        return self.data.qvel[_JOINT_RATES].copy()
 
     @property
     def torques(self) -> Array:
         """Servo torques after clipping, without joint damping, (12,) N m."""
-        return self._torques.copy()
+        return self._forces.torques.copy()
 
     @property
     def foot_contacts(self) -> npt.NDArray[np.bool_]:
         """Whether each foot pushes with more than 2 N now, (4,) in the order of `robot.feet`."""
-        return self._contacts.copy()
+        return self._forces.contacts.copy()
 
     @property
     def previous_foot_contacts(self) -> npt.NDArray[np.bool_]:
         """The same, one control step ago; all False before the second step."""
-        return self._previous_contacts.copy()
+        return self._forces.previous_contacts.copy()
 
     def foot_forces(self) -> Array:
         """Return the contact force on each foot, (4,) N."""
-        return self._foot_forces.copy()
+        return self._forces.feet.copy()
 
     def monitored_force(self) -> float:
         """Return the largest contact force on any monitored geom, N."""
-        return float(self._monitored_forces.max(initial=0.0))
+        return float(self._forces.monitored.max(initial=0.0))
 
     def monitored_forces(self) -> dict[str, float]:
         """Return the contact force on each monitored geom by name, N."""
-        return dict(zip(self.monitored_geoms, self._monitored_forces.tolist(), strict=True))
-
-    def camera_pose(self, name: str) -> Array:
-        """Return T_world_camera, (4, 4), of a camera of the robot; OpenCV axes.
-
-        Raises:
-            UsageError: the robot has no such camera.
-        """
-        mount = self.robot.cameras.get(name)
-        if mount is None:
-            raise UsageError(
-                f"{self.robot.name} has no camera {name!r}", fix=nearest(name, self.robot.cameras)
-            )
-        T_world_trunk = np.eye(4)
-        T_world_trunk[:3, :3] = self.trunk_rotation
-        T_world_trunk[:3, 3] = self.trunk_position
-        return T_world_trunk @ mount.T_trunk_camera
-
-    def body_transforms(self) -> dict[str, tuple[Array, Array]]:
-        """Return position (3,) and quaternion (4,) in the world of every body of the robot."""
-        data = self.data
-        return {
-            name: (data.xpos[body].copy(), data.xquat[body].copy())
-            for name, body in self._bodies.items()
-        }
-
-    @property
-    def geom_rgba(self) -> npt.NDArray[np.float32]:
-        """Colour of every geom, (G, 4), for the geom numbers of `ray_robot`."""
-        return self.model.geom_rgba.copy()
+        return dict(zip(self.monitored_geoms, self._forces.monitored.tolist(), strict=True))
 
     def ray_robot(
         self,
@@ -394,28 +287,40 @@ class World:
 
     # Inside.
 
-    def _read_forces(self, solved: Array | None = None) -> None:
-        forces = self._contact_forces.read(self.data, solved)
+    def _derive(self) -> None:
+        """Compute what follows from the state: forces too, unless those of before are read."""
+        if self.protocol.reads_forces_of_last_solve:
+            mujoco.mj_step1(self.model, self.data)
+        else:
+            mujoco.mj_forward(self.model, self.data)
+
+    def _read_forces(
+        self, previous_contacts: npt.NDArray[np.bool_], solved: Array | None = None
+    ) -> Forces:
+        contact = self._contact_forces.read(self.data, solved)
         count = len(self.robot.feet)
-        self._foot_forces = forces[:count]
-        self._monitored_forces = forces[count:]
-        self._torques = self.data.actuator_force.copy()
-        # Of the free joint: linear in the world's axes, angular in the trunk's.
-        self._acceleration = self.data.qacc[:6].copy()
-        self._previous_contacts = self._contacts
-        self._contacts = self._foot_forces > CONTACT_THRESHOLD
+        feet = contact[:count]
+        return Forces(
+            feet=feet,
+            monitored=contact[count:],
+            torques=self.data.actuator_force.copy(),
+            acceleration=self.data.qacc[:6].copy(),
+            contacts=feet > CONTACT_THRESHOLD,
+            previous_contacts=previous_contacts,
+        )
 
     def _numbers(self) -> dict[str, Array]:
-        """Return what a state holds besides MuJoCo's own, as float64 arrays."""
+        """Return what a state holds besides MuJoCo's own, as float64 arrays, in its order."""
+        forces = self._forces
         return {
             "steps": np.array([self.steps], dtype=np.float64),
-            "foot_forces": self._foot_forces.copy(),
-            "monitored_forces": self._monitored_forces.copy(),
-            "torques": self._torques.copy(),
-            "acceleration": self._acceleration.copy(),
+            "foot_forces": forces.feet.copy(),
+            "monitored_forces": forces.monitored.copy(),
+            "torques": forces.torques.copy(),
+            "acceleration": forces.acceleration.copy(),
             "start_yaw": np.array([self.start_yaw]),
-            "contacts": self._contacts.astype(np.float64),
-            "previous_contacts": self._previous_contacts.astype(np.float64),
+            "contacts": forces.contacts.astype(np.float64),
+            "previous_contacts": forces.previous_contacts.astype(np.float64),
         }
 
     def _require_open(self) -> None:

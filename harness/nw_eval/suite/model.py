@@ -12,14 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from nw_eval.errors import Problem
 from nw_eval.suite.digest import digest_of
-from nw_eval.words import Tier
-
-Robot = Literal["go1", "go2"]
-"""As `robots.robot_names()`, which a test compares: the gate reads suites, but may know no robots.
-"""
-
-Protocol = Literal["strict", "neverwhere-2026"]
-Record = Literal["all", "failures", "none"]
+from nw_eval.words import Protocol, Record, Robot, Tier
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""

@@ -1,7 +1,7 @@
 """What the built-in scenes were when their generator's version was last raised.
 
-`python tests/built_in/golden/scenes.py` writes the record anew. It refuses while the code that makes
-Gaussians differs from the record's and the version does not: raise `GENERATOR_VERSION` first.
+`python tests/built_in/golden/scenes.py` writes the record anew. It refuses while the code that
+makes Gaussians differs from the record's and the version does not: raise `GENERATOR_VERSION` first.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ _GENERATOR = ("bake/*.py", "paint/*.py", "places/crowns.py")
 def source() -> str:
     """Return the hex digest of the code that turns places into Gaussians.
 
-    Comments, docstrings, layout and imports do not count; so it is the same under every Python version.
+    Comments, docstrings, layout and imports do not count; so it is the same under every version of
+    Python.
     """
     root = Path(nw_eval.built_in.__file__).parent
     files = sorted(file for pattern in _GENERATOR for file in root.glob(pattern))

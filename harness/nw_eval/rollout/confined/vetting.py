@@ -8,6 +8,7 @@ from pathlib import Path
 from nw_eval.cards import physics_steps
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
+from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.confined.access import opening_rules
@@ -16,7 +17,11 @@ from nw_eval.sensors import check_card
 
 
 def vet_bundle(
-    bundle: Bundle, robot: str, *, protocol: str = "strict", allow_code: bool = False
+    bundle: Bundle,
+    robot: str,
+    *,
+    protocol: EvaluationProtocol = STRICT,
+    allow_code: bool = False,
 ) -> Bundle:
     """Check a card against robot, protocol and checkpoint.
 

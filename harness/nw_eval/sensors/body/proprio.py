@@ -33,7 +33,7 @@ class Proprio(Measurement):
         command: Command,
         control: JointControl,
         *,
-        published: bool = False,
+        spoils_first: bool = False,
     ) -> None:
         """Prepare one reader for each term.
 
@@ -42,8 +42,7 @@ class Proprio(Measurement):
             observation: from the card.
             command: the card's.
             control: the card's.
-            published: under the protocol `neverwhere-2026`, whose history wrapper spoils the first
-                observation of its own 53 numbers.
+            spoils_first: whether the protocol spoils the first observation of its own 53 numbers.
 
         Raises:
             PolicyError: a list of scales has another length than its term, or `select` or `zero`
@@ -79,7 +78,7 @@ class Proprio(Measurement):
         self._kept_sizes = self._sizes if self._keep is None else [len(self._keep)]
         self.shape: tuple[int, ...] = (bounds[-1],)
         self.dtype = np.dtype(np.float32)
-        self.form = self._form(spoils=published and observation.layout == "parkour53")
+        self.form = self._form(spoils=spoils_first and observation.layout == "parkour53")
         frame = " + ".join(str(size) for size in self._kept_sizes)
         history = observation.history
         self.sum_of = frame if history is None else f"{history.steps} x ({frame})"

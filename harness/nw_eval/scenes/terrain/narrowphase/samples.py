@@ -78,34 +78,3 @@ def axis_samples(half: Any) -> Any:
     for step in range(count + 1):
         points[step, 2] = half * (2.0 * step / count - 1.0)
     return points
-
-
-@kernel
-def fewest(contacts: Any, most: Any) -> Any:
-    """Keep the contacts that carry: the deepest, then always the one farthest from those kept.
-
-    Args:
-        contacts: (N, CONTACT) of one shape.
-        most: how many to keep.
-    """
-    if len(contacts) <= most:
-        return contacts
-    kept = np.empty((most, contacts.shape[1]))
-    distance = np.full(len(contacts), math.inf)
-    chosen = 0
-    for index in range(len(contacts)):
-        if contacts[index, 0] < contacts[chosen, 0]:
-            chosen = index
-    for number in range(most):
-        kept[number] = contacts[chosen]
-        x, y, z = contacts[chosen, 1], contacts[chosen, 2], contacts[chosen, 3]
-        farthest = 0
-        for index in range(len(contacts)):
-            dx = contacts[index, 1] - x
-            dy = contacts[index, 2] - y
-            dz = contacts[index, 3] - z
-            distance[index] = min(distance[index], dx * dx + dy * dy + dz * dz)
-            if distance[index] > distance[farthest]:
-                farthest = index
-        chosen = farthest
-    return kept

@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code.jit import kernel
+from nw_eval.scenes.terrain.narrowphase.contact import CONTACT, write_contact
 from nw_eval.scenes.terrain.narrowphase.triangles import (
     is_far,
     nearest_on_triangle,
     signed_distance,
 )
-
-CONTACT = 7
-"""Numbers of a contact: distance (negative: how deep), x, y, z of the surface, outward normal."""
 
 _MOST = 6
 # Contacts whose normals are nearer than 15 degrees push alike; the deeper one is kept.
@@ -47,7 +45,7 @@ def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin:
     away, qx, qy, qz, nx, ny, nz = signed_distance(triangles, x, y, z)
     if not away < radius + margin:
         return contacts[:0]
-    _write(contacts[0], away - radius, qx, qy, qz, nx, ny, nz)
+    write_contact(contacts[0], away - radius, qx, qy, qz, nx, ny, nz)
     count = 1
     if away <= _TOUCHES:
         return contacts[:1]
@@ -65,7 +63,7 @@ def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin:
         if not _nearest_around(triangles, index, qx, qy, qz, nx, ny, nz):
             continue
         if alike < _MOST:
-            _write(contacts[alike], away - radius, qx, qy, qz, nx, ny, nz)
+            write_contact(contacts[alike], away - radius, qx, qy, qz, nx, ny, nz)
             count = max(count, alike + 1)
     return contacts[:count]
 
@@ -78,13 +76,6 @@ def _alike(contacts: Any, nx: Any, ny: Any, nz: Any) -> Any:
         if c[4] * nx + c[5] * ny + c[6] * nz > _ALIKE:
             return index
     return len(contacts)
-
-
-@kernel
-def _write(contact: Any, depth: Any, x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any) -> None:
-    contact[0] = depth
-    contact[1], contact[2], contact[3] = x, y, z
-    contact[4], contact[5], contact[6] = nx, ny, nz
 
 
 @kernel
