@@ -39,7 +39,7 @@ def forecast(
         workers: processes; one for each core if None.
     """
     count = max(1, min(workers or default_workers(), len(trials)))
-    sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
+    sees = bool(bundle.card.splat_images)
     each = (_SEEING if sees or suite.record == "all" else _BLIND) * suite.episode.duration
     duration = suite.episode.duration
     minutes = (_START + each * len(trials) / count) / 60.0

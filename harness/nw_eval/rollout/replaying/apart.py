@@ -51,7 +51,7 @@ def replay_apart(
     )
     job = recording.job
     bundle, scene = library.bundle(job.policy, job.checkpoint), library.scene(job.scene)
-    sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
+    sees = bool(bundle.card.splat_images)
     renders = (sees or picture) and scene.splat is not None
     if renders and job.render == "cuda" and not allow_code:
         # A log's word may not take the fence away, and the driver needs more than it lets through.
