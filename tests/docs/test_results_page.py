@@ -17,7 +17,7 @@ from nw_eval.results.columns import SCHEMA, about, columns_table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import MEASURED, OF_THE_PLAN, Row
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.episode import HUGE
+from nw_eval.rollout.episode.actions import HUGE
 from nw_eval.rollout.mcap.topics import topics_table
 from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
 

@@ -518,11 +518,11 @@ def _log_seeds(folder):
 
 def _log(folder):
     from nw_eval.rollout.mcap.reader import LogReader
-    from nw_eval.rollout.replaying.replay import read_recording
+    from nw_eval.rollout.replaying.logged import read_logged_trial
 
     path = folder / "trial.mcap"
     reader = LogReader(path)
-    read_recording(path)
+    read_logged_trial(path)
     reader.attachments()
     reader.topics()
     reader.states()

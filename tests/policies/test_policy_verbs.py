@@ -11,8 +11,8 @@ import torch
 from nw_eval import api
 from nw_eval.cards import load_card
 from nw_eval.errors import PolicyError, UsageError
-from nw_eval.onboarding.probe.recording import record
 from nw_eval.onboarding.probe.report import probe_here
+from nw_eval.onboarding.probe.rig import record
 from nw_eval.policies import load_bundle
 
 REPOSITORY = Path(__file__).resolve().parents[2]

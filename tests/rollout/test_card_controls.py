@@ -8,7 +8,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.onboarding.probe.recording import record
+from nw_eval.onboarding.probe.rig import record
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import PolicyFailedError
@@ -141,14 +141,14 @@ def test_held_actions_and_recurrent_state_survive_a_restore(tmp_path, make_job):
         episode = trial.episode
         for _ in range(5):
             episode.advance(episode.decide())
-        saved = episode.snapshot()
+        saved = episode.state()
         for _ in range(6):
             episode.advance(episode.decide())
-        end = episode.states.hex, episode.actions.hex
+        end = episode.state_digest.hex, episode.action_digest.hex
         episode.restore(saved)
         for _ in range(6):
             episode.advance(episode.decide())
-        assert (episode.states.hex, episode.actions.hex) == end
+        assert (episode.state_digest.hex, episode.action_digest.hex) == end
 
 
 def test_a_filter_at_25_hz_takes_each_action_once_and_holds_what_it_made(tmp_path):
@@ -200,7 +200,7 @@ def test_all_that_a_card_can_ask_for_is_the_same_after_a_restore(tmp_path, make_
     with open_trial(job, Library(), StageClock()) as trial:
         episode = trial.episode
         go_on(episode)
-        saved = episode.snapshot()
+        saved = episode.state()
         first = go_on(episode)
         episode.restore(saved)
         again = go_on(episode)

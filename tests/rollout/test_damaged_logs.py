@@ -25,7 +25,8 @@ from nw_eval.rollout.mcap.file import McapFile
 from nw_eval.rollout.mcap.messages import SimState
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
-from nw_eval.rollout.replaying.replay import read_recording, replay
+from nw_eval.rollout.replaying.logged import read_logged_trial
+from nw_eval.rollout.replaying.replay import replay
 
 TRIES = 500
 
@@ -105,7 +106,7 @@ def test_a_file_of_hardly_anything_is_no_log(tmp_path, data):
     path = tmp_path / "tiny.mcap"
     path.write_bytes(data)
     with pytest.raises(StoreError, match=r"tiny\.mcap is damaged or no log of nw-eval"):
-        read_recording(path)
+        read_logged_trial(path)
 
 
 def test_what_is_no_file_is_not_opened(tmp_path):
@@ -113,9 +114,9 @@ def test_what_is_no_file_is_not_opened(tmp_path):
     (tmp_path / "zero.mcap").symlink_to("/dev/zero")
     for path in (tmp_path, tmp_path / "pipe.mcap", tmp_path / "zero.mcap"):
         with pytest.raises(StoreError, match="it is no file"):
-            read_recording(path)
+            read_logged_trial(path)
     with pytest.raises(StoreError, match=r"cannot read .*No such file"):
-        read_recording(tmp_path / "none.mcap")
+        read_logged_trial(tmp_path / "none.mcap")
 
 
 def write(path, *records):

@@ -4,7 +4,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from nw_eval.rollout.digest import ChainDigest
+from nw_eval.rollout.episode.digest import ChainDigest
 
 
 def test_a_digest_saved_in_the_middle_continues_to_the_same_end():
@@ -14,7 +14,8 @@ def test_a_digest_saved_in_the_middle_continues_to_the_same_end():
     half = ChainDigest()
     for k in range(5):
         half.update(np.array([k, 0.5]))
-    rest = ChainDigest(half.value)
+    rest = ChainDigest()
+    rest.restore(half.state())
     for k in range(5, 10):
         rest.update(np.array([k, 0.5]))
     assert rest.hex == whole.hex
@@ -23,7 +24,7 @@ def test_a_digest_saved_in_the_middle_continues_to_the_same_end():
 def test_one_step_is_the_sha256_of_the_zero_digest_and_the_bytes():
     digest = ChainDigest()
     digest.update(np.array([1.0]), np.array([2.0]))
-    assert digest.value == sha256(bytes(32) + np.array([1.0, 2.0], "<f8").tobytes()).digest()
+    assert digest.state() == sha256(bytes(32) + np.array([1.0, 2.0], "<f8").tobytes()).digest()
 
 
 def test_one_bit_changes_the_digest():

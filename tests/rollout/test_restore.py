@@ -8,7 +8,8 @@ from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.replaying.replay import read_recording, replay, run_on
+from nw_eval.rollout.replaying.logged import read_logged_trial
+from nw_eval.rollout.replaying.replay import replay, run_on
 from nw_eval.rollout.trial import run_trial
 
 
@@ -29,12 +30,12 @@ def test_a_state_of_the_middle_leads_to_the_same_last_state(recorded, library):
     states = LogReader(path).states()
     middle, end = states[len(states) // 2], states[-1]
     assert 0 < middle.step < end.step == result.steps
-    job = read_recording(path).job
+    job = read_logged_trial(path).job
     with open_trial(job, library, StageClock()) as trial:
         trial.episode.restore(middle)
         assert trial.episode.step == middle.step
         again = run_on(trial)
-        last = trial.episode.snapshot()
+        last = trial.episode.state()
     last.timestamp.CopyFrom(end.timestamp)
     assert last.SerializeToString(deterministic=True) == end.SerializeToString(deterministic=True)
     assert (again.state_digest, again.action_digest) == (result.state_digest, result.action_digest)
@@ -43,11 +44,11 @@ def test_a_state_of_the_middle_leads_to_the_same_last_state(recorded, library):
 
 def test_every_recorded_state_is_left_as_it_was_found(recorded, library):
     path, _ = recorded
-    job = read_recording(path).job
+    job = read_logged_trial(path).job
     with open_trial(job, library, StageClock()) as trial:
         for state in LogReader(path).states()[::4]:
             trial.episode.restore(state)
-            found = trial.episode.snapshot()
+            found = trial.episode.state()
             found.timestamp.CopyFrom(state.timestamp)
             assert found == state
 
@@ -78,7 +79,7 @@ def test_a_replay_says_what_differs(recorded, library, monkeypatch):
 
 def test_another_checkpoint_or_scene_is_refused(recorded, library):
     path, _ = recorded
-    job = read_recording(path).job
+    job = read_logged_trial(path).job
     with pytest.raises(PolicyError, match="was planned with"):
         open_trial(replace(job, checkpoint_digest="f" * 64), library, StageClock())
     changed = replace(job, trial=replace(job.trial, scene_digest="f" * 64))

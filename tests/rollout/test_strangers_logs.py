@@ -84,7 +84,7 @@ def test_a_log_that_allows_code_runs_none(kind, forge, tmp_path):
     replayed = replay(log, allow_code=True)
     assert (tmp_path / "ran").exists()
     assert replayed.result.status == "ok", replayed.result.error_text
-    assert replayed.recording.job.allow_code
+    assert replayed.logged.job.allow_code
 
 
 def test_a_server_is_asked_only_for_a_card_that_the_caller_names(forge, tmp_path):

@@ -16,7 +16,7 @@ from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.pictures.contact_shadow import ContactShadow
 from nw_eval.rollout.pictures.third_person import Spectator
 from nw_eval.rollout.replaying import contact_sheet
-from nw_eval.rollout.replaying.replay import read_recording
+from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.sheet import draw_sheet
@@ -177,7 +177,7 @@ def recorded(kerb, tmp_path):
         record="none",
     )
     assert run_trial(job).status == "ok"
-    return read_recording(job.mcap)
+    return read_logged_trial(job.mcap)
 
 
 def test_a_trial_in_a_scene_without_a_splat_has_a_sheet_that_says_what_it_was(

@@ -54,16 +54,24 @@ class Counts:
     def __call__(self, sample, shot):
         self.count += 1
         return sample + np.float32(self.count)
-    def memory(self):
+    def state(self):
         return {"count": np.array(self.count)}
-    def remember(self, memory):
-        self.count = int(memory["count"])
+    def restore(self, state):
+        self.count = int(state["count"])
 
 class Half:
     def __call__(self, sample, shot):
         return sample
+    def state(self):
+        return {}
+
+class Old:
+    def __call__(self, sample, shot):
+        return sample
     def memory(self):
         return {}
+    def remember(self, memory):
+        pass
 """
 ENTRIES = {
     "good": (
@@ -176,7 +184,8 @@ def test_code_beside_a_card_needs_permission(packages, world, card_of, moment_of
         ("plugged:Nothing", "plugged:Nothing cannot be opened: AttributeError"),
         ("no_module_of_that_name:X", "cannot be opened: ModuleNotFoundError"),
         ("plugged:Talks", "wrapper plugged:Talks returned a str; return a NumPy array"),
-        ("plugged:Half", "has only one of `memory` and `remember`"),
+        ("plugged:Half", "has only one of `state` and `restore`"),
+        ("plugged:Old", "which nobody calls any more; call them `state` and `restore`"),
     ],
 )
 def test_what_is_wrong_with_code_is_said_before_any_physics(packages, card_of, wrapper, said):

@@ -26,11 +26,11 @@ class Steps:
         self.count += 1
         return np.array([moment.step], dtype=np.float32)
 
-    def memory(self):
+    def state(self):
         return {"count": np.array(self.count)}
 
-    def remember(self, memory):
-        self.count = int(memory["count"])
+    def restore(self, state):
+        self.count = int(state["count"])
 
 
 def seen(sensor, steps):

@@ -109,7 +109,7 @@ def test_a_stack_is_oldest_first_and_remembers():
     assert seen == [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3]]
     other = chain({"wrapper": "stack", "steps": 3}, "flatten", shape=(1,), dtype=np.float32)
     other.reset(0)
-    other.remember(made.memory())
+    other.restore(made.state())
     assert other(np.array([4], dtype=np.float32), Instant(4)).tolist() == [2, 3, 4]
 
 

@@ -96,7 +96,7 @@ def test_a_restored_trail_goes_on_where_it_was():
     progress = trail((0, 0, 0), (0.1, 0, 0))
     for _ in range(9):
         progress.update(NEAR)
-    middle = progress.snapshot()
+    middle = progress.state()
     expected = [progress.update(NEAR) for _ in range(10)]
     other = trail((0, 0, 0), (0.1, 0, 0))
     other.restore(middle)

@@ -1,25 +1,31 @@
-"""The recurrent state of a policy as bytes, for the snapshot of a trial."""
+"""What a policy remembers as bytes, and what is wrong with the bytes of another one."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Generator
+from contextlib import contextmanager
 
-from numpy.typing import NDArray
-
-from nw_eval import arrays
+from nw_eval.arrays import unpack
 from nw_eval.errors import TrialError
+from nw_eval.memory import Arrays
 
 
-def unpack(state: bytes, policy: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `arrays.pack` made a state of.
+@contextmanager
+def unpacked(state: bytes, policy: str) -> Generator[Arrays]:
+    """Give the arrays that `arrays.pack` made a state of, to be taken in the `with` block.
 
     Raises:
-        TrialError: the bytes are no such state.
+        TrialError: the bytes are no such state, or the block finds that the arrays do not fit.
     """
     try:
-        return arrays.unpack(state)
+        arrays = unpack(state)
     except ValueError as error:
         raise unfitting(policy, str(error)) from None
+    found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+    try:
+        yield arrays
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise unfitting(policy, f"{error!r}, it has {found}") from None
 
 
 def unfitting(policy: str, reason: str) -> TrialError:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.memory import Memory
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Observation
 
@@ -16,7 +17,7 @@ Wanted = Sequence[str | int | None]
 """Outputs of a file, by name or by place among those that feed no state; None = the first one."""
 
 
-class Network(Protocol):
+class Network(Memory[bytes], Protocol):
     """A file of weights in one trial, on one thread, with batch 1 and without randomness."""
 
     @property
@@ -36,18 +37,6 @@ class Network(Protocol):
 
         Raises:
             TrialError: it failed.
-        """
-        ...
-
-    def state(self) -> bytes:
-        """Return its memory."""
-        ...
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`.
-
-        Raises:
-            TrialError: the state belongs to another network.
         """
         ...
 

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import ActionError
+from nw_eval.memory import Memory
 
 Observation = Mapping[str, NDArray[Any]]
 """Observation names of the card to arrays, without a batch axis."""
 
 
-class Policy(Protocol):
+class Policy(Memory[bytes], Protocol):
     """A policy in one trial. It has one thread, batch 1 and no randomness of its own.
 
     It is used as `reset`, then `act` once for each control step, then `close`. Two policies share
@@ -41,14 +42,6 @@ class Policy(Protocol):
             ServerError: the policy's server could not be asked, which is no failure of the policy.
             TrialError: the checkpoint failed otherwise.
         """
-        ...
-
-    def state(self) -> bytes:
-        """Return everything that the next actions depend on beside the observations."""
-        ...
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`."""
         ...
 
     def close(self) -> None:

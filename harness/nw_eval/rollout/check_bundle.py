@@ -35,8 +35,8 @@ def check_bundle(
     """
     code_from = bundle.folder if allow_code else None
     specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)
-    given = {spec.name: np.zeros(spec.shape, spec.dtype) for spec in specs}
-    made = {spec.name: spec.reckoning for spec in specs}
+    arrays = {spec.name: np.zeros(spec.shape, spec.dtype) for spec in specs}
+    sizes = {spec.name: spec.reckoning for spec in specs}
     policy = open_policy(bundle, allow_code=allow_code)
     try:
         policy.reset(0)
@@ -44,10 +44,10 @@ def check_bundle(
         if isinstance(policy, FedPolicy):
             own = policy.policy
             for feeder in policy.feeders:
-                fed = _tried(feeder.bundle, feeder.network.inputs, feeder.run, given, made)
-                made |= {name: sized(name, array.shape) for name, array in fed.items()}
-                given |= fed
-        _tried(bundle, own.inputs, own.act, given, made)
+                fed = _tried(feeder.bundle, feeder.network.inputs, feeder.run, arrays, sizes)
+                sizes |= {name: sized(name, array.shape) for name, array in fed.items()}
+                arrays |= fed
+        _tried(bundle, own.inputs, own.act, arrays, sizes)
     finally:
         policy.close()
     return specs
@@ -57,8 +57,8 @@ def _tried(
     bundle: Bundle,
     inputs: Sequence[InputSpec],
     run: Callable[[Mapping[str, NDArray[Any]]], Answer],
-    given: Mapping[str, NDArray[Any]],
-    made: Mapping[str, str],
+    arrays: Mapping[str, NDArray[Any]],
+    sizes: Mapping[str, str],
 ) -> Answer:
     """Return what a file answers to zeros, or to what zeros made other files answer.
 
@@ -66,21 +66,21 @@ def _tried(
         bundle: of the file.
         inputs: what it declares to take.
         run: asks it.
-        given: by name, all that it may be given.
-        made: how the size of each of them comes about.
+        arrays: by name, all that it may take.
+        sizes: how the size of each of them comes about.
 
     Raises:
         PolicyError: an input wants another number of values, or the file fails.
     """
     used = {name for _, names in bundle.card.input_parts() for name in names}
-    sums = "; ".join(text for name, text in made.items() if name in used)
-    shapes = {name: array.shape for name, array in given.items()}
+    sums = "; ".join(text for name, text in sizes.items() if name in used)
+    shapes = {name: array.shape for name, array in arrays.items()}
     if problems := shape_problems(bundle.card, inputs, shapes):
         raise PolicyError(
             [f"{bundle.where}: {problem}" for problem in problems], fix=f"the card makes {sums}"
         )
     try:
-        return run(given)
+        return run(arrays)
     except NwEvalError as error:
         if len(used) == 1 and (wanted := _wanted_size(str(error), shapes[min(used)])) is not None:
             raise PolicyError(
@@ -94,9 +94,9 @@ def _tried(
         ) from None
 
 
-def _wanted_size(text: str, given: tuple[int, ...]) -> int | None:
+def _wanted_size(text: str, shape: tuple[int, ...]) -> int | None:
     """Return how many numbers a checkpoint wants that declares none, if torch's error says it."""
     clash = re.search(r"shapes cannot be multiplied \(1x(\d+) and (\d+)x\d+\)", text)
-    if clash is None or given != (int(clash[1]),):
+    if clash is None or shape != (int(clash[1]),):
         return None
     return int(clash[2])

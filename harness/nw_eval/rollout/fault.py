@@ -53,7 +53,7 @@ class policy_at_fault:  # noqa: N801 - it reads like a function, and costs less 
             return
         if not isinstance(error, NwEvalError):
             raise PolicyFailedError(
-                f"the policy raised {type(error).__name__}: {said(error)}",
+                f"the policy raised {type(error).__name__}: {message_of(error)}",
                 fix="run the checkpoint on its own with an observation of the card's shapes",
             ) from error
         if isinstance(error, ActionError):
@@ -82,19 +82,19 @@ def is_interrupt(error: BaseException) -> bool:
     return hears and isinstance(error, KeyboardInterrupt)
 
 
-def told(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """Return an error in one line; one that nobody raised on purpose also says where it came from.
 
     Addresses are left out, so that the same failure reads the same in every process.
     """
     if isinstance(error, NwEvalError):
-        return _ADDRESS.sub("0x...", said(error))
+        return _ADDRESS.sub("0x...", message_of(error))
     frames = traceback.extract_tb(error.__traceback__)
     place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {said(error)}{place}")
+    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{place}")
 
 
-def said(error: BaseException) -> str:
+def message_of(error: BaseException) -> str:
     """Return what a foreign exception says of itself, harmless; even that may fail."""
     try:
         return clean(error)

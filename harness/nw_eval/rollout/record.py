@@ -76,14 +76,14 @@ def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "job"
-        said = clean(f"{place}: {first['msg'].lower()}", at_most=200)
+        reason = clean(f"{place}: {first['msg'].lower()}", at_most=200)
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        said = clean(repr(error), at_most=200)
+        reason = clean(repr(error), at_most=200)
     else:
-        said = _fault(job)
-        if said is None:
+        reason = _fault(job)
+        if reason is None:
             return job
-    raise ValueError(f"its metadata {TRIAL!r} is damaged: {said}")
+    raise ValueError(f"its metadata {TRIAL!r} is damaged: {reason}")
 
 
 def _fault(job: TrialJob) -> str | None:
@@ -128,5 +128,5 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
 
 def attachments(card: Path, suite_text: str) -> tuple[tuple[str, str], ...]:
     """Return what every log of a run carries along: the resolved suite and the policy's card."""
-    said = card.read_text(encoding="utf-8", errors="replace")
-    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(said))
+    text = card.read_text(encoding="utf-8", errors="replace")
+    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(text))

@@ -1,4 +1,4 @@
-"""Steps an episode and writes down what happens."""
+"""Looks on as an episode runs, and writes down what happens."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.episode import observation_digest
+from nw_eval.rollout.episode import Observer
+from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.trial_log import camera_frame
+from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
@@ -19,11 +21,10 @@ from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
     from nw_eval.rollout.clock import StageClock
-    from nw_eval.rollout.episode import Decision
-    from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
+    from nw_eval.rollout.episode import Decision, Step
+    from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
-    from nw_eval.words import Outcome
 
 # Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
 # stacks of images, which would otherwise be most of the file.
@@ -31,12 +32,10 @@ STATE_PERIOD, LARGE_STATE_PERIOD = 5, 25
 LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
 PATH_PERIOD, PATH_SHOWN = 5, 25
-# A camera image that the splat covers less than this is an event in the log.
-LOW_COVERAGE = 0.9
 
 
-class Recorder:
-    """One trial's loop with its log. Where there is no log, only the loop is left.
+class Recorder(Observer):
+    """Writes one trial's log. Where there is no log, it does nothing.
 
     Args:
         trial: stands at its first control step.
@@ -49,6 +48,7 @@ class Recorder:
         self._episode = trial.episode
         self._log = log
         self._clock = clock
+        self._events = Events(trial.episode, log)
         self._seen = Seen(
             card=trial.bundle.card,
             sensors=trial.episode.sensors,
@@ -67,9 +67,7 @@ class Recorder:
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         self._state_due = True
         self._state_period = STATE_PERIOD
-        self._memory_digest = b""  # of the policy, where this step has a state
-        self._touching = False
-        self._covered = True
+        self._policy_digest = b""  # of the policy, where this step has a state
 
     def start(self) -> None:
         """Write what does not change, and that the trial begins."""
@@ -87,28 +85,31 @@ class Recorder:
         )
         self._seen.calibrate()
         self._camera.calibrate()
-        self._event("start", f"trial {job.trial.id} of suite {job.trial.suite}")
+        self._events.write("start", f"trial {job.trial.id} of suite {job.trial.suite}")
 
-    def step(self) -> Outcome | None:
-        """Run one control step and write it down."""
+    def before(self) -> None:
+        """Write a restartable state, where it is time for one."""
         episode = self._episode
         if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
             with self._clock("log"):
-                state = episode.snapshot()
+                state = episode.state()
                 if state.ByteSize() > LARGE_STATE:
                     self._state_period = LARGE_STATE_PERIOD
                 self._log.state(episode.world.time, state)
-                self._memory_digest = sha256(state.policy).digest()
+                self._policy_digest = sha256(state.policy).digest()
                 self._state_due = False
-        decision = episode.decide()
+
+    def decided(self, decision: Decision) -> None:
+        """Write where the robot is, what the policy saw and what it answered."""
         if self._log.is_open:
             with self._clock("log"):
                 self._write(decision)
-        outcome, credited = episode.advance(decision)
+
+    def advanced(self, step: Step) -> None:
+        """Write what happened in the step."""
         if self._log.is_open:
             with self._clock("log"):
-                self._notice(credited=credited)
-        return outcome
+                self._state_due = self._events.notice(credited=step.credited)
 
     def end(self, result: TrialResult) -> None:
         """Write how the trial ended and close the log."""
@@ -117,13 +118,13 @@ class Recorder:
         episode = self._episode
         self._write_body(is_last=True)
         if result.status == "ok":
-            self._log.state(episode.world.time, episode.snapshot())
+            self._log.state(episode.world.time, episode.state())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
-            self._event("end", f"{result.outcome} ({result.end_reason}): {reached}")
+            self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
             fault = policy_fault(result)
             kind = result.error_type if fault is None else f"policy_failed ({fault})"
-            self._event("error", f"{kind}: {result.error_text}")
+            self._events.write("error", f"{kind}: {result.error_text}")
         failed = result.outcome != "completed"
         keep = self._trial.job.record == "all" or failed
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
@@ -135,16 +136,16 @@ class Recorder:
             episode.world.time,
             step=episode.step,
             observation_digest=observation_digest(decision.observation),
-            state_digest=self._memory_digest,
+            state_digest=self._policy_digest,
             action=decision.action,
             applied=decision.applied,
             targets=decision.targets,
         )
-        self._memory_digest = b""
+        self._policy_digest = b""
         if decision.moment is not None:
             moment, command = decision.moment, self._trial.bundle.card.command
-            asked = (*velocity_command(command, moment), moment.delta_yaw)
-            self._log.command(episode.world.time, asked)
+            numbers = (*velocity_command(command, moment), moment.delta_yaw)
+            self._log.command(episode.world.time, numbers)
         self._seen.record(decision.observation)
         self._camera.record(episode.step)
 
@@ -167,34 +168,6 @@ class Recorder:
         if is_last or step % PATH_PERIOD == 0:
             is_shown = is_last or step % PATH_SHOWN == 0
             self._log.path(world.time, world.trunk_position, is_shown=is_shown)
-
-    def _notice(self, *, credited: bool) -> None:
-        """Write events of the step that was just made."""
-        episode = self._episode
-        progress = episode.progress
-        if credited:
-            number = progress.reached - 1
-            self._log.waypoints(episode.world.time, reached=progress.reached)
-            self._event("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
-        force = episode.world.monitored_force()
-        if force > 0.0 and not self._touching:
-            forces = episode.world.monitored_forces()
-            geom = max(forces, key=forces.__getitem__)
-            self._event("contact", f"{geom} touches with {force:.1f} N", value=force)
-        self._state_due = credited or (force > 0.0 and not self._touching)
-        self._touching = force > 0.0
-        shares = [s.coverage for s in episode.sensors.values() if s.coverage is not None]
-        covered = min(shares, default=1.0) >= LOW_COVERAGE
-        if self._covered and not covered:
-            share = min(shares)
-            self._event("coverage", f"the splat covers {share:.0%} of the image", value=share)
-        self._covered = covered
-
-    def _event(self, kind: EventKind, text: str, *, number: int = -1, value: float = 0.0) -> None:
-        episode = self._episode
-        self._log.event(
-            episode.world.time, kind, text, step=episode.step, waypoint=number, value=value
-        )
 
 
 def _pose(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

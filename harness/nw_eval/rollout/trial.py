@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import PolicyError, ServerError, TrialError
 from nw_eval.rollout.clock import StageClock
-from nw_eval.rollout.fault import fault_of, is_interrupt, told
+from nw_eval.rollout.fault import fault_of, is_interrupt, one_line
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.rollout.prepare import OpenTrial, open_trial
@@ -54,10 +54,7 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
     try:
         with clock("log"):
             recorder.start()
-        outcome: Outcome | None = None
-        while outcome is None:
-            outcome = recorder.step()
-        result = ended(trial, outcome)
+        result = ended(trial, trial.episode.run(recorder))
     except BaseException as error:
         if is_interrupt(error):
             raise
@@ -69,7 +66,7 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
         if is_interrupt(error):
             raise
         # The trial is over: only its log can be lost now.
-        log.lose(OSError(f"its end could not be written: {told(error)}"))
+        log.lose(OSError(f"its end could not be written: {one_line(error)}"))
     return replace(result, mcap_bytes=log.bytes, mcap_error=log.error)
 
 
@@ -88,7 +85,7 @@ def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
     elif isinstance(error, TrialError):
         kind = "physics_error"
     return replace(
-        so_far, status="error", end_reason=fault or "", error_type=kind, error_text=told(error)
+        so_far, status="error", end_reason=fault or "", error_type=kind, error_text=one_line(error)
     )
 
 
@@ -105,6 +102,6 @@ def so_far(trial: OpenTrial) -> TrialResult:
         contact_s=episode.contact_seconds,
         coverage_min=episode.coverage.smallest,
         coverage_mean=episode.coverage.mean,
-        state_digest=episode.states.hex,
-        action_digest=episode.actions.hex,
+        state_digest=episode.state_digest.hex,
+        action_digest=episode.action_digest.hex,
     )

@@ -8,12 +8,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.memory import Arrays, Memory
 from nw_eval.sensors.place import Place
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.wrapper import Wrapper
 
 
-class Measurement(Protocol):
+class Measurement(Memory[Arrays], Protocol):
     """What is sampled; by default numbers that depend on the moment alone, seen as measured."""
 
     shape: tuple[int, ...]
@@ -43,9 +44,9 @@ class Measurement(Protocol):
         """Return a new measurement, which nobody will change."""
         ...
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """Return what the next measurements depend on beside the moment."""
         return {}
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations import PluginObservation
 from nw_eval.cards.observations.plugins import SENSORS
 from nw_eval.errors import CodeError, NwEvalError
+from nw_eval.memory import Arrays
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import Place
-from nw_eval.sensors.plugins import make_plugin
+from nw_eval.sensors.plugins import make_plugin, remembers
 from nw_eval.sensors.sensor import Moment
 
 
@@ -23,7 +24,7 @@ class PluginSensor(Measurement):
 
     The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and
     `measure(moment)`. Whatever else of a measurement it has is used: `attach(place)`, `reset()`,
-    `memory()` with `remember(memory)`, `unit`, `is_image`.
+    `state()` with `restore(state)`, `unit`, `is_image`.
 
     Raises:
         CodeError: the class cannot be imported or made, or is no sensor.
@@ -48,11 +49,6 @@ class PluginSensor(Measurement):
                     f"`{name}`: sensor {self._sensor} has no `{needed}`",
                     fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
                 )
-        if hasattr(plugin, "memory") != hasattr(plugin, "remember"):
-            raise CodeError(
-                f"`{name}`: sensor {self._sensor} has only one of `memory` and `remember`",
-                fix="write both, or neither if it remembers nothing between samples",
-            )
         self._plugin = plugin
         self.shape: tuple[int, ...] = tuple(int(side) for side in plugin.shape)
         self.dtype = np.dtype(plugin.dtype)
@@ -85,13 +81,14 @@ class PluginSensor(Measurement):
             fix=f"it says that it returns {self.shape} {self.dtype}",
         )
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """Return what it remembers."""
-        return self._call("memory") or {}
+        return self._call("state") or {} if remembers(self._plugin) else {}
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
-        self._call("remember", memory)
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""
+        if remembers(self._plugin):
+            self._call("restore", state)
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Call a method if the object has it."""

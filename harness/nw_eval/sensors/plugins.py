@@ -42,8 +42,8 @@ def make_plugin(
 
     Raises:
         PolicyError: code is not allowed, or the plug-in is not installed.
-        CodeError: the class cannot be imported, or does not take these parameters. The message
-            names the plug-in and its package.
+        CodeError: the class cannot be imported, does not take these parameters, or can be saved
+            but not restored. The message names the plug-in and its package.
     """
     if is_code(name):
         if code_from is None:
@@ -60,7 +60,7 @@ def make_plugin(
         subject = _subject(points[0])
     try:
         cls = _from_folder(name, code_from) if is_code(name) else installed(group)[name][0].load()
-        return cls(*arguments, **parameters)
+        plugin = cls(*arguments, **parameters)
     except NwEvalError:
         raise
     except Exception as error:
@@ -70,6 +70,13 @@ def make_plugin(
             fix=f"its module must be {where}installed, and its class take the card's parameters"
             + (f" {sorted(parameters)}" if parameters else ""),
         ) from error
+    _check_memory(plugin, subject)
+    return plugin
+
+
+def remembers(plugin: Any) -> bool:
+    """Whether a plug-in's object is a `Memory`."""
+    return _has(plugin, "state") and _has(plugin, "restore")
 
 
 def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
@@ -98,6 +105,23 @@ def _warn_of_rivals(points: tuple[EntryPoint, ...]) -> None:
     for point in points[1:]:
         owner = distribution(points[0])
         _warn(f"{_subject(point)} is ignored: {point.name!r} is taken by {owner}")
+
+
+def _check_memory(plugin: Any, where: str) -> None:
+    if _has(plugin, "memory") and _has(plugin, "remember") and not remembers(plugin):
+        raise CodeError(
+            f"{where} has `memory` and `remember`, which nobody calls any more",
+            fix="call them `state` and `restore`",
+        )
+    if _has(plugin, "state") != _has(plugin, "restore"):
+        raise CodeError(
+            f"{where} has only one of `state` and `restore`",
+            fix="write both, or neither if it remembers nothing between samples",
+        )
+
+
+def _has(plugin: Any, method: str) -> bool:
+    return callable(getattr(plugin, method, None))
 
 
 def _subject(point: EntryPoint) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.memory import Arrays
 from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
@@ -96,8 +97,8 @@ class Sampled:
 
     def state(self) -> bytes:
         """Return the samples on their way, and what measurement and wrappers remember."""
-        arrays = {f"memory.{key}": value for key, value in self._measurement.memory().items()}
-        arrays |= {f"chain.{key}": value for key, value in self._chain.memory().items()}
+        arrays = {f"memory.{key}": value for key, value in self._measurement.state().items()}
+        arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
         if self._samples:
             arrays["samples"] = np.stack([sample for _, sample in self._samples])
@@ -109,12 +110,12 @@ class Sampled:
         steps = arrays.pop("steps").tolist()
         samples = arrays.pop("samples") if steps else ()
         self._samples = deque(zip(steps, samples, strict=True))
-        self._measurement.remember(_under("memory.", arrays))
-        self._chain.remember(_under("chain.", arrays))
+        self._measurement.restore(_under("memory.", arrays))
+        self._chain.restore(_under("chain.", arrays))
         self.fresh = False
 
 
-def _under(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _under(prefix: str, arrays: Arrays) -> Arrays:
     return {
         key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)
     }

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Action
+from nw_eval.memory import Memory
 from nw_eval.sim import TrailProgress, World
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ class Moment:
         return (bearing - self.roll_pitch_yaw[2] + math.pi) % (2.0 * math.pi) - math.pi
 
 
-class Sensor(Protocol):
+class Sensor(Memory[bytes], Protocol):
     """One observation of a card in one trial.
 
     `read` is called once at every control step, from step 0 on. It computes a new sample only at
@@ -116,12 +117,4 @@ class Sensor(Protocol):
 
     def read(self, moment: Moment) -> NDArray[Any]:
         """Return the observation that the policy sees now. Do not change the array."""
-        ...
-
-    def state(self) -> bytes:
-        """Return what the next observations depend on beside the world."""
-        ...
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`."""
         ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,8 +31,8 @@ class Limits:
     below_ground: float = 1.0  # m under the ground: fell through or off the scene
 
 
-class TerminationSnapshot(NamedTuple):
-    """The state of a `Termination`."""
+class _SoFar(NamedTuple):
+    """All that changes in a trial."""
 
     best_remaining: float  # m, the shortest way to the last waypoint so far
     best_step: int  # when that was
@@ -86,12 +87,12 @@ class Termination:
         self._limits = Limits() if limits is None else limits
         to_first = float(np.linalg.norm(points[0] - self._corners[0]))
         whole = to_first + float(self._onward[0])
-        self._state = TerminationSnapshot(best_remaining=whole, best_step=0, contact_steps=0)
+        self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
 
     @property
     def contact_seconds(self) -> float:
         """Simulated time so far during which head or trunk collided, s."""
-        return self._state.contact_steps * self._control_period
+        return self._so_far.contact_steps * self._control_period
 
     def check(self, world: World, progress: TrailProgress, step: int) -> Outcome | None:
         """Return how the trial ends now, or None if it goes on.
@@ -104,7 +105,7 @@ class Termination:
         limits = self._limits
         has_collided = world.monitored_force() > limits.monitored_force
         if has_collided:
-            self._state = self._state._replace(contact_steps=self._state.contact_steps + 1)
+            self._so_far = self._so_far._replace(contact_steps=self._so_far.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
         roll, pitch, _ = world.roll_pitch_yaw
@@ -120,13 +121,13 @@ class Termination:
             return "stuck"
         return "timeout" if step >= self._last_step else None
 
-    def snapshot(self) -> TerminationSnapshot:
-        """Return the state, for `restore`."""
-        return self._state
+    def state(self) -> bytes:
+        """Return how long it has waited and counted, for `restore`."""
+        return json.dumps(self._so_far).encode()
 
-    def restore(self, snapshot: TerminationSnapshot) -> None:
-        """Go back to a state of this trial."""
-        self._state = snapshot
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of this trial."""
+        self._so_far = _SoFar(*json.loads(state))
 
     def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
         if position[2] < ground - self._limits.below_ground:
@@ -139,9 +140,9 @@ class Termination:
     ) -> bool:
         to_target = float(np.linalg.norm(progress.target[:2] - position))
         remaining = to_target + float(self._onward[progress.index])
-        if remaining < self._state.best_remaining - self._limits.stuck_distance:
-            self._state = self._state._replace(best_remaining=remaining, best_step=step)
-        waited = (step - self._state.best_step) * self._control_period
+        if remaining < self._so_far.best_remaining - self._limits.stuck_distance:
+            self._so_far = self._so_far._replace(best_remaining=remaining, best_step=step)
+        waited = (step - self._so_far.best_step) * self._control_period
         return waited >= self._limits.stuck_after
 
 

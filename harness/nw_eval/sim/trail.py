@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,8 +18,8 @@ REACH_RADIUS = 0.3  # m, in the ground plane; the waypoint's height does not mat
 REACH_STEPS = 6  # control steps within the radius
 
 
-class TrailSnapshot(NamedTuple):
-    """The state of a `TrailProgress`."""
+class _SoFar(NamedTuple):
+    """All that changes in a trial."""
 
     updates: int  # control steps seen
     waypoint: int  # index of the one to go to
@@ -56,7 +57,7 @@ class TrailProgress:
             raise SceneError("a trail without waypoints", fix="give the scene at least one")
         self._forgets = protocol.reach_timer_forgets
         self._control_period = control_period
-        self._state = TrailSnapshot(updates=0, waypoint=0, reached=0, timer=0, times=())
+        self._so_far = _SoFar(updates=0, waypoint=0, reached=0, timer=0, times=())
 
     def update(self, trunk_xy: npt.NDArray[np.float64] | Sequence[float]) -> bool:
         """Take the trunk's position after a control step; say if a waypoint was credited now.
@@ -64,7 +65,7 @@ class TrailProgress:
         Args:
             trunk_xy: (2,) or (3,) world, m; only x and y count.
         """
-        updates, index, reached, timer, times = self._state
+        updates, index, reached, timer, times = self._so_far
         updates += 1
         credited = timer >= REACH_STEPS and reached < self.total
         if timer >= REACH_STEPS:
@@ -78,18 +79,18 @@ class TrailProgress:
             timer += 1
         elif self._forgets:
             timer = 0
-        self._state = TrailSnapshot(updates, index, reached, timer, times)
+        self._so_far = _SoFar(updates, index, reached, timer, times)
         return credited
 
     @property
     def index(self) -> int:
         """Index of the waypoint to go to; stays at the last one when all are reached."""
-        return self._state.waypoint
+        return self._so_far.waypoint
 
     @property
     def reached(self) -> int:
         """How many waypoints have been credited."""
-        return self._state.reached
+        return self._so_far.reached
 
     @property
     def total(self) -> int:
@@ -109,12 +110,13 @@ class TrailProgress:
     @property
     def times(self) -> tuple[float, ...]:
         """When each waypoint was credited, seconds since the reset."""
-        return self._state.times
+        return self._so_far.times
 
-    def snapshot(self) -> TrailSnapshot:
-        """Return the state, for `restore`."""
-        return self._state
+    def state(self) -> bytes:
+        """Return how far it is, for `restore`."""
+        return json.dumps(self._so_far).encode()
 
-    def restore(self, snapshot: TrailSnapshot) -> None:
-        """Go back to a state of this trail."""
-        self._state = snapshot
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of this trail."""
+        updates, waypoint, reached, timer, times = json.loads(state)
+        self._so_far = _SoFar(updates, waypoint, reached, timer, tuple(times))

@@ -1,4 +1,4 @@
-"""Recordings made by hand, and a stage that hands them out: no policy, no physics."""
+"""Recordings made by hand, and a rig that hands them out: no policy, no physics."""
 
 import math
 from pathlib import Path
@@ -43,7 +43,7 @@ def walked(
 
 
 class HandMade:
-    """A stage on which `walk(card, seconds)` says what happens; `asked` counts the recordings."""
+    """A rig on which `walk(card, seconds)` says what happens; `asked` counts the recordings."""
 
     def __init__(self, walk):
         self.walk = walk
@@ -84,6 +84,6 @@ def _obeys():
 
 
 @pytest.fixture(scope="session")
-def stage_on_which():
-    """Return a maker of stages: `stage_on_which(walk)`."""
+def rig_that_says():
+    """Return a maker of stages: `rig_that_says(walk)`."""
     return HandMade

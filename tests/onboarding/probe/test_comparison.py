@@ -15,14 +15,14 @@ GO1 = get_robot("go1")
 
 
 @pytest.fixture
-def compared(commanded, walked, stage_on_which):
-    """Return a maker of findings: `compared(walk)`; and the stage that it ran on."""
+def compared(commanded, walked, rig_that_says):
+    """Return a maker of findings: `compared(walk)`; and the rig that it ran on."""
 
     def compared(walk, *, simulated=1000.0, deadline=math.inf, **recorded):
-        stage = stage_on_which(walk)
-        metered = Metered(stage, simulated=simulated, deadline=deadline)
+        rig = rig_that_says(walk)
+        metered = Metered(rig, simulated=simulated, deadline=deadline)
         followed, findings = compare(metered, commanded, GO1, walked(seconds=1.0, **recorded))
-        return followed, [(finding.kind, finding.text) for finding in findings], stage
+        return followed, [(finding.kind, finding.text) for finding in findings], rig
 
     return compared
 
@@ -32,8 +32,8 @@ def halved_hips(card):
 
 
 def test_a_policy_that_follows_everything_is_asked_nothing_more(compared, obeys):
-    followed, findings, stage = compared(lambda card, _: obeys(card))
-    assert len(followed) == stage.asked == 5
+    followed, findings, rig = compared(lambda card, _: obeys(card))
+    assert len(followed) == rig.asked == 5
     assert findings == []
 
 
@@ -77,10 +77,10 @@ def test_a_policy_that_follows_weakly_is_told_a_better_scale_and_no_fault(compar
         share = 0.95 if halved_hips(card) else 0.7
         return obeys(card, (share, 1.0, share))
 
-    _, findings, stage = compared(walk)
+    _, findings, rig = compared(walk)
     assert [kind for kind, _ in findings] == ["note"]
     assert findings[0][1].startswith("it follows better with the scale of the hips halved; if so")
-    assert stage.asked < 20
+    assert rig.asked < 20
     _, findings, _ = compared(lambda card, _: obeys(card, (0.7, 1.0, 0.7)))
     assert findings == []
 
@@ -145,16 +145,16 @@ def test_what_was_found_before_the_budget_was_used_up_is_told(commanded, compare
 
 
 def test_a_policy_too_slow_for_its_commands_does_not_pass(compared, obeys):
-    followed, findings, stage = compared(lambda card, _: obeys(card), deadline=0.0)
+    followed, findings, rig = compared(lambda card, _: obeys(card), deadline=0.0)
     assert followed == []
-    assert stage.asked == 0
+    assert rig.asked == 0
     words = "cut off after 0 s of simulation: not every command was tried"
     assert findings == [("fault", words)]
 
 
 def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
-    _, findings, stage = compared(lambda card, _: obeys(card), tilt=0.5, sees_images=True)
-    assert stage.asked == 0
+    _, findings, rig = compared(lambda card, _: obeys(card), tilt=0.5, sees_images=True)
+    assert rig.asked == 0
     assert findings == []
     assert compared(lambda card, _: obeys(card), tilt=0.5)[2].asked > 0
 
@@ -169,10 +169,10 @@ def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
     ],
 )
 def test_a_policy_without_commands_is_let_go_on_its_way(
-    uncommanded, walked, stage_on_which, reached, acts, said
+    uncommanded, walked, rig_that_says, reached, acts, said
 ):
-    stage = stage_on_which(lambda *_: walked((reached, 0.0, 0.0)))
-    metered = Metered(stage, simulated=1000.0)
+    rig = rig_that_says(lambda *_: walked((reached, 0.0, 0.0)))
+    metered = Metered(rig, simulated=1000.0)
     actions = np.outer(np.sin(np.arange(50.0)), np.full(12, acts))
     followed, findings = compare(
         metered, uncommanded, GO1, replace(walked(seconds=1.0), actions=actions)

@@ -77,21 +77,21 @@ def test_who_sees_no_command_is_measured_on_its_own_way(commanded, uncommanded, 
     assert seen == ["waypoint"]
 
 
-def test_the_second_second_is_compared_with_the_command(commanded, walked, stage_on_which):
+def test_the_second_second_is_compared_with_the_command(commanded, walked, rig_that_says):
     velocity = np.zeros((100, 3))
     velocity[:50], velocity[50:] = (9.0, 9.0, 9.0), (0.4, -0.45, 0.0)
-    stage = stage_on_which(lambda _card, seconds: walked(velocity, seconds=seconds))
-    ahead, right = follow(stage, commanded, [AHEAD, RIGHT])
+    rig = rig_that_says(lambda _card, seconds: walked(velocity, seconds=seconds))
+    ahead, right = follow(rig, commanded, [AHEAD, RIGHT])
     assert ahead.ratio == pytest.approx(0.5)
     assert right.ratio == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize("outcome", ["fell", "collided"])
 def test_who_ends_before_getting_up_to_speed_reached_nothing(
-    commanded, walked, stage_on_which, outcome
+    commanded, walked, rig_that_says, outcome
 ):
-    stage = stage_on_which(lambda *_: walked((0.8, 0.0, 0.0), seconds=0.6, outcome=outcome))
-    (one,) = follow(stage, commanded, [AHEAD])
+    rig = rig_that_says(lambda *_: walked((0.8, 0.0, 0.0), seconds=0.6, outcome=outcome))
+    (one,) = follow(rig, commanded, [AHEAD])
     assert one.ratio == 0.0
     assert one.is_missed
     assert one.fell is (outcome == "fell")
@@ -144,12 +144,12 @@ def test_a_constant_command_is_tried_as_it_is(commanded, velocity, used):
     assert {motion.words for motion in others} >= {"to the left", "turning left", "turning right"}
 
 
-def test_the_axes_of_one_command_are_read_from_one_recording(commanded, obeys, stage_on_which):
+def test_the_axes_of_one_command_are_read_from_one_recording(commanded, obeys, rig_that_says):
     card = with_command(commanded, source="constant", velocity=(0.5, 0.2, 0.3))
-    stage = stage_on_which(lambda card, seconds: obeys(card, (0.9, 0.8, 0.7), seconds=seconds))
+    rig = rig_that_says(lambda card, seconds: obeys(card, (0.9, 0.8, 0.7), seconds=seconds))
     own = [motion for motion in motions(card) if motion.is_used]
-    assert [one.ratio for one in follow(stage, card, own)] == pytest.approx([0.9, 0.8, 0.7])
-    assert stage.asked == 1
+    assert [one.ratio for one in follow(rig, card, own)] == pytest.approx([0.9, 0.8, 0.7])
+    assert rig.asked == 1
 
 
 @pytest.mark.parametrize(
@@ -171,14 +171,14 @@ def test_nothing_is_judged_that_is_less_than_a_tenth(commanded, changes, used):
 
 
 @pytest.mark.parametrize("kind", ["action", "diverged", "exception"])
-def test_only_who_runs_away_under_a_command_stumbles(commanded, stage_on_which, kind):
+def test_only_who_runs_away_under_a_command_stumbles(commanded, rig_that_says, kind):
     def walk(*_):
         raise PolicyFailedError("a target of 4e+06", kind=kind)
 
-    stage = stage_on_which(walk)
+    rig = rig_that_says(walk)
     if kind == "exception":
         with pytest.raises(PolicyFailedError):
-            list(follow(stage, commanded, [AHEAD]))
+            list(follow(rig, commanded, [AHEAD]))
         return
-    (one,) = follow(stage, commanded, [AHEAD])
+    (one,) = follow(rig, commanded, [AHEAD])
     assert (one.ratio, one.fell, one.stumbled) == (0.0, False, True)

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from nw_eval.onboarding.probe.recording import Stage
+from nw_eval.onboarding.probe.rig import SceneRig
 from nw_eval.policies import load_bundle
 
 
 def test_a_recording_ends_once_the_robot_leans_too_far():
     bundle = load_bundle("go1-parkour")
-    stage = Stage(bundle, scene="flat/carpet_room", allow_code=False)
-    whole = stage.record(bundle.card, seconds=1.0)
+    rig = SceneRig(bundle, scene="flat/carpet_room", allow_code=False)
+    whole = rig.record(bundle.card, seconds=1.0)
     step = int(np.argmax(whole.tilt >= 0.05))
     assert 0 < step < len(whole.tilt) - 1
-    short = stage.record(bundle.card, seconds=1.0, level=0.05)
+    short = rig.record(bundle.card, seconds=1.0, level=0.05)
     np.testing.assert_array_equal(short.tilt, whole.tilt[: step + 1])
     assert short.outcome is None

@@ -11,13 +11,13 @@ GO1 = get_robot("go1")
 
 
 @pytest.fixture
-def tried(stage_on_which):
-    """Return the attempts on a hand-made stage, each better than those before."""
+def tried(rig_that_says):
+    """Return the attempts on a hand-made rig, each better than those before."""
 
     def tried(card, walk, *, thorough=True):
-        stage = stage_on_which(walk)
-        written = list(follow(stage, card, motions(card) or own_way(card)))
-        return list(attempts(stage, card, GO1, written, thorough=thorough))
+        rig = rig_that_says(walk)
+        written = list(follow(rig, card, motions(card) or own_way(card)))
+        return list(attempts(rig, card, GO1, written, thorough=thorough))
 
     return tried
 

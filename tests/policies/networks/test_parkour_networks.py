@@ -249,6 +249,14 @@ def test_a_state_of_something_else_is_refused(tmp_path):
             policy.restore(state)
 
 
+def test_a_network_that_remembers_nothing_refuses_what_another_one_remembered(tmp_path):
+    policy = open_policy(load_bundle(save_bundle(tmp_path, EXPERT_CARD, checkpoint())))
+    assert policy.state() == b""
+    policy.restore(b"")
+    with pytest.raises(TrialError, match="does not fit policy 'parkour-expert': 8 bytes"):
+        policy.restore(bytes(8))
+
+
 def test_a_depth_card_with_an_experts_checkpoint_is_refused(tmp_path):
     bundle = load_bundle(save_bundle(tmp_path, STUDENT_CARD, checkpoint()))
     with pytest.raises(PolicyError, match="this is an expert, not a depth student"):

@@ -6,7 +6,8 @@ import math
 from time import monotonic
 
 from nw_eval.cards import Card
-from nw_eval.onboarding.probe.recording import Recorder, Recording
+from nw_eval.onboarding.probe.recording import Recording
+from nw_eval.onboarding.probe.rig import Rig
 
 
 class SpentError(Exception):
@@ -14,18 +15,18 @@ class SpentError(Exception):
 
 
 class Metered:
-    """A stage that records until a budget is used up.
+    """A rig that records until a budget is used up.
 
     Args:
-        stage: what records.
+        rig: what records.
         simulated: seconds of simulation, which come to the same on every machine.
         deadline: on the monotonic clock. Only policies that are far slower than a robot needs
             reach it, and on another machine elsewhere.
     """
 
-    def __init__(self, stage: Recorder, *, simulated: float, deadline: float = math.inf) -> None:
+    def __init__(self, rig: Rig, *, simulated: float, deadline: float = math.inf) -> None:
         self.spent = 0.0
-        self._stage = stage
+        self._rig = rig
         self._simulated = simulated
         self._deadline = deadline
 
@@ -38,6 +39,6 @@ class Metered:
         """
         if self.spent >= self._simulated or monotonic() >= self._deadline:
             raise SpentError
-        made = self._stage.record(card, seconds=seconds, level=level)
+        made = self._rig.record(card, seconds=seconds, level=level)
         self.spent += made.seconds
         return made

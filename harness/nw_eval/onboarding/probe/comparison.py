@@ -23,7 +23,7 @@ from nw_eval.robots import RobotSpec
 
 
 def compare(
-    stage: Metered, card: Card, robot: RobotSpec, recording: Recording
+    rig: Metered, card: Card, robot: RobotSpec, recording: Recording
 ) -> tuple[list[Followed], list[Finding]]:
     """Return what becomes of commands under a card, and if another card does better.
 
@@ -31,7 +31,7 @@ def compare(
     one change with which a policy follows everything is what a wrong card looks like.
 
     Args:
-        stage: of the policy; when its budget is used up, what was found until then is returned.
+        rig: of the policy; when its budget is used up, what was found until then is returned.
         card: that is looked at.
         robot: that the policy drives.
         recording: of the policy under its card. If it stumbles, commands tell what other cards
@@ -41,13 +41,13 @@ def compare(
     tried = _tried(card, recording)
     written: list[Followed] = []
     try:
-        for one in follow(stage, card, tried):
+        for one in follow(rig, card, tried):
             written.append(one)  # noqa: PERF402 - what was before a cut is kept.
     except SpentError:
-        return written, [*command_findings(written), _cut(stage, "fault", "every command")]
+        return written, [*command_findings(written), _cut(rig, "fault", "every command")]
     found = [] if recording.stumbles else command_findings(written)
     if not recording.sees_images:
-        found += _others(stage, card, robot, written, stumbles=recording.stumbles)
+        found += _others(rig, card, robot, written, stumbles=recording.stumbles)
     return ([] if recording.stumbles else written), found
 
 
@@ -62,7 +62,7 @@ def _tried(card: Card, recording: Recording) -> list[Motion]:
 
 
 def _others(
-    stage: Metered, card: Card, robot: RobotSpec, written: Sequence[Followed], *, stumbles: bool
+    rig: Metered, card: Card, robot: RobotSpec, written: Sequence[Followed], *, stumbles: bool
 ) -> list[Finding]:
     """Return the other card that helps most, or that none does."""
     is_bad = stumbles or any(one.is_missed or one.stumbled for one in written)
@@ -71,10 +71,10 @@ def _others(
     best: Attempt | None = None
     cut: list[Finding] = []
     try:
-        for attempt in attempts(stage, card, robot, written, thorough=is_bad):
+        for attempt in attempts(rig, card, robot, written, thorough=is_bad):
             best = attempt
     except SpentError:
-        cut = [_cut(stage, "note", "every other card")]
+        cut = [_cut(rig, "note", "every other card")]
     if best is not None and best.helps:
         is_fault = is_bad and best.mends
         does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
@@ -88,6 +88,6 @@ def _others(
     return [Finding(kind="note", text=f"nothing tried helps: {TRIED}; {nearest}")]
 
 
-def _cut(stage: Metered, kind: Literal["fault", "note"], what: str) -> Finding:
-    text = f"cut off after {stage.spent:.0f} s of simulation: not {what} was tried"
+def _cut(rig: Metered, kind: Literal["fault", "note"], what: str) -> Finding:
+    text = f"cut off after {rig.spent:.0f} s of simulation: not {what} was tried"
     return Finding(kind=kind, text=text)

@@ -15,7 +15,7 @@ import numpy as np
 from nw_eval.cards import Card
 from nw_eval.cards.command import ConstantCommand, TrailFollower
 from nw_eval.cards.observations import ProprioObservation
-from nw_eval.onboarding.probe.recording import Recorder
+from nw_eval.onboarding.probe.rig import Rig
 from nw_eval.rollout.fault import PolicyFailedError
 from nw_eval.sensors.body.command import commanded_speed
 
@@ -161,12 +161,12 @@ def _motion(velocity: Velocity, axis: int, *, is_used: bool, more: str = "") -> 
 
 
 def follow(
-    stage: Recorder, card: Card, tried: Sequence[Motion], *, level: float = math.inf
+    rig: Rig, card: Card, tried: Sequence[Motion], *, level: float = math.inf
 ) -> Iterator[Followed]:
     """Command each motion for two seconds under a card, and yield what becomes of it.
 
     Args:
-        stage: of the policy.
+        rig: of the policy.
         card: under which it is commanded.
         tried: what is commanded.
         level: roll or pitch that ends a recording, rad.
@@ -178,7 +178,7 @@ def follow(
         constant = ConstantCommand(source="constant", velocity=velocity)
         commanded = card if is_own else card.model_copy(update={"command": constant})
         try:
-            made = stage.record(commanded, seconds=_SECONDS, level=level)
+            made = rig.record(commanded, seconds=_SECONDS, level=level)
         except PolicyFailedError as error:
             if error.kind not in {"action", "diverged"}:
                 raise

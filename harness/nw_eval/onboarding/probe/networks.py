@@ -15,7 +15,7 @@ def network_rows(card: Card, recording: Recording) -> list[tuple[str, ...]]:
     """Return a row for each output of each network, with a heading; none without networks."""
     rows: list[tuple[str, ...]] = []
     for name, output in _outputs(card):
-        values = recording.given[output].reshape(len(recording.actions), -1).astype(np.float64)
+        values = recording.fed[output].reshape(len(recording.actions), -1).astype(np.float64)
         constant = int((values == values[:1]).all(axis=0).sum())
         rate = card.networks[name].rate or card.control.rate
         rows.append(
@@ -38,7 +38,7 @@ def network_findings(card: Card, recording: Recording) -> list[Finding]:
     """Return which networks do not hear what they are given."""
     found: list[Finding] = []
     for name, output in _outputs(card):
-        values = recording.given[output]
+        values = recording.fed[output]
         if len(values) > 1 and (values == values[:1]).all():
             text = f"network `{name}`: `{output}` is the same at every step: "
             found.append(Finding(kind="fault", text=f"{text}it does not hear its inputs"))

@@ -1,26 +1,17 @@
-"""Some seconds of a policy in a scene, through the same parts as every trial."""
+"""Some seconds of a policy in a scene, and who writes them down."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card
 from nw_eval.cards.inputs import InputSpec
-from nw_eval.policies import Bundle
 from nw_eval.policies.feeding.fed_policy import FedPolicy
-from nw_eval.rollout.clock import StageClock
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.scenes import Scene
+from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.sim import World
-from nw_eval.suite.trials import Trial
 from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
@@ -28,8 +19,6 @@ Array = NDArray[np.float64]
 STUMBLES = 0.3
 """Roll or pitch that a policy on flat ground does not reach under its own card, rad. Measured on
 three policies: 0.07 to 0.14 with the right card, 0.28 to 1.3 with any other order of joints."""
-
-_IDENTITY = "0" * 64  # The suite digest of a trial that is part of no suite.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +52,7 @@ class Recording:
     """What the checkpoint declares to take; empty where its format does not say."""
     sees_images: bool
     """Whether images were rendered for the policy, which takes far longer than all else."""
-    given: dict[str, NDArray[Any]] = field(default_factory=dict[str, NDArray[Any]])
+    fed: dict[str, NDArray[Any]] = field(default_factory=dict[str, NDArray[Any]])
     """(T, ...) what the networks gave that feed the policy, by name."""
     fed_inputs: dict[str, tuple[InputSpec, ...]] = field(
         default_factory=dict[str, tuple[InputSpec, ...]]
@@ -76,149 +65,61 @@ class Recording:
         return self.outcome is not None or float(self.tilt.max()) > STUMBLES
 
 
-class ThisBundle(Library):
-    """A library whose every bundle is the one that is looked at."""
-
-    def __init__(self, bundle: Bundle) -> None:
-        super().__init__(scenes=1)
-        self._bundle = bundle
-
-    def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:  # noqa: ARG002 - see above.
-        """Return it."""
-        return self._bundle
-
-    def with_card(self, card: Card) -> None:
-        """Go on with the same checkpoint under another card."""
-        self._bundle = replace(self._bundle, card=card)
-
-
-class Recorder(Protocol):
-    """What records a checkpoint under one card after another."""
-
-    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
-        """Run the checkpoint under a card, while it leans less than `level`."""
-        ...
-
-
-class Stage:
-    """A checkpoint in a scene, under one card after another.
+class Collector(Observer):
+    """Looks on as an episode runs, and collects its steps.
 
     Args:
-        bundle: checkpoint, and the card that is looked at.
-        scene: its name.
-        allow_code: whether Python code that the card names may be imported.
+        episode: stands at its start.
     """
 
-    def __init__(self, bundle: Bundle, *, scene: str, allow_code: bool) -> None:
-        self.bundle = bundle
-        self._scene = scene
-        self._allow_code = allow_code
-        self._library = ThisBundle(bundle)
+    def __init__(self, episode: Episode) -> None:
+        self.tilt = 0.0
+        """Larger one of roll and pitch now, rad."""
+        self._episode = episode
+        self._fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
+        self._start = episode.world.trunk_position
+        self._first = episode.world.joint_positions
+        self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
+        self._outcome: Outcome | None = None
+        self._seen: dict[str, list[NDArray[Any]]] = {name: [] for name in episode.sensors}
+        self._gave: dict[str, list[NDArray[Any]]] = {}
 
-    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
-        """Run the checkpoint under a card, while it leans less than `level`.
+    def advanced(self, step: Step) -> None:
+        """Collect a control step."""
+        decision, world = step.decision, self._episode.world
+        self._outcome = step.outcome
+        self.tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
+        body = (world.joint_positions, world.torques, self.tilt, _velocity(world))
+        self._rows.append((decision.action, decision.targets, *body))
+        for name, value in decision.observation.items():
+            self._seen[name].append(np.array(value))
+        for name, value in self._fed.held.items() if self._fed else ():
+            self._gave.setdefault(name, []).append(value)
 
-        Raises:
-            NwEvalError: it cannot be run.
-        """
-        self._library.with_card(card)
-        return record(
-            replace(self.bundle, card=card),
-            scene=self._scene,
-            seconds=seconds,
-            level=level,
-            allow_code=self._allow_code,
-            library=self._library,
+    def recording(self) -> Recording:
+        """Return what was collected; at least one step."""
+        episode, world = self._episode, self._episode.world
+        actions, targets, positions, torques, tilts, velocities = zip(*self._rows, strict=True)
+        return Recording(
+            observations={name: np.stack(values) for name, values in self._seen.items()},
+            fed={name: np.stack(values) for name, values in self._gave.items()},
+            actions=np.stack(actions),
+            targets=np.stack(targets),
+            positions=np.stack([self._first, *positions]),
+            torques=np.stack(torques),
+            torque_limits=world.model.actuator_forcerange[:, 1].copy(),
+            tilt=np.array(tilts),
+            velocity=np.stack(velocities),
+            period=world.control_period,
+            travelled=float(np.linalg.norm((world.trunk_position - self._start)[:2])),
+            seconds=world.time,
+            outcome=None if self._outcome in {"timeout", "completed"} else self._outcome,
+            inputs=episode.policy.inputs,
+            sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
+            fed_inputs=(
+                {one.name: one.network.inputs for one in self._fed.feeders} if self._fed else {}
+            ),
         )
-
-
-def record(
-    bundle: Bundle,
-    *,
-    scene: str,
-    seconds: float = 1.0,
-    level: float = math.inf,
-    allow_code: bool = False,
-    library: ThisBundle | None = None,
-) -> Recording:
-    """Run a policy for a while, from the first start of a scene.
-
-    Args:
-        bundle: card and checkpoint.
-        scene: its name.
-        seconds: how long at most.
-        level: roll or pitch with which the recording ends, rad.
-        allow_code: whether Python code that the card names may be imported.
-        library: keeps the scene from one recording to the next.
-
-    Raises:
-        NwEvalError: it cannot be run.
-    """
-    library = library or ThisBundle(bundle)
-    job = _job(bundle, library.scene(scene), scene, seconds=seconds, allow_code=allow_code)
-    rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
-    seen: dict[str, list[NDArray[Any]]] = {name: [] for name in bundle.card.observations}
-    given: dict[str, list[NDArray[Any]]] = {}
-    outcome: Outcome | None = None
-    tilt = 0.0
-    with open_trial(job, library, StageClock()) as opened:
-        episode = opened.episode
-        world = episode.world
-        fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
-        first, start = world.joint_positions, world.trunk_position
-        while outcome is None and tilt < level:
-            decision = episode.decide()
-            outcome, _ = episode.advance(decision)
-            for name, value in decision.observation.items():
-                seen[name].append(np.array(value))
-            for name, value in fed.held.items() if fed else ():
-                given.setdefault(name, []).append(value)
-            tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
-            body = (world.joint_positions, world.torques, tilt, _velocity(world))
-            rows.append((decision.action, decision.targets, *body))
-        travelled = float(np.linalg.norm((world.trunk_position - start)[:2]))
-        limits = world.model.actuator_forcerange[:, 1].copy()
-    actions, targets, positions, torques, tilts, velocities = zip(*rows, strict=True)
-    return Recording(
-        observations={name: np.stack(values) for name, values in seen.items()},
-        given={name: np.stack(values) for name, values in given.items()},
-        actions=np.stack(actions),
-        targets=np.stack(targets),
-        positions=np.stack([first, *positions]),
-        torques=np.stack(torques),
-        torque_limits=limits,
-        tilt=np.array(tilts),
-        velocity=np.stack(velocities),
-        period=world.control_period,
-        travelled=travelled,
-        seconds=world.time,
-        outcome=None if outcome in {"timeout", "completed"} else outcome,
-        inputs=episode.policy.inputs,
-        sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
-        fed_inputs={one.name: one.network.inputs for one in fed.feeders} if fed else {},
-    )
-
-
-def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code: bool) -> TrialJob:
-    trial = Trial(
-        suite="check",
-        suite_digest=_IDENTITY,
-        suite_seed=0,
-        scene=scene,
-        scene_digest=place.digest,
-        task=place.task,
-        index=0,
-    )
-    return TrialJob(
-        trial=trial,
-        robot=bundle.card.robot,
-        duration=seconds,
-        scene=scene,
-        policy=str(bundle.card_path),
-        checkpoint=bundle.checkpoint,
-        checkpoint_digest=bundle.checkpoint_digest,
-        allow_code=allow_code,
-    )
 
 
 def _velocity(world: World) -> Array:

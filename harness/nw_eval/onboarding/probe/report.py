@@ -23,7 +23,8 @@ from nw_eval.onboarding.probe.findings import (
 from nw_eval.onboarding.probe.following import Followed
 from nw_eval.onboarding.probe.networks import network_findings, network_rows
 from nw_eval.onboarding.probe.parts import parts_of
-from nw_eval.onboarding.probe.recording import Recording, Stage
+from nw_eval.onboarding.probe.recording import Recording
+from nw_eval.onboarding.probe.rig import SceneRig
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.check_bundle import check_bundle
@@ -97,9 +98,9 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     deadline = monotonic() + _TIME_LIMIT / 3.0
     card, robot = bundle.card, get_robot(bundle.card.robot)
     specs = check_bundle(bundle, robot, allow_code=allow_code)
-    stage = Stage(bundle, scene=scene, allow_code=allow_code)
+    rig = SceneRig(bundle, scene=scene, allow_code=allow_code)
     try:
-        recording = stage.record(card, seconds=SECONDS)
+        recording = rig.record(card, seconds=SECONDS)
     except PolicyFailedError as error:
         raise PolicyError(f"{bundle.card_path}: {error}") from error
     ranges = [measure(part, recording) for part in parts_of(card, robot, specs)]
@@ -112,7 +113,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         *body_findings(recording),
     ]
     if scene == FLAT:
-        metered = Metered(stage, simulated=_BUDGET, deadline=deadline)
+        metered = Metered(rig, simulated=_BUDGET, deadline=deadline)
         followed, found = compare(metered, card, robot, recording)
         findings += found
     faults = sum(finding.kind == "fault" for finding in findings)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from nw_eval.cards import Card
 from nw_eval.errors import NwEvalError
 from nw_eval.onboarding.probe.following import Followed, Motion, deviation, follow
-from nw_eval.onboarding.probe.recording import STUMBLES, Recorder
+from nw_eval.onboarding.probe.recording import STUMBLES
+from nw_eval.onboarding.probe.rig import Rig
 from nw_eval.onboarding.variants.hypotheses import (
     Hypothesis,
     double_hypotheses,
@@ -61,7 +62,7 @@ class Attempt:
 
 
 def attempts(
-    stage: Recorder,
+    rig: Rig,
     card: Card,
     robot: RobotSpec,
     written: Sequence[Followed],
@@ -71,7 +72,7 @@ def attempts(
     """Yield other cards, each better than those before; none if none is better than the card.
 
     Args:
-        stage: of the policy.
+        rig: of the policy.
         card: that is looked at.
         robot: that the policy drives.
         written: what becomes of commands under the card; at least one.
@@ -83,7 +84,7 @@ def attempts(
     for changes in (hypotheses, double_hypotheses) if thorough else (scale_hypotheses,):
         for hypothesis in changes(card, robot):
             try:
-                followed = _below(limit, stage, hypothesis.card, tried)
+                followed = _below(limit, rig, hypothesis.card, tried)
             except NwEvalError:
                 continue  # Not even that: the card has it right in this respect.
             if followed is not None:
@@ -113,15 +114,13 @@ def _weight(one: Followed) -> tuple[bool, bool, float]:
     return not (one.is_missed or one.stumbled), not is_used, -one.error
 
 
-def _below(
-    limit: float, stage: Recorder, card: Card, tried: Sequence[Motion]
-) -> list[Followed] | None:
+def _below(limit: float, rig: Rig, card: Card, tried: Sequence[Motion]) -> list[Followed] | None:
     """Return what becomes of commands if the deviation is below a limit.
 
     A card is given up as soon as it cannot be, and if the first of them is of no avail.
     """
     followed: list[Followed] = []
-    for one in follow(stage, card, tried, level=STUMBLES):
+    for one in follow(rig, card, tried, level=STUMBLES):
         followed.append(one)
         hopeless = sum(past.error**2 for past in followed) >= max(limit, 0.0) ** 2 * len(tried)
         if hopeless or followed[0].error > _LOST:

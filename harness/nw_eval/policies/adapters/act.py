@@ -10,18 +10,18 @@ The layout of the state dict is that of `nw_eval.policies.networks.act`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.model import CardModel
 from nw_eval.errors import PolicyError
+from nw_eval.memory import Arrays
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.memory import unpacked
 from nw_eval.policies.networks.act import Act
 from nw_eval.policies.networks.chunks import ChunkQueue
 from nw_eval.policies.networks.policy import NetworkPolicy, checkpoint_tensors, input_spec
@@ -83,12 +83,17 @@ class ActPolicy(NetworkPolicy):
         self._step += 1
         return torch.from_numpy(self._queue.take())
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> bytes:
         """Return the predictions that reach beyond this step."""
-        arrays: dict[str, NDArray[Any]] = {"step": np.array(self._step)}
-        return arrays | {f"chunk{i}": chunk for i, chunk in enumerate(self._queue.chunks)}
+        arrays: Arrays = {"step": np.array(self._step)}
+        return pack(arrays | {f"chunk{i}": chunk for i, chunk in enumerate(self._queue.chunks)})
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
-        self._step = int(memory["step"])
-        self._queue.chunks = [memory[f"chunk{i}"] for i in range(len(memory) - 1)]
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        with unpacked(state, self._name) as arrays:
+            self._step = int(arrays["step"])
+            self._queue.chunks = [arrays[f"chunk{i}"] for i in range(len(arrays) - 1)]

@@ -12,16 +12,15 @@ The student looks at a depth image every fifth control step and keeps what it sa
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from nw_eval.arrays import pack
 from nw_eval.cards.model import CardModel
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.memory import unpacked
 from nw_eval.policies.networks.parkour_expert import (
     HISTORY,
     LATENT,
@@ -100,16 +99,23 @@ class StudentPolicy(NetworkPolicy):
             steer_by_depth=self._options.steer_by_depth,
         )
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> bytes:
         """Return hidden state, what was seen last, and the count of steps."""
-        return {
-            "hidden": self._hidden.numpy().copy(),
-            "seen": self._seen.numpy().copy(),
-            "step": np.array(self._step),
-        }
+        return pack(
+            {
+                "hidden": self._hidden.numpy(),
+                "seen": self._seen.numpy(),
+                "step": np.array(self._step),
+            }
+        )
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
-        self._hidden = torch.from_numpy(memory["hidden"]).view(1, 1, HIDDEN)
-        self._seen = torch.from_numpy(memory["seen"]).view(1, LATENT + 2)
-        self._step = int(memory["step"])
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        with unpacked(state, self._name) as arrays:
+            self._hidden = torch.from_numpy(arrays["hidden"]).view(1, 1, HIDDEN)
+            self._seen = torch.from_numpy(arrays["seen"]).view(1, LATENT + 2)
+            self._step = int(arrays["step"])

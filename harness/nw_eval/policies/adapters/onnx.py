@@ -12,10 +12,11 @@ from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
+from nw_eval.memory import Arrays
 from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpacked
 from nw_eval.policies.network import Wanted, place_of
 from nw_eval.policies.onnx.recurrence import state_pairs
 from nw_eval.policies.onnx.session import open_session
@@ -57,7 +58,7 @@ class OnnxNetwork:
         outputs = session.get_outputs()
         self._fed_by = _recurrent(bundle, specs, outputs)
         self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
-        self._memory: dict[str, NDArray[Any]] = {}
+        self._memory: Arrays = {}
         self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
         try:
             self._assemble = InputAssembler(bundle.card, self.inputs)
@@ -108,11 +109,11 @@ class OnnxNetwork:
         Raises:
             TrialError: the state belongs to another policy.
         """
-        memory = unpack(state, self._name)
-        have = {name: (array.shape, array.dtype) for name, array in memory.items()}
-        if have != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
-            raise unfitting(self._name, f"it has {have}")
-        self._memory = memory
+        with unpacked(state, self._name) as arrays:
+            found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+            if found != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
+                raise unfitting(self._name, f"it has {found}")
+            self._memory = arrays
 
     def close(self) -> None:
         """Free the graph."""

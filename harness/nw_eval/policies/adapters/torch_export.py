@@ -6,17 +6,16 @@ with it.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError
 from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.memory import unpacked
 from nw_eval.policies.network import Wanted, place_of
 from nw_eval.policies.networks.exported import ExportedGraph
 from nw_eval.policies.networks.policy import TorchNetwork
@@ -58,13 +57,18 @@ class TorchExportNetwork(TorchNetwork):
         """Begin with the state that the file was saved with."""
         self._graph.reset()
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> bytes:
         """Return the buffers that the graph writes to."""
-        return {name: tensor.numpy() for name, tensor in self._graph.state().items()}
+        return pack({name: tensor.numpy() for name, tensor in self._graph.state().items()})
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
-        self._graph.restore({name: torch.from_numpy(array) for name, array in memory.items()})
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        with unpacked(state, self._name) as arrays:
+            self._graph.restore({name: torch.from_numpy(array) for name, array in arrays.items()})
 
 
 class TorchExportPolicy(ActingNetwork):

@@ -22,7 +22,7 @@ from nw_eval.policies.adapters.script_state import (
 )
 from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpacked
 from nw_eval.policies.network import Wanted
 from nw_eval.policies.policy import Observation
 from nw_eval.policies.safety import check_torchscript
@@ -105,12 +105,12 @@ class TorchScriptNetwork:
         Raises:
             TrialError: the state belongs to another policy.
         """
-        arrays = unpack(state, self._name)
-        for path, array in arrays.items():
-            if path not in self._first or self._first[path].dtype != array.dtype:
-                raise unfitting(self._name, f"it has {path!r} of {array.dtype}")
-        if self._module is not None:
-            write_state(self._module, self._slots, self._first | arrays)
+        with unpacked(state, self._name) as arrays:
+            for path, array in arrays.items():
+                if path not in self._first or self._first[path].dtype != array.dtype:
+                    raise unfitting(self._name, f"it has {path!r} of {array.dtype}")
+            if self._module is not None:
+                write_state(self._module, self._slots, self._first | arrays)
 
     def close(self) -> None:
         """Free the module."""

@@ -10,7 +10,7 @@ from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.feeding.feeder import Array, Feeder
-from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.memory import unfitting, unpacked
 from nw_eval.policies.policy import Observation, Policy
 
 
@@ -68,9 +68,9 @@ class FedPolicy:
 
     def state(self) -> bytes:
         """Return what all of them remember, what is held, and how many actions there were."""
-        memories = {f"network {feeder.name}": feeder.network.state() for feeder in self.feeders}
-        memories["policy"] = self.policy.state()
-        arrays = {name: np.frombuffer(memory, np.uint8) for name, memory in memories.items()}
+        states = {f"network {feeder.name}": feeder.network.state() for feeder in self.feeders}
+        states["policy"] = self.policy.state()
+        arrays = {name: np.frombuffer(state, np.uint8) for name, state in states.items()}
         arrays |= {f"held {name}": array for name, array in self.held.items()}
         return pack(arrays | {"actions": np.array(self._actions)})
 
@@ -80,15 +80,12 @@ class FedPolicy:
         Raises:
             TrialError: the state belongs to another policy.
         """
-        arrays = unpack(state, self._name)
-        try:
+        with unpacked(state, self._name) as arrays:
             for feeder in self.feeders:
                 feeder.network.restore(arrays.pop(f"network {feeder.name}").tobytes())
             self.policy.restore(arrays.pop("policy").tobytes())
             self._actions = int(arrays.pop("actions"))
-        except (KeyError, TypeError, ValueError) as error:
-            raise unfitting(self._name, repr(error)) from None
-        self.held = {name.removeprefix("held "): array for name, array in arrays.items()}
+            self.held = {name.removeprefix("held "): array for name, array in arrays.items()}
         known = {name for feeder in self.feeders for name in feeder.outputs}
         if self.held.keys() != (known if self._actions else set()):
             raise unfitting(self._name, f"it holds {', '.join(self.held) or 'nothing'}")

@@ -10,13 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting, unpack
+from nw_eval.policies.memory import unfitting
 from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.safety import read_tensors
 
@@ -24,8 +23,8 @@ from nw_eval.policies.safety import read_tensors
 class TorchNetwork:
     """A network that runs here, on one thread. Subclasses say how.
 
-    `outputs` computes what it gives from the inputs; `forget`, `memory` and `remember` are for
-    those whose next outputs depend on more than the next inputs.
+    `outputs` computes what it gives from the inputs; `forget`, `state` and `restore` are for those
+    whose next outputs depend on more than the next inputs.
     """
 
     def __init__(self, bundle: Bundle, inputs: tuple[InputSpec, ...]) -> None:
@@ -53,12 +52,18 @@ class TorchNetwork:
     def forget(self) -> None:
         """Begin without memory."""
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> bytes:
         """Return what the next outputs depend on beside the inputs."""
-        return {}
+        return b""
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
-        """Go back to a `memory`."""
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        if state:
+            raise unfitting(self._name, f"{len(state)} bytes, and it remembers nothing")
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
         """Begin a trial."""
@@ -80,23 +85,6 @@ class TorchNetwork:
             reason = " ".join(str(error).split())[:200]
             raise TrialError(f"{self._subject} failed: {reason}") from error
         return tuple(output.numpy() for output in outputs)
-
-    def state(self) -> bytes:
-        """Return the memory as bytes."""
-        return pack(self.memory())
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`.
-
-        Raises:
-            TrialError: the state belongs to another policy.
-        """
-        arrays = unpack(state, self._name)
-        have = {name: (array.shape, array.dtype) for name, array in arrays.items()}
-        try:
-            self.remember(arrays)
-        except (KeyError, ValueError, RuntimeError) as error:
-            raise unfitting(self._name, f"{error!r}, it has {have}") from None
 
     def close(self) -> None:
         """End; a later `run` is an error."""

@@ -107,7 +107,7 @@ def _classes() -> dict[str, Any]:
 
 _BUILT = _classes()
 PolicyStep: Any = _BUILT["PolicyStep"]
-Part: Any = _BUILT["Part"]
+StatePart: Any = _BUILT["Part"]
 SimState: Any = _BUILT["SimState"]
 Event: Any = _BUILT["Event"]
 Observation: Any = _BUILT["Observation"]

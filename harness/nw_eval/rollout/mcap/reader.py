@@ -137,21 +137,21 @@ class LogReader:
             camera: what stands behind `/camera/`, such as `ego` or `ego/depth`.
         """
         for _, time_ns, message in self.messages(f"/camera/{camera}"):
-            with self._damage_is_told():
+            with self._damage_is_an_error():
                 frame = image_of(message)
             yield time_ns * 1e-9, frame
 
     def observations(self, name: str) -> Iterator[tuple[float, np.ndarray]]:
         """Yield (time in s, float32 array) of an observation that is no picture, when new."""
         for _, time_ns, message in self.messages(f"/observation/{name}"):
-            with self._damage_is_told():
+            with self._damage_is_an_error():
                 values = values_of(message)
             yield time_ns * 1e-9, values
 
     def poses(self) -> Iterator[tuple[float, Mapping[str, Pose]]]:
         """Yield (time in s, frame name to position (3,) m and quaternion wxyz in the world)."""
         for _, time_ns, message in self.messages("/tf"):
-            with self._damage_is_told():
+            with self._damage_is_an_error():
                 poses: dict[str, Pose] = {}
                 for entry in message.transforms:
                     p, q = entry.translation, entry.rotation
@@ -163,7 +163,7 @@ class LogReader:
 
     @contextmanager
     def _open(self) -> Generator[IO[bytes]]:
-        with self._damage_is_told():
+        with self._damage_is_an_error():
             # A pipe or a device may never end, and a pipe may never begin.
             if not stat.S_ISREG(self.path.stat().st_mode):
                 raise ValueError("it is no file")
@@ -171,7 +171,7 @@ class LogReader:
                 yield stream
 
     @contextmanager
-    def _damage_is_told(self) -> Generator[None]:
+    def _damage_is_an_error(self) -> Generator[None]:
         try:
             yield
         except OSError as error:
@@ -179,9 +179,9 @@ class LogReader:
                 f"cannot read {self.path}: {error.strerror or clean(error)}", fix="check the path"
             ) from error
         except _DAMAGE as error:
-            said = clean(error, at_most=200) or type(error).__name__
+            reason = clean(error, at_most=200) or type(error).__name__
             raise StoreError(
-                f"{self.path} is damaged or no log of nw-eval: {said}",
+                f"{self.path} is damaged or no log of nw-eval: {reason}",
                 fix="run the trial again, or save what is left with `mcap recover`",
             ) from error
 

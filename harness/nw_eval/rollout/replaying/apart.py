@@ -11,7 +11,8 @@ from nw_eval.errors import PolicyError, UsageError
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.replaying.replay import agreed, check_start, replay
+from nw_eval.rollout.replaying.logged import agreed
+from nw_eval.rollout.replaying.replay import check_start, replay
 
 _TIME_LIMIT = 3600.0
 """Seconds; a trial of 12 s takes 5 to 30."""
@@ -46,10 +47,10 @@ def replay_apart(
     """
     check_start(start)
     library = Library()
-    recording = agreed(
+    logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    job = recording.job
+    job = logged.job
     bundle, scene = library.bundle(job.policy, job.checkpoint), library.scene(job.scene)
     sees = bool(bundle.card.splat_images)
     renders = (sees or picture) and scene.splat is not None
@@ -108,5 +109,5 @@ def _replay(
     if picture:
         from nw_eval.rollout.replaying.contact_sheet import contact_sheet
 
-        drawn = b64encode(contact_sheet(replayed.recording)).decode()
+        drawn = b64encode(contact_sheet(replayed.logged)).decode()
     return {"text": replayed.text, "identical": replayed.is_identical, "picture": drawn}

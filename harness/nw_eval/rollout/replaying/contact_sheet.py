@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from nw_eval.rollout.replaying.replay import Recording
+    from nw_eval.rollout.replaying.logged import LoggedTrial
     from nw_eval.scenes import Scene
 
 _MOMENTS = 6
@@ -32,7 +32,7 @@ _ROBOT = "go1"
 _SETTLING = 40  # control steps until a robot that was put down stands
 
 
-def contact_sheet(recording: Recording) -> bytes:
+def contact_sheet(logged: LoggedTrial) -> bytes:
     """Draw a recorded trial at six moments: from outside, and what the robot's camera saw.
 
     Returns:
@@ -41,13 +41,13 @@ def contact_sheet(recording: Recording) -> bytes:
     Raises:
         StoreError: the log has no states.
     """
-    states = recording.log.states()
+    states = logged.log.states()
     if not states:
-        raise StoreError(f"{recording.path} has no recorded states", fix="run the trial again")
+        raise StoreError(f"{logged.path} has no recorded states", fix="run the trial again")
     chosen = np.unique(np.linspace(0, len(states) - 1, _MOMENTS).round().astype(int))
     width, height = _VIEW
     cells: list[Cell] = []
-    with open_trial(recording.job, Library(), StageClock()) as trial:
+    with open_trial(logged.job, Library(), StageClock()) as trial:
         splat = None if trial.scene.splat is None else trial.renderer()
         spectator = Spectator(trial.scene, splat)
         drawn = _as_drawn(trial.scene)
@@ -61,7 +61,7 @@ def contact_sheet(recording: Recording) -> bytes:
                 spectator.aboard(world, trail, _EGO, width=width, height=height),
             ]
             cells.append(Cell(name=label, images=views))
-    return draw_sheet(cells, across=len(cells) // 2 or 1, title=_title(recording, drawn))
+    return draw_sheet(cells, across=len(cells) // 2 or 1, title=_title(logged, drawn))
 
 
 def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) -> None:
@@ -104,11 +104,11 @@ def _as_drawn(scene: Scene) -> str:
     return "" if scene.splat is not None else " (no splat: its mesh is drawn)"
 
 
-def _title(recording: Recording, drawn: str) -> str:
+def _title(logged: LoggedTrial, drawn: str) -> str:
     """Return which trial this was and how it ended."""
-    said, job = recording.verdict, recording.job
-    end = said.get("outcome") or said.get("error_type") or "no outcome"
-    reason = said.get("end_reason") or said.get("error_text")
+    verdict, job = logged.verdict, logged.job
+    end = verdict.get("outcome") or verdict.get("error_type") or "no outcome"
+    reason = verdict.get("end_reason") or verdict.get("error_text")
     end = f"{end} ({reason})" if reason else end
     trial = f"{job.trial.scene}, trial {job.trial.index:03d}"
     return f"{trial} of {job.policy_name or job.policy}: {end}{drawn}"

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError, UsageError
-from nw_eval.inside import what_is
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
-from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata, provenance
+from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
+from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
 from nw_eval.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
@@ -25,22 +23,6 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
-    from nw_eval.words import Outcome
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """What a log says about its trial, read back; of a replay, with what its caller chose."""
-
-    path: Path
-    job: TrialJob
-    verdict: Mapping[str, str]
-    versions: Mapping[str, str]
-
-    @property
-    def log(self) -> LogReader:
-        """The log itself, for its states, pictures and poses."""
-        return LogReader(self.path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +33,7 @@ class Replayed:
     are not, under which equal bits cannot be expected.
     """
 
-    recording: Recording
+    logged: LoggedTrial
     result: TrialResult
     start_step: int
     differences: tuple[str, ...]
@@ -69,33 +51,17 @@ class Replayed:
 
     @property
     def _text(self) -> str:
-        trial = self.recording.job.trial.id
+        trial = self.logged.job.trial.id
         start = "" if self.start_step == 0 else f" from step {self.start_step}"
         if self.is_identical:
             end = as_metadata(self.result)["outcome"] or self.result.error_type
             return f"{trial}{start}: {end} after {self.result.steps} steps, identical bit for bit"
-        said = "; ".join(self.differences)
+        changes = "; ".join(self.differences)
         if self.version_differences:
-            return f"{trial}{start}: {said} (recorded with {', '.join(self.version_differences)})"
-        return f"{trial}{start}: {said}"
-
-
-def read_recording(path: Path) -> Recording:
-    """Return what a log says about its trial.
-
-    Raises:
-        StoreError: the file is missing, damaged, or no log of a trial.
-    """
-    metadata = LogReader(path).metadata()
-    if TRIAL not in metadata or VERDICT not in metadata:
-        raise StoreError(f"{path} is no log of a finished trial", fix="name a file of mcap/")
-    try:
-        job = job_from_metadata(metadata[TRIAL])
-    except ValueError as error:
-        raise StoreError(f"{path}: {error}", fix="run the trial again") from None
-    return Recording(
-        path=path, job=job, verdict=metadata[VERDICT], versions=metadata.get(PROVENANCE, {})
-    )
+            return (
+                f"{trial}{start}: {changes} (recorded with {', '.join(self.version_differences)})"
+            )
+        return f"{trial}{start}: {changes}"
 
 
 def replay(
@@ -131,21 +97,21 @@ def replay(
     """
     check_start(start)
     library = library or Library()
-    recording = agreed(
+    logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    job = recording.job
+    job = logged.job
     with open_trial(job, library, StageClock()) as trial:
         if start > 0.0:
-            restore(trial, recording, start)
+            restore(trial, logged, start)
         start_step = trial.episode.step
         result = run_on(trial)
     return Replayed(
-        recording=recording,
+        logged=logged,
         result=result,
         start_step=start_step,
-        differences=_differences(recording.verdict, as_metadata(result)),
-        version_differences=_version_differences(recording.versions),
+        differences=_differences(logged.verdict, as_metadata(result)),
+        version_differences=_version_differences(logged.versions),
     )
 
 
@@ -159,35 +125,7 @@ def check_start(start: float) -> None:
         raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
 
 
-def agreed(
-    path: Path,
-    *,
-    policy: str | None,
-    checkpoint: Path | None,
-    allow_code: bool,
-    library: Library,
-) -> Recording:
-    """Return what a log says about its trial, with what its caller chose; arguments as `replay`.
-
-    Raises:
-        StoreError: the log cannot be read.
-        PolicyError: the bundle is missing, or is on a server that the log alone names.
-    """
-    recording = read_recording(path)
-    recorded = recording.job
-    job = replace(
-        recorded,
-        policy=policy or _found(recorded),
-        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
-        allow_code=allow_code,
-    )
-    recording = replace(recording, job=job)
-    if policy is None:
-        _refuse_servers(recording, library)
-    return recording
-
-
-def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
+def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
     """Bring a trial to the last recorded state at or before `time` (s).
 
     Raises:
@@ -195,39 +133,21 @@ def restore(trial: OpenTrial, recording: Recording, time: float) -> None:
         TrialError: the state does not fit the trial.
     """
     limit = round(time / trial.episode.world.control_period)
-    states = [state for state in recording.log.states() if state.step <= limit]
+    states = [state for state in logged.log.states() if state.step <= limit]
     if not states:
-        raise StoreError(f"{recording.path} has no state at or before {time:g} s", fix="run it all")
+        raise StoreError(f"{logged.path} has no state at or before {time:g} s", fix="run it all")
     trial.episode.restore(states[-1])
 
 
 def run_on(trial: OpenTrial) -> TrialResult:
     """Run a trial from where it stands to its end, without a log."""
-    episode = trial.episode
     try:
-        outcome: Outcome | None = None
-        while outcome is None:
-            outcome, _ = episode.advance(episode.decide())
+        outcome = trial.episode.run()
     except BaseException as error:
         if is_interrupt(error):
             raise
         return failed(so_far(trial), error)  # As in a run, it is the result.
     return ended(trial, outcome)
-
-
-def _refuse_servers(recording: Recording, library: Library) -> None:
-    bundle = library.bundle(recording.job.policy, recording.job.checkpoint)
-    if bundle.card.adapter == "remote":
-        raise PolicyError(
-            f"{recording.path}: {bundle.card_path}, which the log names, asks a policy on a server",
-            fix=f"add --policy {bundle.card_path} if you trust it",
-        )
-
-
-def _found(job: TrialJob) -> str:
-    """Return the recorded bundle's path, or its name where the path is of another machine."""
-    known = what_is(Path(job.policy)) != "nothing" or not job.policy_name
-    return job.policy if known else job.policy_name
 
 
 def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations import History
-from nw_eval.sensors.wrappers.wrapper import Memory, Plain, Shot
+from nw_eval.memory import Arrays
+from nw_eval.sensors.wrappers.wrapper import Plain, Shot
 
 Frame = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -97,17 +98,17 @@ class HistoryStack:
         """Forget all frames."""
         self._frames = []
 
-    def memory(self) -> Memory:
+    def state(self) -> Arrays:
         """Return the earlier frames."""
         return {"frames": np.stack(self._frames)} if self._frames else {}
 
-    def remember(self, memory: Memory) -> None:
+    def restore(self, state: Arrays) -> None:
         """Go back to earlier frames.
 
         Raises:
             ValueError: they are those of another history.
         """
-        frames = memory.get("frames")
+        frames = state.get("frames")
         if frames is not None and (len(frames), frames.dtype) != (self._history.steps, np.float32):
             raise ValueError(f"a history of {frames.shape} {frames.dtype}")
         self._frames = [] if frames is None else list(frames)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations.cameras import SplatRgbObservation
-from nw_eval.sensors.wrappers.wrapper import Memory, Shot
+from nw_eval.memory import Arrays
+from nw_eval.sensors.wrappers.wrapper import Shot
 
 Bytes = NDArray[np.uint8]
 
@@ -41,15 +42,15 @@ class Arrange:
         """Forget earlier images."""
         self._frames.clear()
 
-    def memory(self) -> Memory:
+    def state(self) -> Arrays:
         """Return the images."""
         return {"frames": np.stack(self._frames)} if self._frames else {}
 
-    def remember(self, memory: Memory) -> None:
+    def restore(self, state: Arrays) -> None:
         """Go back to images."""
         self._frames.clear()
-        if memory:
-            self._frames.extend(memory["frames"])
+        if state:
+            self._frames.extend(state["frames"])
 
 
 def average_blocks(image: Bytes) -> Bytes:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations.cameras import SplatRgbObservation
+from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
 from nw_eval.sensors.cameras.splat_image import Arrange, average_blocks
 from nw_eval.sensors.cameras.view import require_camera
@@ -113,13 +114,13 @@ class SplatRgb(Measurement):
             )
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
-    def memory(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """Return the last coverage."""
         return {} if self.coverage is None else {"coverage": np.array(self.coverage)}
 
-    def remember(self, memory: dict[str, NDArray[Any]]) -> None:
+    def restore(self, state: Arrays) -> None:
         """Go back to a coverage."""
-        self.coverage = float(memory["coverage"]) if memory else None
+        self.coverage = float(state["coverage"]) if state else None
 
     def _camera(self, T: NDArray[np.float64]) -> Camera:
         width, height = self._observation.width, self._observation.height

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
+from nw_eval.memory import Arrays
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.wrappers.wrapper import Memory, Sample, Shot, Spec, Wrapper
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot, Spec, Wrapper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,20 +73,20 @@ class Chain:
                 )
         return sample
 
-    def memory(self) -> Memory:
+    def state(self) -> Arrays:
         """Return what all wrappers remember."""
         return {
             f"{number}.{key}": value
             for number, named in enumerate(self._wrappers)
-            for key, value in named.wrapper.memory().items()
+            for key, value in named.wrapper.state().items()
         }
 
-    def remember(self, memory: Memory) -> None:
-        """Go back to a `memory`."""
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""
         for number, named in enumerate(self._wrappers):
             own = f"{number}."
-            named.wrapper.remember(
-                {key.removeprefix(own): memory[key] for key in memory if key.startswith(own)}
+            named.wrapper.restore(
+                {key.removeprefix(own): state[key] for key in state if key.startswith(own)}
             )
 
     def _trial_run(self, number: int, named: NamedWrapper, spec: Spec) -> Spec:

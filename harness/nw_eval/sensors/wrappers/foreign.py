@@ -10,8 +10,9 @@ import numpy as np
 from nw_eval.cards.observations.plugins import WRAPPERS
 from nw_eval.cards.observations.wrappers import PluginWrap
 from nw_eval.errors import PolicyError
-from nw_eval.sensors.plugins import make_plugin
-from nw_eval.sensors.wrappers.wrapper import Memory, Sample, Shot, Wrapper
+from nw_eval.memory import Arrays
+from nw_eval.sensors.plugins import make_plugin, remembers
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot, Wrapper
 
 
 def foreign_wrapper(entry: PluginWrap, *, code_from: Path | None) -> Wrapper:
@@ -25,11 +26,6 @@ def foreign_wrapper(entry: PluginWrap, *, code_from: Path | None) -> Wrapper:
         raise PolicyError(
             f"wrapper {entry.wrapper} has no method `__call__`",
             fix="write `def __call__(self, sample, shot)`",
-        )
-    if hasattr(foreign, "memory") != hasattr(foreign, "remember"):
-        raise PolicyError(
-            f"wrapper {entry.wrapper} has only one of `memory` and `remember`",
-            fix="write both, or neither if it remembers nothing between samples",
         )
     return _Foreign(foreign)
 
@@ -45,9 +41,9 @@ class _Foreign:
         if hasattr(self._wrapper, "reset"):
             self._wrapper.reset(rng)
 
-    def memory(self) -> Memory:
-        return self._wrapper.memory() if hasattr(self._wrapper, "memory") else {}
+    def state(self) -> Arrays:
+        return self._wrapper.state() if remembers(self._wrapper) else {}
 
-    def remember(self, memory: Memory) -> None:
-        if hasattr(self._wrapper, "remember"):
-            self._wrapper.remember(memory)
+    def restore(self, state: Arrays) -> None:
+        if remembers(self._wrapper):
+            self._wrapper.restore(state)

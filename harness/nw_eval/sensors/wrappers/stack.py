@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from nw_eval.sensors.wrappers.wrapper import Memory, Sample, Shot
+from nw_eval.memory import Arrays
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot
 
 
 class Stack:
@@ -35,12 +36,12 @@ class Stack:
         """Forget earlier samples."""
         self._samples.clear()
 
-    def memory(self) -> Memory:
+    def state(self) -> Arrays:
         """Return the samples."""
         return {"samples": np.stack(self._samples)} if self._samples else {}
 
-    def remember(self, memory: Memory) -> None:
+    def restore(self, state: Arrays) -> None:
         """Go back to samples."""
         self._samples.clear()
-        if memory:
-            self._samples.extend(memory["samples"])
+        if state:
+            self._samples.extend(state["samples"])

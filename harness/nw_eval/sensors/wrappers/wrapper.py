@@ -10,10 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.memory import Arrays, Forgetful, Memory
 from nw_eval.sensors.sensor import Moment
 
 Sample = NDArray[Any]
-Memory = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Shot:
         return self.generator(self.step)
 
 
-class Wrapper(Protocol):
+class Wrapper(Memory[Arrays], Protocol):
     """A wrapper as the chain uses it; classes of plug-ins need `__call__` only."""
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:
@@ -63,24 +63,9 @@ class Wrapper(Protocol):
         """Begin a trial; `rng` is the same for all of it."""
         ...
 
-    def memory(self) -> Memory:
-        """Return what the next samples depend on beside their own inputs."""
-        ...
 
-    def remember(self, memory: Memory) -> None:
-        """Go back to a `memory` of the same trial."""
-        ...
-
-
-class Plain:
+class Plain(Forgetful):
     """A wrapper without memory."""
 
     def reset(self, rng: np.random.Generator) -> None:
         """Nothing to forget."""
-
-    def memory(self) -> Memory:
-        """Nothing to remember."""
-        return {}
-
-    def remember(self, memory: Memory) -> None:
-        """Nothing to go back to."""

@@ -1,0 +1,105 @@
+"""From a policy's raw action to what the motors are told: delayed, filtered, scaled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.terms import EARLIER_OUTPUTS
+from nw_eval.policies import ActionDelay
+from nw_eval.rollout.fault import PolicyFailedError
+
+if TYPE_CHECKING:
+    from nw_eval.cards import JointControl
+    from nw_eval.policies import ActionFilter
+
+Array = NDArray[np.float64]
+
+HUGE = 1e6
+"""A joint target, rad, or torque, N m, beyond any sense, after the card's own scale and clip.
+
+Joints turn by less than 2 pi, and motors of such robots give some hundred N m. Training stacks clip
+raw actions at 100 (legged_gym's `clip_actions`), which is some 25 rad; MuJoCo itself gives up at
+1e10. A target this large is a network that ran away.
+"""
+
+
+class Actions:
+    """The actions of one trial, between its policy and its motors.
+
+    Each is applied `delay_steps` actions after it was taken; before the first, zeros are. What is
+    applied stays so until the next action is taken.
+
+    Args:
+        control: what actions mean.
+        joints: names of the robot's, in its own order.
+        delay_steps: actions that are applied before a new one is.
+        action_filter: that applied actions pass through, at rest; None = none.
+
+    Attributes:
+        delay: the actions that wait.
+        applied: the raw action that is applied, (12,).
+        output: what the policy returned last, (12,).
+        earlier: what it returned before that, (`EARLIER_OUTPUTS`, 12), the newest first.
+        filter: what they pass through.
+    """
+
+    def __init__(
+        self,
+        control: JointControl,
+        joints: tuple[str, ...],
+        *,
+        delay_steps: int,
+        action_filter: ActionFilter | None,
+    ) -> None:
+        count = len(joints)
+        self.delay = ActionDelay(delay_steps, count)
+        self.applied = Held(np.zeros(count))
+        self.output = Held(np.zeros(count))
+        self.earlier = Held(np.zeros((EARLIER_OUTPUTS, count)))
+        self.filter = action_filter
+        self._control = control
+        self._joints = joints
+
+    def take(self, action: Array) -> None:
+        """Take a new action of the policy, (12,) raw."""
+        self.earlier.array = np.vstack([self.output.array, self.earlier.array[:-1]])
+        self.output.array = action
+        self.applied.array = self.delay.push(action)
+        if self.filter is not None:
+            self.filter.push(self.applied.array)
+
+    def targets(self) -> Array:
+        """Return what the motors are told, (12,) rad or N m, as long as there is sense in it.
+
+        Raises:
+            PolicyFailedError: a target is huge.
+        """
+        applied = self.applied.array if self.filter is None else self.filter.output
+        targets = self._control.targets(applied)
+        index = int(np.abs(targets).argmax())
+        if not abs(targets[index]) < HUGE:
+            raise PolicyFailedError(
+                f"the policy's action makes a target of {targets[index]:.3g} for joint "
+                f"{self._joints[index]}",
+                kind="action",
+                fix="check the checkpoint, and `scale` and `clip` on its card",
+            )
+        return targets
+
+
+class Held:
+    """An array of float64 that is replaced as a whole, never written into."""
+
+    def __init__(self, array: Array) -> None:
+        self.array = array
+
+    def state(self) -> bytes:
+        """Return its numbers."""
+        return self.array.tobytes()
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of an array of the same shape."""
+        self.array = np.frombuffer(state).reshape(self.array.shape).copy()

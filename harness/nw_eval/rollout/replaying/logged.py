@@ -1,0 +1,93 @@
+"""What a log says about its trial, read back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import PolicyError, StoreError
+from nw_eval.inside import what_is
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggedTrial:
+    """What a log says about its trial, read back; of a replay, with what its caller chose."""
+
+    path: Path
+    job: TrialJob
+    verdict: Mapping[str, str]
+    versions: Mapping[str, str]
+
+    @property
+    def log(self) -> LogReader:
+        """The log itself, for its states, pictures and poses."""
+        return LogReader(self.path)
+
+
+def read_logged_trial(path: Path) -> LoggedTrial:
+    """Return what a log says about its trial.
+
+    Raises:
+        StoreError: the file is missing, damaged, or no log of a trial.
+    """
+    metadata = LogReader(path).metadata()
+    if TRIAL not in metadata or VERDICT not in metadata:
+        raise StoreError(f"{path} is no log of a finished trial", fix="name a file of mcap/")
+    try:
+        job = job_from_metadata(metadata[TRIAL])
+    except ValueError as error:
+        raise StoreError(f"{path}: {error}", fix="run the trial again") from None
+    return LoggedTrial(
+        path=path, job=job, verdict=metadata[VERDICT], versions=metadata.get(PROVENANCE, {})
+    )
+
+
+def agreed(
+    path: Path,
+    *,
+    policy: str | None,
+    checkpoint: Path | None,
+    allow_code: bool,
+    library: Library,
+) -> LoggedTrial:
+    """Return what a log says about its trial, with what its caller chose; arguments as `replay`.
+
+    Raises:
+        StoreError: the log cannot be read.
+        PolicyError: the bundle is missing, or is on a server that the log alone names.
+    """
+    logged = read_logged_trial(path)
+    recorded = logged.job
+    job = replace(
+        recorded,
+        policy=policy or _found(recorded),
+        checkpoint=checkpoint or (None if policy else recorded.checkpoint),
+        allow_code=allow_code,
+    )
+    logged = replace(logged, job=job)
+    if policy is None:
+        _refuse_servers(logged, library)
+    return logged
+
+
+def _refuse_servers(logged: LoggedTrial, library: Library) -> None:
+    bundle = library.bundle(logged.job.policy, logged.job.checkpoint)
+    if bundle.card.adapter == "remote":
+        raise PolicyError(
+            f"{logged.path}: {bundle.card_path}, which the log names, asks a policy on a server",
+            fix=f"add --policy {bundle.card_path} if you trust it",
+        )
+
+
+def _found(job: TrialJob) -> str:
+    """Return the recorded bundle's path, or its name where the path is of another machine."""
+    known = what_is(Path(job.policy)) != "nothing" or not job.policy_name
+    return job.policy if known else job.policy_name
