@@ -5,9 +5,9 @@ import pytest
 from pydantic import TypeAdapter
 
 from nw_eval.cards import Card
-from nw_eval.cards.observations import DepthObservation, SemanticsObservation
-from nw_eval.cards.observations import SplatRgbObservation as Photo
-from nw_eval.cards.observations.wraps import Wrap
+from nw_eval.cards.observations.cameras import DepthObservation, SemanticsObservation
+from nw_eval.cards.observations.cameras import SplatRgbObservation as Photo
+from nw_eval.cards.observations.wrappers import Wrapper
 from nw_eval.robots import get_robot
 from nw_eval.rollout.observed.views import View, views_of
 from nw_eval.sensors.cameras.splat_image import arrange
@@ -22,12 +22,12 @@ def view(spec):
 
 def wrapped(frames, wraps):
     """Return the last of some samples as a card's wrappers leave it."""
-    links = make_wrappers(TypeAdapter(list[Wrap]).validate_python(wraps), code_from=None)
-    chain = Chain("seen", links, Spec(frames[0].shape, frames[0].dtype))
+    chained = make_wrappers(TypeAdapter(list[Wrapper]).validate_python(wraps), code_from=None)
+    chain = Chain("seen", chained, Spec(frames[0].shape, frames[0].dtype))
     for step, frame in enumerate(frames):
         sample = frame
-        for named in links:
-            sample = named.link(sample, Shot(step, None, lambda _: np.random.default_rng(0)))
+        for named in chained:
+            sample = named.wrapper(sample, Shot(step, None, lambda _: np.random.default_rng(0)))
     assert sample.shape == chain.spec.shape
     return sample
 

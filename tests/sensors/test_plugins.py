@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from nw_eval.cards import load_card
 from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS, installed
-from nw_eval.cards.observations.wraps import BUILT_IN_WRAPPERS
+from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
 from nw_eval.errors import PolicyError
 from nw_eval.sensors import build_sensors, check_card
 from nw_eval.sensors.plugins import PluginWarning, usable

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards.observations import Wrap
+from nw_eval.cards.observations.wrappers import Wrapper
 from nw_eval.errors import PolicyError
 from nw_eval.sensors import build_sensors, check_card
 from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers
@@ -14,7 +14,7 @@ DEPTH = {"sensor": "depth", "width": 16, "height": 9}
 
 
 def chain(*listed, shape=COLOUR.shape, dtype=np.uint8):
-    wraps = TypeAdapter(list[Wrap]).validate_python(list(listed))
+    wraps = TypeAdapter(list[Wrapper]).validate_python(list(listed))
     return Chain("it", make_wrappers(wraps, code_from=None), Spec(shape, np.dtype(dtype)))
 
 

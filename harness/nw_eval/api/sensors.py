@@ -29,7 +29,7 @@ def list_sensors() -> tuple[ListedSensor, ...]:
     """
     from nw_eval.cards.observations import BUILT_IN_SENSORS
     from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS
-    from nw_eval.cards.observations.wraps import BUILT_IN_WRAPPERS
+    from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
     from nw_eval.sensors.plugins import usable
 
     found: list[ListedSensor] = []

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from nw_eval.cards.checkpoint import Checkpoint
+from nw_eval.cards.checkpoint import Adapter, Checkpoint
 from nw_eval.cards.command import Command, WaypointCommand
 from nw_eval.cards.control import Control
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Line
@@ -19,7 +19,6 @@ from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.cards.observations import Observation, ProprioObservation
 from nw_eval.cards.terms import AppliedAction, LastOutput
 from nw_eval.cards.terms import Command as CommandTerm
-from nw_eval.errors import nearest
 
 
 def _plain_name(name: str) -> str:
@@ -27,28 +26,6 @@ def _plain_name(name: str) -> str:
         message = f"{name[:70]!r} is not a valid policy name"
         raise ValueError(f"{message}; use at most 64 of a-z, 0-9, '.', '_' and '-'")
     return name
-
-
-ADAPTERS = (
-    "onnx",
-    "torchscript",
-    "torch-export",
-    "lucidsim",
-    "extreme-parkour",
-    "act",
-    "remote",
-    "zero",
-)
-
-
-def _known_adapter(name: str) -> str:
-    if name in ADAPTERS or re.fullmatch(r"python:[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
-        return name
-    if name.startswith("python:"):
-        message = f"{name!r} names no class; write python:package.module:Class"
-        raise ValueError(message)
-    message = f"unknown adapter {name!r}; {nearest(name, ADAPTERS)}"
-    raise ValueError(message)
 
 
 class Card(CardModel):
@@ -64,7 +41,7 @@ class Card(CardModel):
     """Terms under which others may use the checkpoint."""
     robot: str
     """The robot that the policy drives: go1 or go2."""
-    adapter: Annotated[str, AfterValidator(_known_adapter)]
+    adapter: Adapter
     """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
     has it on a server, `python:package.module:Class` is code and needs --allow-code."""
     checkpoint: Checkpoint | None = None
@@ -149,6 +126,11 @@ class Card(CardModel):
             ):
                 message = f"{name!r} feeds a clipped action back but the card clips none"
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
+
+    @property
+    def splat_images(self) -> list[str]:
+        """Names of the observations that no scene without a splat can give."""
+        return [name for name, seen in self.observations.items() if seen.needs_splat]
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
         """Return input names with the observations and networks they are made of.

@@ -1,14 +1,40 @@
-"""A file of weights as a card names it: where it lies, and the digest that it must have."""
+"""A file of weights as a card names it: how it is run, where it lies, and its digest."""
 
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, Literal, TypeGuard, get_args
 
 from pydantic import AfterValidator
 
 from nw_eval.cards.model import CardModel, Line
+from nw_eval.errors import nearest
 from nw_eval.inside import OutsideError, checked
+
+NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
+"""What runs a file that may also be a network which feeds another."""
+BuiltInAdapter = Literal[NetworkAdapter, "lucidsim", "extreme-parkour", "act", "remote", "zero"]
+"""The table of adapters; what opens each of them stands in `policies.adapters`."""
+
+ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)
+
+
+def is_built_in(adapter: str) -> TypeGuard[BuiltInAdapter]:
+    """Whether an adapter of a card is one of ours rather than `python:package.module:Class`."""
+    return adapter in ADAPTERS
+
+
+def _known_adapter(name: str) -> str:
+    if is_built_in(name) or re.fullmatch(r"python:[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
+        return name
+    if name.startswith("python:"):
+        message = f"{name!r} names no class; write python:package.module:Class"
+        raise ValueError(message)
+    message = f"unknown adapter {name!r}; {nearest(name, ADAPTERS)}"
+    raise ValueError(message)
+
+
+Adapter = Annotated[str, AfterValidator(_known_adapter)]
 
 
 def _plain_file(name: str) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, field_validator
 
-from nw_eval.cards.checkpoint import Checkpoint
+from nw_eval.cards.checkpoint import Checkpoint, NetworkAdapter
 from nw_eval.cards.model import CardModel, Rate
 from nw_eval.cards.observations.proprio import Select
 
@@ -37,7 +37,7 @@ def _named(value: Any) -> Any:
 class Network(CardModel):
     """A file of its own that turns observations, or what other networks give, into numbers."""
 
-    adapter: Literal["onnx", "torchscript", "torch-export"]
+    adapter: NetworkAdapter
     """How the file is run."""
     checkpoint: Checkpoint
     """The file."""

@@ -5,7 +5,7 @@ A term's numbers are `clip(value) * scale + offset`, in SI units and radians bef
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, assert_never
 
 from pydantic import BeforeValidator, Field
 
@@ -214,31 +214,27 @@ AnyTerm = (
 )
 Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
 
-_SIZES = {
-    "ang_vel": 3,
-    "lin_vel": 3,
-    "gravity": 3,
-    "roll_pitch": 2,
-    "imu": 3,
-    "acceleration": 3,
-    "command": 3,
-    "speed": 1,
-    "foot_contacts": 4,
-}
-
 
 def term_size(term: AnyTerm, joints: int = 12) -> int:
     """Return how many numbers a term has on a robot with `joints` joints."""
     match term:
-        case Constant():
-            return len(term.values)
-        case DeltaYaw():
-            return term.copies
+        case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration() | Command():
+            return 3
+        case RollPitch():
+            return 2
+        case Speed():
+            return 1
+        case FootContacts():
+            return len(term.feet)
         case Yaw():
             return 1 if term.values == "angle" else 2
-        case GaitClock():
-            return len(term.offsets) * len(term.values)
+        case DeltaYaw():
+            return term.copies
         case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
             return joints
+        case GaitClock():
+            return len(term.offsets) * len(term.values)
+        case Constant():
+            return len(term.values)
         case _:
-            return _SIZES[term.term]
+            assert_never(term)

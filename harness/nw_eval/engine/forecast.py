@@ -58,7 +58,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
     """
     suite, trials = plan.suite, len(plan.trials)
     count = worker_count(workers, trials)
-    sees = any(spec.sensor == "splat_rgb" for spec in plan.bundle.card.observations.values())
+    sees = bool(plan.bundle.card.splat_images)
     each = (_SEEING if sees or suite.record == "all" else _BLIND) * suite.episode.duration
     return Forecast(
         suite=suite,

@@ -21,7 +21,7 @@ _WORTH_SAYING = 3.0  # s
 
 def needs_splats(card: Card, record: Record) -> bool:
     """Return whether any trial may render: for the policy's eyes or for the log."""
-    return bool(_camera_images(card)) or record != "none"
+    return bool(card.splat_images) or record != "none"
 
 
 def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
@@ -30,7 +30,7 @@ def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
     Raises:
         UsageError: naming the scenes, and what of the card cannot be made there.
     """
-    names, without = _camera_images(card), [s.name for s in scenes if s.splat is None]
+    names, without = card.splat_images, [s.name for s in scenes if s.splat is None]
     if names and without:
         raise UsageError(
             f"{', '.join(without)}: no splat, of which policy {card.name!r} needs images: "
@@ -86,7 +86,3 @@ def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
                 listener.scene(name, fraction)
 
             scene.splat_store(progress)
-
-
-def _camera_images(card: Card) -> list[str]:
-    return [name for name, spec in card.observations.items() if spec.sensor == "splat_rgb"]

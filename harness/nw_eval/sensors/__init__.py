@@ -4,7 +4,7 @@ from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment, Sensor
-from nw_eval.sensors.wrappers.link import Shot
+from nw_eval.sensors.wrappers.wrapper import Shot
 
 __all__ = [
     "Moment",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cards import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.measurements import Maker
+from nw_eval.sensors.pipeline import Maker
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sampled import Sampled
 from nw_eval.sensors.sensor import Sensor
@@ -67,16 +67,14 @@ def build_sensors(
     first_step = 1 if world.protocol.first_step_is_blind else 0
     sensors: dict[str, Sensor] = {}
     for name, observation in card.observations.items():
-        made = maker.pipeline(name, observation)
-        attach = getattr(made.measurement, "attach", None)
-        if attach is not None:
-            attach(place)
+        pipeline = maker.pipeline(name, observation)
+        pipeline.measurement.attach(place)
         sensors[name] = Sampled(
             name,
-            made.measurement,
+            pipeline.measurement,
             rate=observation.rate,
             latency=observation.latency,
-            chain=made.chain,
+            chain=pipeline.chain,
             first_step=first_step,
         )
     return sensors

@@ -9,13 +9,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nw_eval.cards import Card, JointControl, actuator_values
-from nw_eval.cards.observations import AnyObservation, ProprioObservation, ScandotsObservation
+from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.protocol import STRICT
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.body.proprio import Proprio
-from nw_eval.sensors.measurements import Maker, Pipeline
+from nw_eval.sensors.pipeline import Maker, Pipeline
 
 Answer = TypeVar("Answer")
 
@@ -83,27 +82,22 @@ def check_card(
         if isinstance(observation, ProprioObservation) and not can_move:
             continue  # The joints are wrong; that has been said.
         try:
-            made = maker.pipeline(name, observation)
+            pipeline = maker.pipeline(name, observation)
         except NwEvalError as error:
             problems.append(str(error))
         else:
-            specs.append(_observation_spec(name, observation, made))
+            specs.append(_observation_spec(name, observation, pipeline))
     if problems:
         raise PolicyError([f"{place}: {problem}" for problem in problems])
     return tuple(specs)
 
 
-def _observation_spec(name: str, observation: AnyObservation, made: Pipeline) -> ObservationSpec:
-    spec = made.chain.spec
+def _observation_spec(
+    name: str, observation: AnyObservation, pipeline: Pipeline
+) -> ObservationSpec:
+    spec = pipeline.chain.spec
     size = sized(name, spec.shape)
-    sum_of = ""
-    if not observation.wrap:
-        if isinstance(observation, ScandotsObservation):
-            sum_of = f"{observation.x[2]} x {observation.y[2]}"
-        elif isinstance(observation, ProprioObservation) and isinstance(made.measurement, Proprio):
-            sum_of = " + ".join(str(part) for part in made.measurement.frame_sizes)
-            if observation.history is not None:
-                sum_of = f"{observation.history.steps} x ({sum_of})"
+    sum_of = "" if observation.wrap else pipeline.measurement.sum_of
     return ObservationSpec(
         name=name,
         sensor=observation.sensor,

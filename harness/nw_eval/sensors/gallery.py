@@ -198,8 +198,8 @@ def _observe(
         world.reset(position=(x, y, height), yaw=yaw)
         for _ in range(_SETTLING):
             world.step(robot.default_pose)
-        drawing = None if renderer is None else lambda _scene: renderer
-        sensors = build_sensors(card, world, renderer=drawing, code_from=code_from)
+        opened = None if renderer is None else lambda _scene: renderer
+        sensors = build_sensors(card, world, renderer=opened, code_from=code_from)
         for sensor in sensors.values():
             sensor.reset(0)
         moment = Moment(

@@ -13,12 +13,13 @@ from nw_eval.cards.observations.plugins import SENSORS
 from nw_eval.errors import CodeError, NwEvalError
 from nw_eval.memory import Arrays
 from nw_eval.robots import RobotSpec
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.plugins import make_plugin, remembers
 from nw_eval.sensors.sensor import Moment
 
 
-class PluginSensor:
+class PluginSensor(Measurement):
     """A measurement by an object of a plug-in's class.
 
     The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and
@@ -28,8 +29,6 @@ class PluginSensor:
     Raises:
         CodeError: the class cannot be imported or made, or is no sensor.
     """
-
-    coverage: float | None = None
 
     def __init__(
         self,
@@ -41,20 +40,20 @@ class PluginSensor:
     ) -> None:
         self._name = name
         self._sensor = observation.sensor
-        made = make_plugin(
+        plugin = make_plugin(
             observation.sensor, SENSORS, (robot,), observation.parameters, code_from=code_from
         )
         for needed in ("shape", "dtype", "measure"):
-            if not hasattr(made, needed):
+            if not hasattr(plugin, needed):
                 raise CodeError(
                     f"`{name}`: sensor {self._sensor} has no `{needed}`",
                     fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
                 )
-        self._made = made
-        self.shape: tuple[int, ...] = tuple(int(side) for side in made.shape)
-        self.dtype = np.dtype(made.dtype)
-        self.unit = str(getattr(made, "unit", "mixed"))
-        self.is_image = bool(getattr(made, "is_image", False))
+        self._plugin = plugin
+        self.shape: tuple[int, ...] = tuple(int(side) for side in plugin.shape)
+        self.dtype = np.dtype(plugin.dtype)
+        self.unit = str(getattr(plugin, "unit", "mixed"))
+        self.is_image = bool(getattr(plugin, "is_image", False))
 
     def attach(self, place: TrialPlace) -> None:
         """Show it the place."""
@@ -72,28 +71,28 @@ class PluginSensor:
         """
         sample = self._call("measure", moment)
         if not isinstance(sample, np.ndarray):
-            told = type(sample).__name__
+            form = type(sample).__name__
         elif sample.shape != self.shape or sample.dtype != self.dtype:
-            told = f"{sample.shape} {sample.dtype}"
+            form = f"{sample.shape} {sample.dtype}"
         else:
             return sample
         raise CodeError(
-            f"`{self._name}`: sensor {self._sensor} returned {told}",
+            f"`{self._name}`: sensor {self._sensor} returned {form}",
             fix=f"it says that it returns {self.shape} {self.dtype}",
         )
 
     def state(self) -> Arrays:
         """Return what it remembers."""
-        return self._call("state") or {} if remembers(self._made) else {}
+        return self._call("state") or {} if remembers(self._plugin) else {}
 
     def restore(self, state: Arrays) -> None:
         """Go back to a `state`."""
-        if remembers(self._made):
+        if remembers(self._plugin):
             self._call("restore", state)
 
     def _call(self, method: str, *arguments: Any) -> Any:
         """Call a method if the object has it."""
-        function = getattr(self._made, method, None)
+        function = getattr(self._plugin, method, None)
         if function is None:
             return None
         try:

@@ -51,13 +51,13 @@ def make_plugin(
                 f"{name!r} imports and runs Python code",
                 fix="add --allow-code if you trust it",
             )
-        told = name
+        subject = name
     else:
         points = installed(group).get(name)
         if not points:
             raise PolicyError(f"no installed plug-in {name!r}", fix="install its package again")
         _warn_of_rivals(points)
-        told = _told(points[0])
+        subject = _subject(points[0])
     try:
         cls = _from_folder(name, code_from) if is_code(name) else installed(group)[name][0].load()
         plugin = cls(*arguments, **parameters)
@@ -66,11 +66,11 @@ def make_plugin(
     except Exception as error:
         where = f"in {code_from} or " if is_code(name) else ""
         raise CodeError(
-            f"{told} cannot be opened: {type(error).__name__}: {error}",
+            f"{subject} cannot be opened: {type(error).__name__}: {error}",
             fix=f"its module must be {where}installed, and its class take the card's parameters"
             + (f" {sorted(parameters)}" if parameters else ""),
         ) from error
-    _check_memory(plugin, told)
+    _check_memory(plugin, subject)
     return plugin
 
 
@@ -89,13 +89,13 @@ def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
     for name, points in installed(group).items():
         if name in built_in:
             for point in points:
-                _warn(f"{_told(point)} is ignored: {name!r} is built in")
+                _warn(f"{_subject(point)} is ignored: {name!r} is built in")
             continue
         _warn_of_rivals(points)
         try:
             points[0].load()
         except Exception as error:  # noqa: BLE001 - whatever it is, it is that package's own.
-            _warn(f"{_told(points[0])} is broken: {type(error).__name__}: {error}")
+            _warn(f"{_subject(points[0])} is broken: {type(error).__name__}: {error}")
         else:
             found[name] = distribution(points[0])
     return found
@@ -104,7 +104,7 @@ def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
 def _warn_of_rivals(points: tuple[EntryPoint, ...]) -> None:
     for point in points[1:]:
         owner = distribution(points[0])
-        _warn(f"{_told(point)} is ignored: {point.name!r} is taken by {owner}")
+        _warn(f"{_subject(point)} is ignored: {point.name!r} is taken by {owner}")
 
 
 def _check_memory(plugin: Any, where: str) -> None:
@@ -124,7 +124,7 @@ def _has(plugin: Any, method: str) -> bool:
     return callable(getattr(plugin, method, None))
 
 
-def _told(point: EntryPoint) -> str:
+def _subject(point: EntryPoint) -> str:
     return f"plug-in {point.name!r} of {distribution(point)} ({point.value})"
 
 

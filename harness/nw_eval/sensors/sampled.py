@@ -3,54 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.memory import Arrays, Memory
+from nw_eval.memory import Arrays
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
-from nw_eval.sensors.wrappers.link import Spec
-
-
-class Measurement(Memory[Arrays], Protocol):
-    """What a sensor measures each time that it samples, before noise and wrappers."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of a measurement."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of a measurement."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """As `Sensor.unit`."""
-        ...
-
-    @property
-    def is_image(self) -> bool:
-        """As `Sensor.is_image`."""
-        ...
-
-    @property
-    def coverage(self) -> float | None:
-        """As `Sensor.coverage`."""
-        ...
-
-    def reset(self) -> None:
-        """Forget earlier measurements."""
-        ...
-
-    def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return a new measurement, which nobody will change."""
-        ...
+from nw_eval.sensors.wrappers.wrapper import Spec
 
 
 class Sampled:

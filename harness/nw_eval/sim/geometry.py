@@ -6,14 +6,15 @@ round primitives by `nw_eval.scenes.terrain.attach`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, assert_never
 
+from nw_eval.scenes.scene import Box
 from nw_eval.scenes.terrain.attach import add_height_field, add_primitive, add_triangles
 from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 from nw_eval.sim.binding import MjBody, MjSpec, mujoco
 
 if TYPE_CHECKING:
-    from nw_eval.scenes.scene import Box, Scene
+    from nw_eval.scenes.scene import Scene
 
 # With an override, scene geometry outranks the robot's, so that its friction alone counts.
 _OVERRIDING_PRIORITY = 1
@@ -46,8 +47,10 @@ def add_geometry(spec: MjSpec, scene: Scene, *, friction: float | None) -> None:
                 add_triangles(spec, name, solid, friction=rough, priority=priority)
             case Primitive():
                 add_primitive(spec, name, solid, friction=rough, priority=priority)
-            case _:
+            case Box():
                 _add_box(world, name, solid, friction=friction, priority=priority)
+            case _:
+                assert_never(solid)
 
 
 def _add_box(world: MjBody, name: str, box: Box, *, friction: float | None, priority: int) -> None:

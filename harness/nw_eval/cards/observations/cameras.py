@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,6 +14,8 @@ Rows = Annotated[int, Field(ge=8, le=1080)]
 
 class SplatRgbObservation(BaseObservation):
     """A rendering of the scene's splat from a camera of the robot."""
+
+    needs_splat: ClassVar[bool] = True
 
     sensor: Literal["splat_rgb"]
     camera: str = "ego"
@@ -92,3 +94,7 @@ class SemanticsObservation(_GeometryView):
     sensor: Literal["semantics"]
     values: Literal["ids", "colors"] = "ids"
     """`colors`: (height, width, 3) uint8 of the palette in `sensors.palette`."""
+
+
+CameraObservation = SplatRgbObservation | DepthObservation | SemanticsObservation
+"""All that are images of a camera of the robot; logs show them as pictures."""

@@ -7,18 +7,8 @@ from typing import Any
 from pydantic import ConfigDict, model_validator
 
 from nw_eval.cards.observations.base import BaseObservation
+from nw_eval.cards.observations.built_in import BUILT_IN_SENSORS
 from nw_eval.cards.observations.plugins import SENSORS, known_or_raise
-
-BUILT_IN_SENSORS = (
-    "proprio",
-    "scandots",
-    "heightmap",
-    "splat_rgb",
-    "depth",
-    "semantics",
-    "lidar",
-    "direction",
-)
 
 
 class PluginObservation(BaseObservation):

@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
 
 from nw_eval.errors import nearest
 
 SENSORS = "nw_eval.sensors"
 WRAPPERS = "nw_eval.wrappers"
 """The entry-point groups."""
-
-PLUGIN = "plug-in"
-"""The branch of a union that everything falls into which is not built in."""
 
 
 @cache
@@ -53,11 +49,3 @@ def known_or_raise(name: str, group: str, built_in: Collection[str]) -> None:
     elif name not in installed(group):
         message = f"{name!r} is not known; {nearest(name, {*built_in, *installed(group)})}"
         raise ValueError(message)
-
-
-def kind_of(value: Any, key: str, built_in: Collection[str]) -> str | None:
-    """Return the union branch of a mapping or model: its name if built in, else `PLUGIN`."""
-    name = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
-    if not isinstance(name, str):
-        return None
-    return name if name in built_in else PLUGIN

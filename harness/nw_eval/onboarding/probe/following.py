@@ -17,6 +17,7 @@ from nw_eval.cards.command import ConstantCommand, TrailFollower
 from nw_eval.cards.observations import ProprioObservation
 from nw_eval.onboarding.probe.rig import Rig
 from nw_eval.rollout.fault import PolicyFailedError
+from nw_eval.sensors.body.command import commanded_speed
 
 _FOLLOWS = 0.6
 """Share of a command that a policy reaches under its own card, and of which it reaches no more
@@ -127,8 +128,7 @@ def motions(card: Card) -> list[Motion]:
 
 def own_way(card: Card) -> list[Motion]:
     """Return what a policy does of itself, commanded or not: it goes ahead at the card's speed."""
-    command = card.command
-    speed = command.velocity[0] if isinstance(command, ConstantCommand) else command.speed
+    speed = commanded_speed(card.command)
     if abs(speed) < _LEAST:
         return []
     words = "on its way"

@@ -15,7 +15,8 @@ from nw_eval.onboarding.variants.written import settings
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors import ObservationSpec
 from nw_eval.sensors.body.proprio import Proprio
-from nw_eval.sensors.wrappers.link import Shot
+from nw_eval.sensors.body.terms import fixed_values
+from nw_eval.sensors.wrappers.wrapper import Shot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ def _whole(spec: ObservationSpec, observation: AnyObservation) -> Part:
         kind=spec.sensor,
         indices=np.arange(int(np.prod(spec.shape))),
         steps=1,
-        form=" -> ".join(wrap.wrapper for wrap in observation.wrap),
+        form=" -> ".join(wrapper.wrapper for wrapper in observation.wrap),
         limits=None,
         is_fixed=False,
     )
@@ -80,8 +81,9 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
             past = observation.history.model_copy(update={"start": "repeat", **history})
             every = observation.model_copy(update={"history": past})
         sample: NDArray[np.float32] = tags
-        for link in Proprio(name, every, card.command, control).frame_links(published=False):
-            sample = link(sample, Shot(step=2, moment=None, generator=np.random.default_rng))
+        shot = Shot(step=2, moment=None, generator=np.random.default_rng)
+        for wrapper in Proprio(name, every, card.command, control).form:
+            sample = wrapper(sample, shot)
         return sample
 
     came_from = owner[seen(zero=None).astype(np.intp) - 1]
@@ -100,7 +102,7 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
                 steps=steps,
                 form=_form(term),
                 limits=_limits(term, observation),
-                is_fixed=term.term in {"constant", "speed"}
+                is_fixed=fixed_values(term, card.command) is not None
                 or (term.term == "command" and card.command.source == "constant")
                 or bool(is_zero[indices].all()),
             )

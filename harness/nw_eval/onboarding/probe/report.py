@@ -58,7 +58,7 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
     Raises:
         PolicyError, SceneError: it cannot be run at all, or fails as it runs.
     """
-    sees = any(spec.sensor == "splat_rgb" for spec in bundle.card.observations.values())
+    sees = bool(bundle.card.splat_images)
     place = get_scene(scene)
     if sees and place.splat is not None:
         place.splat_store()  # The cache is out of that process's reach.

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import assert_never
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
@@ -130,11 +131,13 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 parameters=_count(tensors),
                 tensors=tensors,
             )
-        case _:
+        case "unknown":
             raise PolicyError(
                 f"{where}: the format of the file is unknown",
                 fix="give an ONNX, TorchScript, torch.export or state-dict file",
             )
+        case _:
+            assert_never(kind)
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import assert_never
+
+from nw_eval.cards.checkpoint import is_built_in
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Policy
 from nw_eval.robots import get_robot
@@ -29,7 +32,12 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
 def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
     """Open a bundle's own checkpoint, without the networks that feed it."""
     joints = len(get_robot(bundle.card.robot).joints)
-    match bundle.card.adapter:
+    adapter = bundle.card.adapter
+    if not is_built_in(adapter):
+        from nw_eval.policies.adapters.python_code import PythonPolicy
+
+        return PythonPolicy(bundle, joints=joints, allow_code=allow_code)
+    match adapter:
         case "onnx":
             from nw_eval.policies.adapters.onnx import OnnxPolicy
 
@@ -63,6 +71,4 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
 
             return ZeroPolicy(joints=joints)
         case _:
-            from nw_eval.policies.adapters.python_code import PythonPolicy
-
-            return PythonPolicy(bundle, joints=joints, allow_code=allow_code)
+            assert_never(adapter)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.checkpoint import NetworkAdapter
 from nw_eval.cards.networks import NetworkOutput
 from nw_eval.cards.observations.proprio import selected_indices
 from nw_eval.errors import ActionError, TrialError
@@ -18,10 +19,11 @@ from nw_eval.policies.policy import Observation
 Array = NDArray[Any]
 
 
-def open_network(bundle: Bundle, wanted: Wanted) -> OpenNetwork:
+def open_network(adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted) -> OpenNetwork:
     """Open one file of a bundle for some of its outputs.
 
     Args:
+        adapter: what runs the file.
         bundle: from `Bundle.of_network`.
         wanted: which outputs `run` is to return, in this order.
 
@@ -29,7 +31,7 @@ def open_network(bundle: Bundle, wanted: Wanted) -> OpenNetwork:
         PolicyError: the file is not what its adapter reads, or has other inputs and outputs than
             the card says.
     """
-    match bundle.card.adapter:
+    match adapter:
         case "onnx":
             from nw_eval.policies.adapters.onnx import OnnxNetwork
 
@@ -38,10 +40,12 @@ def open_network(bundle: Bundle, wanted: Wanted) -> OpenNetwork:
             from nw_eval.policies.adapters.torchscript import TorchScriptNetwork
 
             return TorchScriptNetwork(bundle, wanted)
-        case _:
+        case "torch-export":
             from nw_eval.policies.adapters.torch_export import TorchExportNetwork
 
             return TorchExportNetwork(bundle, wanted)
+        case _:
+            assert_never(adapter)
 
 
 class Feeder:
@@ -55,7 +59,7 @@ class Feeder:
         self.every = 1 if network.rate is None else bundle.card.control.rate // network.rate
         """Actions from one time that it is asked to the next."""
         wanted = [output.output for output in self.outputs.values()]
-        self.network = open_network(self.bundle, wanted)
+        self.network = open_network(network.adapter, self.bundle, wanted)
 
     def run(self, observation: Observation) -> dict[str, Array]:
         """Ask it; return what it gives by name, each in memory of its own.

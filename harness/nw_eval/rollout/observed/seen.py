@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations import ProprioObservation
-from nw_eval.cards.observations.wraps import Flatten, PluginWrap
+from nw_eval.cards.observations.wrappers import Flatten, PluginWrap
 from nw_eval.cards.terms import term_size
 from nw_eval.rollout.mcap.layout import layout_json
 from nw_eval.rollout.observed.views import View, topic_names, views_of

@@ -10,13 +10,18 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import DepthObservation, SemanticsObservation, SplatRgbObservation
-from nw_eval.cards.observations import wraps as wrap
+from nw_eval.cards.observations import wrappers
+from nw_eval.cards.observations.cameras import (
+    CameraObservation,
+    DepthObservation,
+    SemanticsObservation,
+    SplatRgbObservation,
+)
 from nw_eval.rollout.mcap.content.images import Form
 
 if TYPE_CHECKING:
@@ -25,19 +30,17 @@ if TYPE_CHECKING:
 
 Image = NDArray[Any]
 
-CameraObservation = SplatRgbObservation | DepthObservation | SemanticsObservation
-
 _COLOURS = 3
 _PLAIN = re.compile(r"[\w.-]{1,100}")
 # After these a pixel's unit still is what it was.
 _FAITHFUL = (
-    wrap.NoiseWrap
-    | wrap.Crop
-    | wrap.Resize
-    | wrap.Clip
-    | wrap.Quantize
-    | wrap.Stack
-    | wrap.Channels
+    wrappers.NoiseWrap
+    | wrappers.Crop
+    | wrappers.Resize
+    | wrappers.Clip
+    | wrappers.Quantize
+    | wrappers.Stack
+    | wrappers.Channels
 )
 
 
@@ -86,7 +89,10 @@ class View:
 
     def pinhole(self, mount: CameraMount) -> Pinhole | None:
         """Return the calibration of the pictures; None after a wrapper that may bend images."""
-        if any(isinstance(link, wrap.Flatten | wrap.PluginWrap) for link in self.spec.wrap):
+        if any(
+            isinstance(wrapper, wrappers.Flatten | wrappers.PluginWrap)
+            for wrapper in self.spec.wrap
+        ):
             return None
         return self._traced(mount.fovy)
 
@@ -108,34 +114,47 @@ class View:
             cx=0.5 * spec.width,
             cy=0.5 * spec.height,
         )
-        for link in spec.wrap:
-            match link:
-                case wrap.Crop():
+        for wrapper in spec.wrap:
+            match wrapper:
+                case wrappers.Crop():
                     seen = Pinhole(
-                        width=seen.width - link.left - link.right,
-                        height=seen.height - link.top - link.bottom,
+                        width=seen.width - wrapper.left - wrapper.right,
+                        height=seen.height - wrapper.top - wrapper.bottom,
                         fx=seen.fx,
                         fy=seen.fy,
-                        cx=seen.cx - link.left,
-                        cy=seen.cy - link.top,
+                        cx=seen.cx - wrapper.left,
+                        cy=seen.cy - wrapper.top,
                     )
-                case wrap.Resize():
-                    across, down = link.width / seen.width, link.height / seen.height
+                case wrappers.Resize():
+                    across, down = wrapper.width / seen.width, wrapper.height / seen.height
                     seen = Pinhole(
-                        width=link.width,
-                        height=link.height,
+                        width=wrapper.width,
+                        height=wrapper.height,
                         fx=seen.fx * across,
                         fy=seen.fy * down,
                         cx=seen.cx * across,
                         cy=seen.cy * down,
                     )
-                case _:
+                case (
+                    wrappers.NoiseWrap()
+                    | wrappers.Normalize()
+                    | wrappers.Scale()
+                    | wrappers.Clip()
+                    | wrappers.Grayscale()
+                    | wrappers.Quantize()
+                    | wrappers.Stack()
+                    | wrappers.Channels()
+                    | wrappers.Flatten()
+                    | wrappers.PluginWrap()
+                ):
                     pass
+                case _:
+                    assert_never(wrapper)
         return seen
 
     @property
     def _in_colour(self) -> bool:
-        if any(isinstance(link, wrap.Grayscale) for link in self.spec.wrap):
+        if any(isinstance(wrapper, wrappers.Grayscale) for wrapper in self.spec.wrap):
             return False
         spec = self.spec
         if isinstance(spec, SemanticsObservation):
@@ -145,7 +164,9 @@ class View:
     @property
     def _frames(self) -> int:
         """How many samples an observation holds."""
-        stacks = [link.steps for link in self.spec.wrap if isinstance(link, wrap.Stack)]
+        stacks = [
+            wrapper.steps for wrapper in self.spec.wrap if isinstance(wrapper, wrappers.Stack)
+        ]
         own = self.spec.stack if isinstance(self.spec, SplatRgbObservation) else 1
         return own * prod(stacks)
 
@@ -155,7 +176,7 @@ class View:
         # Of an image of unknown size, rows and columns are the two that make most pixels.
         rows = pairs.index(self._size if self._size in pairs else max(pairs, key=prod))
         array = np.moveaxis(array, (rows, rows + 1), (0, 1))
-        stacks = [link.axis for link in self.spec.wrap if isinstance(link, wrap.Stack)]
+        stacks = [wrapper.axis for wrapper in self.spec.wrap if isinstance(wrapper, wrappers.Stack)]
         if self._in_colour and stacks[-1:] == ["last"]:
             array = np.moveaxis(array, -1, 2)  # The colours stood before the samples.
         return array.reshape(*array.shape[:2], -1)
@@ -168,7 +189,7 @@ class View:
         if isinstance(spec, SemanticsObservation) and spec.values == "ids" and _is_bytes(image):
             return "classes", image
         is_metric = isinstance(spec, DepthObservation) and spec.mode == "metres"
-        if is_metric and all(isinstance(link, _FAITHFUL) for link in spec.wrap):
+        if is_metric and all(isinstance(wrapper, _FAITHFUL) for wrapper in spec.wrap):
             return "metres", image
         return ("grey", image) if _is_bytes(image) else ("numbers", image)
 
@@ -205,7 +226,7 @@ def views_of(card: Card) -> tuple[View, ...]:
     found: list[View] = []
     names = topic_names(card)
     for name, spec in card.observations.items():
-        if not isinstance(spec, SplatRgbObservation | DepthObservation | SemanticsObservation):
+        if not isinstance(spec, CameraObservation):
             continue
         topic = f"/camera/{spec.camera}"
         is_first = isinstance(spec, SplatRgbObservation) and topic not in {v.topic for v in found}

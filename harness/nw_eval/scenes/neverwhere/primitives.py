@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,16 +157,19 @@ def _mesh(solid: Box | Primitive, kind: FaceKind) -> TriangleMesh:
 
     radius, *rest = solid.size
     shape: Any
-    if solid.kind == "sphere":
-        shape = creation.icosphere(subdivisions=3, radius=radius)
-    elif solid.kind == "ellipsoid":
-        shape = creation.icosphere(subdivisions=3, radius=1.0)
-        shape.apply_scale(solid.size)
-    elif solid.kind == "cylinder":
-        shape = creation.cylinder(radius=radius, height=2 * rest[0], sections=32)
-    else:
-        shape = creation.capsule(radius=radius, height=2 * rest[0], count=[32, 32])
-        shape.apply_translation((0.0, 0.0, -float(shape.bounds.mean(axis=0)[2])))
+    match solid.kind:
+        case "sphere":
+            shape = creation.icosphere(subdivisions=3, radius=radius)
+        case "ellipsoid":
+            shape = creation.icosphere(subdivisions=3, radius=1.0)
+            shape.apply_scale(solid.size)
+        case "cylinder":
+            shape = creation.cylinder(radius=radius, height=2 * rest[0], sections=32)
+        case "capsule":
+            shape = creation.capsule(radius=radius, height=2 * rest[0], count=[32, 32])
+            shape.apply_translation((0.0, 0.0, -float(shape.bounds.mean(axis=0)[2])))
+        case _:
+            assert_never(solid.kind)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_matrix(solid.quat), solid.center
     vertices = moved(np.asarray(shape.vertices, dtype=np.float64), T)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import assert_never
 
-from nw_eval.cards.command import Command, ConstantCommand, TrailFollower
+from nw_eval.cards.command import Command, ConstantCommand, TrailFollower, WaypointCommand
 from nw_eval.sensors.sensor import Moment
 
 
@@ -19,8 +20,10 @@ def velocity_command(command: Command, moment: Moment) -> tuple[float, float, fl
             turn = command.yaw_gain * error
             limit = command.yaw_limit
             return command.speed * forward, 0.0, min(max(turn, -limit), limit)
-        case _:
+        case WaypointCommand():
             return command.speed, 0.0, 0.0
+        case _:
+            assert_never(command)
 
 
 def commanded_speed(command: Command) -> float:

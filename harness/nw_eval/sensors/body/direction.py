@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import DirectionObservation
+from nw_eval.cards.observations.direction import DirectionObservation
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Direction(Stateless):
+class Direction(Measurement):
     """The angle from the heading to the next waypoint: (1,) rad, or (2,) sine and cosine."""
 
     def __init__(self, observation: DirectionObservation) -> None:

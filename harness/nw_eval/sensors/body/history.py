@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.observations import History
 from nw_eval.memory import Arrays
-from nw_eval.sensors.wrappers.link import Plain, Shot
+from nw_eval.sensors.wrappers.wrapper import Plain, Shot
 
 Frame = NDArray[np.float32]
 Indices = NDArray[np.intp]

@@ -14,22 +14,35 @@ from nw_eval.cards.terms import AnyTerm, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.sensors.body.history import HistoryStack, Select
 from nw_eval.sensors.body.terms import Reader, fixed_values, reader
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Proprio(Stateless):
+class Proprio(Measurement):
     """Numbers of the body at this moment: one whole frame, (n,) float32.
 
-    What the card takes of a frame, and its history, are links behind it: `frame_links`.
+    What the card takes of a frame, and its history, are its `form`.
     """
 
     unit = "mixed"
 
     def __init__(
-        self, name: str, observation: ProprioObservation, command: Command, control: JointControl
+        self,
+        name: str,
+        observation: ProprioObservation,
+        command: Command,
+        control: JointControl,
+        *,
+        spoils_first: bool = False,
     ) -> None:
         """Prepare one reader for each term.
+
+        Args:
+            name: of the observation, for errors.
+            observation: from the card.
+            command: the card's.
+            control: the card's.
+            spoils_first: whether the protocol spoils the first observation of its own 53 numbers.
 
         Raises:
             PolicyError: a list of scales has another length than its term, or `select` or `zero`
@@ -62,9 +75,13 @@ class Proprio(Stateless):
         self._limits = np.repeat(limits, self._sizes, axis=0) if limited else None
         self._clip = observation.clip
         self._keep = _indices(name, observation.select, bounds[-1])
-        self.frame_sizes = self._sizes if self._keep is None else [len(self._keep)]
+        self._kept_sizes = self._sizes if self._keep is None else [len(self._keep)]
         self.shape: tuple[int, ...] = (bounds[-1],)
         self.dtype = np.dtype(np.float32)
+        self.form = self._form(spoils=spoils_first and observation.layout == "parkour53")
+        frame = " + ".join(str(size) for size in self._kept_sizes)
+        history = observation.history
+        self.sum_of = frame if history is None else f"{history.steps} x ({frame})"
         # Observations of one card that have the same terms read them once.
         self._key = repr((terms, observation.clip, command))
 
@@ -88,24 +105,16 @@ class Proprio(Stateless):
         moment.shared[self._key] = single
         return single
 
-    def frame_links(self, *, published: bool) -> list[Select | HistoryStack]:
-        """Return what a frame passes through to become the observation.
-
-        Args:
-            published: whether the protocol spoils the first observation of its own 53 numbers.
-        """
-        observation = self._observation
-        spoils = published and observation.layout == "parkour53"
+    def _form(self, *, spoils: bool) -> list[Select | HistoryStack]:
+        """Return what a frame passes through to become the observation."""
+        observation, keep = self._observation, self._keep
         if observation.history is not None:
-            size = len(self._keep) if self._keep is not None else self.shape[0]
+            size = len(keep) if keep is not None else self.shape[0]
             zero = _indices(self._name, observation.history.zero, size)
-            stack = HistoryStack(
-                observation.history, self.frame_sizes, keep=self._keep, zero=zero, spoils=spoils
-            )
+            sizes = self._kept_sizes
+            stack = HistoryStack(observation.history, sizes, keep=keep, zero=zero, spoils=spoils)
             return [stack]
-        if self._keep is not None or spoils:
-            return [Select(self._keep, spoils=spoils)]
-        return []
+        return [Select(keep, spoils=spoils)] if keep is not None or spoils else []
 
 
 def _scales(name: str, term: AnyTerm, size: int) -> NDArray[np.float64]:

@@ -99,14 +99,18 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
         wx, wy, wz = moment.world.trunk_angular_velocity.tolist()
         turning = np.array([wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px])
         in_world = moment.world.trunk_linear_velocity + rotation @ turning
-        if term.frame == "world":
-            return in_world
-        if term.frame == "trunk":
-            return rotation.T @ in_world
-        yaw = moment.roll_pitch_yaw[2]
-        c, s = math.cos(yaw), math.sin(yaw)
-        x, y, z = in_world.tolist()
-        return np.array([c * x + s * y, c * y - s * x, z])
+        match term.frame:
+            case "world":
+                return in_world
+            case "trunk":
+                return rotation.T @ in_world
+            case "yaw":
+                yaw = moment.roll_pitch_yaw[2]
+                c, s = math.cos(yaw), math.sin(yaw)
+                x, y, z = in_world.tolist()
+                return np.array([c * x + s * y, c * y - s * x, z])
+            case _:
+                assert_never(term.frame)
 
     return read
 

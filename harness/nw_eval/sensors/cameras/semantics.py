@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import SemanticsObservation
+from nw_eval.cards.observations.cameras import SemanticsObservation
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.cameras.view import PixelRays
 from nw_eval.sensors.drawing.palette import PALETTE
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Semantics(Stateless):
+class Semantics(Measurement):
     """Class ids (H, W) uint8, or colours (H, W, 3); see `sensors.palette`."""
 
     is_image = True

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import SplatRgbObservation
+from nw_eval.cards.observations.cameras import SplatRgbObservation
 from nw_eval.memory import Arrays
-from nw_eval.sensors.wrappers.link import Shot
+from nw_eval.sensors.wrappers.wrapper import Shot
 
 Bytes = NDArray[np.uint8]
 
@@ -32,7 +32,7 @@ class Arrange:
         self._observation = observation
         self._frames: deque[Bytes] = deque(maxlen=observation.stack)
 
-    def __call__(self, sample: Bytes, shot: Shot) -> NDArray[Any]:  # noqa: ARG002 - as every link.
+    def __call__(self, sample: Bytes, shot: Shot) -> NDArray[Any]:  # noqa: ARG002 - as every wrapper.
         """Add an image (H, W, 3) and return the observation."""
         # The first image stands for those before it.
         self._frames.extend([sample] * (1 if self._frames else self._observation.stack))

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import SplatRgbObservation
+from nw_eval.cards.observations.cameras import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
-from nw_eval.sensors.cameras.splat_image import average_blocks
+from nw_eval.sensors.cameras.splat_image import Arrange, average_blocks
 from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment
 from nw_eval.splat.cameras.camera import Camera
@@ -27,11 +28,11 @@ _PUBLISHED_SIZE = (1280, 720)
 _PUBLISHED_PIXELS = Pixels(stride=16, block=2, offset=7)
 
 
-class SplatRgb:
+class SplatRgb(Measurement):
     """Images of the splat from a camera of the robot, with cones and robot where the card asks.
 
-    A measurement is one image (H, W, 3) of bytes; axes, type and stack of the card are a link
-    behind it, `splat_image.Arrange`.
+    A measurement is one image (H, W, 3) of bytes; axes, type and stack of the card are a
+    wrapper behind it, `splat_image.Arrange`.
     """
 
     unit = "rgb"
@@ -58,9 +59,9 @@ class SplatRgb:
         self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
         self._cones = TrailCones()
         self._renderer: Renderer | None = None
-        self.coverage: float | None = None
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
         self.dtype = np.dtype(np.uint8)
+        self.form = (Arrange(observation),)
 
     def attach(self, place: TrialPlace) -> None:
         """Open the renderer of the scene's splat.

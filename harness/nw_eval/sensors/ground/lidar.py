@@ -8,29 +8,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import LidarObservation
+from nw_eval.cards.observations.lidar import LidarObservation
 from nw_eval.sensors.ground.heights import Rays
 from nw_eval.sensors.ground.surroundings import Surroundings
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
-from nw_eval.sensors.wrappers.link import Plain, Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 Array = NDArray[np.float64]
 
 _HALF_RECTANGLE = 0.6  # rad to each side, unless the card says otherwise
 
 
-class Lidar(Stateless):
+class Lidar(Measurement):
     """Distances along the rays, (channels, columns) float32 m, inf where there is no return.
 
     Points are made of them by `LidarForm`, so that noise acts along the rays.
     """
 
     unit = "m"
+    nothing = math.inf
 
     def __init__(self, observation: LidarObservation, rays: Rays) -> None:
         self.shape: tuple[int, ...] = (observation.channels, observation.columns)
         self.dtype = np.dtype(np.float32)
+        self.form = (LidarForm(observation),)
         mount = observation.mount
         self._position = np.array(mount.position)
         self._directions = pattern(observation).reshape(-1, 3) @ rotation(*mount.rpy).T
@@ -52,7 +54,7 @@ class LidarForm(Plain):
         self._in_points = observation.values == "points"
         self._pattern = pattern(observation).astype(np.float32)
 
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every link.
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return (channels, columns, 3) or (channels, columns) float32."""
         nearest, farthest = self._range
         found = (sample >= nearest) & (sample <= farthest)

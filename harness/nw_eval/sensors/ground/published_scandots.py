@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import ScandotsObservation
+from nw_eval.cards.observations.heights import ScandotsObservation
 from nw_eval.sensors.ground.heights import Rays, grid
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 _ALTITUDE = 25.0  # m above the centre of mass, about
 _PIXELS = 480  # along each side of the image
@@ -22,7 +22,7 @@ PIXELS_PER_METRE = _PIXELS / (2.0 * _ALTITUDE * math.tan(math.radians(3.0)))  # 
 _STANCE = 0.0143
 
 
-class PublishedScandots(Stateless):
+class PublishedScandots(Measurement):
     """The heights of `Scandots`, with the published camera, its pixels and its clipping.
 
     The camera follows the centre of mass. A point falls on the pixel that truncation toward zero

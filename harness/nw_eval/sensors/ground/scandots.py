@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import ScandotsObservation
+from nw_eval.cards.observations.heights import ScandotsObservation
 from nw_eval.sensors.ground.heights import HeightGrid, Rays, limited
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.stateless import Stateless
 
 
-class Scandots(Stateless):
+class Scandots(Measurement):
     """clip(trunk_z + offset - ground_z) under the points of the grid, (N,) m.
 
     A view of the same grid as `Heightmap`, counted downwards. The published evaluation reads a
@@ -28,6 +28,7 @@ class Scandots(Stateless):
         self._offset = observation.offset
         self._low, self._high = observation.clip
         self.shape: tuple[int, ...] = (len(self._grid),)
+        self.sum_of = f"{observation.x[2]} x {observation.y[2]}"
         self.dtype = np.dtype(np.float32)
 
     def measure(self, moment: Moment) -> NDArray[Any]:

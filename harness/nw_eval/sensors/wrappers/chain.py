@@ -10,15 +10,15 @@ import numpy as np
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.memory import Arrays
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sensors.wrappers.link import Link, Sample, Shot, Spec
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot, Spec, Wrapper
 
 
 @dataclass(frozen=True, kw_only=True)
-class Named:
+class NamedWrapper:
     """A wrapper and what people call it."""
 
     name: str
-    link: Link
+    wrapper: Wrapper
 
 
 class Chain:
@@ -26,7 +26,7 @@ class Chain:
 
     Args:
         observation: its name on the card, for errors.
-        links: in order.
+        wrappers: in order.
         start: what goes in.
 
     Attributes:
@@ -36,25 +36,25 @@ class Chain:
         PolicyError: a wrapper cannot take what comes to it.
     """
 
-    def __init__(self, observation: str, links: Sequence[Named], start: Spec) -> None:
+    def __init__(self, observation: str, wrappers: Sequence[NamedWrapper], start: Spec) -> None:
         self._observation = observation
-        self._links = tuple(links)
+        self._wrappers = tuple(wrappers)
         self._seed = 0
         self.spec = start
         self._specs: list[Spec] = []
-        for number, named in enumerate(self._links):
+        for number, named in enumerate(self._wrappers):
             self.spec = self._trial_run(number, named, self.spec)
             self._specs.append(self.spec)
 
     def __bool__(self) -> bool:
-        return bool(self._links)
+        return bool(self._wrappers)
 
     def reset(self, seed: int) -> None:
         """Begin a trial, whose randomness all comes from `seed`."""
         self._seed = seed
-        for number, named in enumerate(self._links):
+        for number, named in enumerate(self._wrappers):
             # Counters of samples start at 0 in another dimension than this one's.
-            named.link.reset(_generator(seed, number, -1))
+            named.wrapper.reset(_generator(seed, number, -1))
 
     def __call__(self, sample: Sample, moment: Moment) -> Sample:
         """Return what the policy sees of a sample.
@@ -62,7 +62,7 @@ class Chain:
         Raises:
             PolicyError: a wrapper raised, or returned another shape or type than on its trial run.
         """
-        for number, named in enumerate(self._links):
+        for number, named in enumerate(self._wrappers):
             sample = self._pass(number, named, sample, moment.step, moment)
             spec = self._specs[number]
             if sample.shape != spec.shape or sample.dtype != spec.dtype:
@@ -77,32 +77,32 @@ class Chain:
         """Return what all wrappers remember."""
         return {
             f"{number}.{key}": value
-            for number, named in enumerate(self._links)
-            for key, value in named.link.state().items()
+            for number, named in enumerate(self._wrappers)
+            for key, value in named.wrapper.state().items()
         }
 
     def restore(self, state: Arrays) -> None:
         """Go back to a `state`."""
-        for number, named in enumerate(self._links):
+        for number, named in enumerate(self._wrappers):
             own = f"{number}."
-            named.link.restore(
+            named.wrapper.restore(
                 {key.removeprefix(own): state[key] for key in state if key.startswith(own)}
             )
 
-    def _trial_run(self, number: int, named: Named, spec: Spec) -> Spec:
+    def _trial_run(self, number: int, named: NamedWrapper, spec: Spec) -> Spec:
         """Return what a wrapper makes of a sample of ones."""
-        named.link.reset(_generator(0, number, -1))
+        named.wrapper.reset(_generator(0, number, -1))
         sample = self._pass(number, named, np.ones(spec.shape, spec.dtype), 0, None)
-        named.link.reset(_generator(0, number, -1))
+        named.wrapper.reset(_generator(0, number, -1))
         return Spec(sample.shape, sample.dtype)
 
     def _pass(
-        self, number: int, named: Named, sample: Sample, step: int, moment: Moment | None
+        self, number: int, named: NamedWrapper, sample: Sample, step: int, moment: Moment | None
     ) -> Sample:
         seed = self._seed
         shot = Shot(step, moment, lambda at: _generator(seed, number, at))
         try:
-            result = named.link(sample, shot)
+            result = named.wrapper(sample, shot)
         except NwEvalError as error:
             raise PolicyError(f"`{self._observation}`: {error}") from None
         except Exception as error:

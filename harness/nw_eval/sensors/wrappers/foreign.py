@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 
 from nw_eval.cards.observations.plugins import WRAPPERS
-from nw_eval.cards.observations.wraps import PluginWrap
+from nw_eval.cards.observations.wrappers import PluginWrap
 from nw_eval.errors import PolicyError
 from nw_eval.memory import Arrays
 from nw_eval.sensors.plugins import make_plugin, remembers
-from nw_eval.sensors.wrappers.link import Link, Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot, Wrapper
 
 
-def foreign_wrapper(wrap: PluginWrap, *, code_from: Path | None) -> Link:
+def foreign_wrapper(entry: PluginWrap, *, code_from: Path | None) -> Wrapper:
     """Return an object of a plug-in's class, with whatever methods it leaves out filled in.
 
     Raises:
         PolicyError: the class cannot be imported or made, or is no wrapper.
     """
-    made = make_plugin(wrap.wrapper, WRAPPERS, (), wrap.parameters, code_from=code_from)
-    if not callable(made):
+    foreign = make_plugin(entry.wrapper, WRAPPERS, (), entry.parameters, code_from=code_from)
+    if not callable(foreign):
         raise PolicyError(
-            f"wrapper {wrap.wrapper} has no method `__call__`",
+            f"wrapper {entry.wrapper} has no method `__call__`",
             fix="write `def __call__(self, sample, shot)`",
         )
-    return _Foreign(made)
+    return _Foreign(foreign)
 
 
 class _Foreign:

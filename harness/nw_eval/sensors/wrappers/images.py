@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import wraps
+from nw_eval.cards.observations import wrappers
 from nw_eval.errors import PolicyError
-from nw_eval.sensors.wrappers.link import Plain, Sample, Shot
 from nw_eval.sensors.wrappers.values import rounded
+from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 # ITU-R BT.601, as OpenCV and Pillow reckon brightness.
 _LUMA = np.array([0.299, 0.587, 0.114])
@@ -18,42 +18,43 @@ _FLAT, _COLOUR = 2, 3
 class Crop(Plain):
     """Fewer rows and columns."""
 
-    def __init__(self, wrap: wraps.Crop) -> None:
-        self._wrap = wrap
+    def __init__(self, settings: wrappers.Crop) -> None:
+        self._settings = settings
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return the inner part."""
         height, width = _size(sample, "crop")
-        wrap = self._wrap
-        if wrap.top + wrap.bottom >= height or wrap.left + wrap.right >= width:
+        settings = self._settings
+        if settings.top + settings.bottom >= height or settings.left + settings.right >= width:
             raise PolicyError(f"crop leaves nothing of {height} x {width}", fix="cut less off")
-        inner = sample[wrap.top : height - wrap.bottom, wrap.left : width - wrap.right]
-        return np.ascontiguousarray(inner)
+        rows = slice(settings.top, height - settings.bottom)
+        columns = slice(settings.left, width - settings.right)
+        return np.ascontiguousarray(sample[rows, columns])
 
 
 class Resize(Plain):
     """Another size: each axis by a matrix of weights."""
 
-    def __init__(self, wrap: wraps.Resize) -> None:
-        self._wrap = wrap
+    def __init__(self, settings: wrappers.Resize) -> None:
+        self._settings = settings
         self._weights: dict[tuple[int, int], NDArray[np.float64]] = {}
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return (height, width) of the card, with the sample's own type."""
         height, width = _size(sample, "resize")
-        wrap = self._wrap
-        if wrap.method == "nearest":
-            rows, columns = _centres(height, wrap.height), _centres(width, wrap.width)
+        settings = self._settings
+        if settings.method == "nearest":
+            rows, columns = _centres(height, settings.height), _centres(width, settings.width)
             return sample[rows.astype(np.intp)][:, columns.astype(np.intp)]
-        down, across = self._matrix(height, wrap.height), self._matrix(width, wrap.width)
+        down, across = self._matrix(height, settings.height), self._matrix(width, settings.width)
         planes = sample.reshape(height, width, -1).astype(np.float64)
         resized = np.einsum("hi,wj,ijc->hwc", down, across, planes, optimize=True)
-        shape = (wrap.height, wrap.width, *sample.shape[2:])
+        shape = (settings.height, settings.width, *sample.shape[2:])
         return rounded(resized.reshape(shape), sample.dtype)
 
     def _matrix(self, old: int, new: int) -> NDArray[np.float64]:
         if (old, new) not in self._weights:
-            area = self._wrap.method == "area"
+            area = self._settings.method == "area"
             self._weights[old, new] = _area(old, new) if area else _bilinear(old, new)
         return self._weights[old, new]
 
@@ -74,20 +75,20 @@ class Grayscale(Plain):
 class Channels(Plain):
     """Colours first or last."""
 
-    def __init__(self, wrap: wraps.Channels) -> None:
-        self._wrap = wrap
+    def __init__(self, settings: wrappers.Channels) -> None:
+        self._settings = settings
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return (C, H, W) or (H, W, C)."""
         _size(sample, "channels")
         if sample.ndim == _FLAT:
-            sample = np.repeat(sample[..., np.newaxis], self._wrap.repeat, axis=-1)
-        elif self._wrap.repeat > 1:
+            sample = np.repeat(sample[..., np.newaxis], self._settings.repeat, axis=-1)
+        elif self._settings.repeat > 1:
             raise PolicyError(
                 f"channels cannot repeat the colours of {sample.shape}", fix="drop `repeat`"
             )
         return np.ascontiguousarray(
-            np.moveaxis(sample, -1, 0) if self._wrap.axis == "first" else sample
+            np.moveaxis(sample, -1, 0) if self._settings.axis == "first" else sample
         )
 
 

@@ -6,58 +6,58 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import assert_never
 
-from nw_eval.cards.observations import wraps
+from nw_eval.cards.observations import wrappers
 from nw_eval.sensors.wrappers import images, values
-from nw_eval.sensors.wrappers.chain import Named
+from nw_eval.sensors.wrappers.chain import NamedWrapper
 from nw_eval.sensors.wrappers.foreign import foreign_wrapper
-from nw_eval.sensors.wrappers.link import Link
 from nw_eval.sensors.wrappers.stack import Stack
+from nw_eval.sensors.wrappers.wrapper import Wrapper
 
 
-def make_wrappers(listed: Sequence[wraps.AnyWrap], *, code_from: Path | None) -> list[Named]:
+def make_wrappers(
+    entries: Sequence[wrappers.AnyWrapper], *, code_from: Path | None
+) -> list[NamedWrapper]:
     """Return the wrappers of an observation.
 
     Args:
-        listed: from the card.
+        entries: from the card.
         code_from: folder beside whose files `module:Class` is looked for; None = no code.
 
     Raises:
         PolicyError: a plug-in is broken, or code is not allowed.
     """
     return [
-        Named(
-            name=wrap.wrapper,
-            link=foreign_wrapper(wrap, code_from=code_from)
-            if isinstance(wrap, wraps.PluginWrap)
-            else _built_in(wrap),
-        )
-        for wrap in listed
+        NamedWrapper(name=entry.wrapper, wrapper=_wrapper(entry, code_from)) for entry in entries
     ]
 
 
-def _built_in(wrap: wraps.BuiltInWrap) -> Link:  # noqa: C901 - one line for each wrapper.
-    match wrap:
-        case wraps.NoiseWrap():
-            return values.AddNoise(wrap)
-        case wraps.Crop():
-            return images.Crop(wrap)
-        case wraps.Resize():
-            return images.Resize(wrap)
-        case wraps.Normalize():
-            return values.Normalize(wrap)
-        case wraps.Scale():
-            return values.Scale(wrap)
-        case wraps.Clip():
-            return values.Clip(wrap)
-        case wraps.Grayscale():
+def _wrapper(  # noqa: C901, PLR0912 - one line for each wrapper.
+    entry: wrappers.AnyWrapper, code_from: Path | None
+) -> Wrapper:
+    match entry:
+        case wrappers.NoiseWrap():
+            return values.AddNoise(entry)
+        case wrappers.Crop():
+            return images.Crop(entry)
+        case wrappers.Resize():
+            return images.Resize(entry)
+        case wrappers.Normalize():
+            return values.Normalize(entry)
+        case wrappers.Scale():
+            return values.Scale(entry)
+        case wrappers.Clip():
+            return values.Clip(entry)
+        case wrappers.Grayscale():
             return images.Grayscale()
-        case wraps.Quantize():
-            return values.Quantize(wrap)
-        case wraps.Stack():
-            return Stack(wrap.steps, wrap.axis)
-        case wraps.Channels():
-            return images.Channels(wrap)
-        case wraps.Flatten():
+        case wrappers.Quantize():
+            return values.Quantize(entry)
+        case wrappers.Stack():
+            return Stack(entry.steps, entry.axis)
+        case wrappers.Channels():
+            return images.Channels(entry)
+        case wrappers.Flatten():
             return values.Flatten()
+        case wrappers.PluginWrap():
+            return foreign_wrapper(entry, code_from=code_from)
         case _:
-            assert_never(wrap)
+            assert_never(entry)

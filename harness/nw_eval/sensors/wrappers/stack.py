@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from nw_eval.memory import Arrays
-from nw_eval.sensors.wrappers.link import Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Sample, Shot
 
 
 class Stack:

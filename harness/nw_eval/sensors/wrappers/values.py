@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.cards.observations import wraps
+from nw_eval.cards.observations import wrappers
 from nw_eval.errors import PolicyError
-from nw_eval.sensors.wrappers.link import Plain, Sample, Shot
+from nw_eval.sensors.wrappers.wrapper import Plain, Sample, Shot
 
 _BYTE = 255
 
@@ -19,7 +19,7 @@ class AddNoise(Plain):
         nothing: what a lost number reads unless the card says it.
     """
 
-    def __init__(self, noise: wraps.Noise, nothing: float = 0.0) -> None:
+    def __init__(self, noise: wrappers.Noise, nothing: float = 0.0) -> None:
         self._noise = noise
         lost = nothing if noise.lost is None else noise.lost
         self._lost = np.nan if lost == "nan" else lost
@@ -41,9 +41,9 @@ class AddNoise(Plain):
 class Normalize(Plain):
     """(value - mean) / std."""
 
-    def __init__(self, wrap: wraps.Normalize) -> None:
-        self._mean = np.asarray(wrap.mean, dtype=np.float32)
-        self._std = np.asarray(wrap.std, dtype=np.float32)
+    def __init__(self, settings: wrappers.Normalize) -> None:
+        self._mean = np.asarray(settings.mean, dtype=np.float32)
+        self._std = np.asarray(settings.std, dtype=np.float32)
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return float32."""
@@ -59,8 +59,8 @@ class Normalize(Plain):
 class Scale(Plain):
     """value * scale + offset."""
 
-    def __init__(self, wrap: wraps.Scale) -> None:
-        self._scale, self._offset = np.float32(wrap.scale), np.float32(wrap.offset)
+    def __init__(self, settings: wrappers.Scale) -> None:
+        self._scale, self._offset = np.float32(settings.scale), np.float32(settings.offset)
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return float32."""
@@ -70,9 +70,9 @@ class Scale(Plain):
 class Clip(Plain):
     """Limits, and something for NaN."""
 
-    def __init__(self, wrap: wraps.Clip) -> None:
-        self._limits = wrap.limits
-        self._nan = wrap.nan
+    def __init__(self, settings: wrappers.Clip) -> None:
+        self._limits = settings.limits
+        self._nan = settings.nan
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return the sample's own type."""
@@ -85,8 +85,8 @@ class Clip(Plain):
 class Quantize(Plain):
     """Multiples of a step, halves to the even one."""
 
-    def __init__(self, wrap: wraps.Quantize) -> None:
-        self._step = wrap.step
+    def __init__(self, settings: wrappers.Quantize) -> None:
+        self._step = settings.step
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return the sample's own type."""

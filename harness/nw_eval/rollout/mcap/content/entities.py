@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import assert_never
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -155,6 +156,8 @@ def _add_shape(entity: SceneEntity, shape: Shape) -> None:
         case "sphere":
             size = Vector3(x=full[0], y=full[0], z=full[0])
             entity.spheres.append(SpherePrimitive(pose=pose, size=size, color=colour))
+        case _:
+            assert_never(shape.kind)
 
 
 def _pose(position: Sequence[float], wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from io import BytesIO
-from typing import Any, Literal
+from typing import Any, Literal, assert_never
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -41,24 +41,32 @@ def image_message(
         form: what its pixels are.
     """
     when = stamp(time_ns)
-    if form == "metres":
-        metres = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
-        whole = np.rint(metres * MILLIMETRES)
-        near = np.where((whole > 0) & (whole <= _FARTHEST), whole, 0).astype("<u2")
-        return _raw(when, frame_id, "16UC1", near)
-    if form == "numbers":
-        return _raw(when, frame_id, "32FC1", image.astype("<f4"))
+    match form:
+        case "metres":
+            metres = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+            whole = np.rint(metres * MILLIMETRES)
+            near = np.where((whole > 0) & (whole <= _FARTHEST), whole, 0).astype("<u2")
+            return _raw(when, frame_id, "16UC1", near)
+        case "numbers":
+            return _raw(when, frame_id, "32FC1", image.astype("<f4"))
+        case "photo" | "grey":
+            name, data = "jpeg", _file(image, "JPEG", quality=_QUALITY)
+        case "drawing":
+            name, data = "png", _file(image, "PNG")
+        case "classes":
+            name, data = "png", _file(image, "PNG", palette=PALETTE.tobytes())
+        case _:
+            assert_never(form)
+    return CompressedImage(timestamp=when, frame_id=frame_id, format=name, data=data)
+
+
+def _file(image: NDArray[Any], kind: str, *, palette: bytes | None = None, **options: int) -> bytes:
     picture = PillowImage.fromarray(np.ascontiguousarray(image))
-    if form == "classes":
-        picture.putpalette(PALETTE.tobytes())
+    if palette is not None:
+        picture.putpalette(palette)
     file = BytesIO()
-    if form in {"classes", "drawing"}:
-        picture.save(file, "PNG")
-        return CompressedImage(
-            timestamp=when, frame_id=frame_id, format="png", data=file.getvalue()
-        )
-    picture.save(file, "JPEG", quality=_QUALITY)
-    return CompressedImage(timestamp=when, frame_id=frame_id, format="jpeg", data=file.getvalue())
+    picture.save(file, kind, **options)
+    return file.getvalue()
 
 
 def image_of(message: CompressedImage | RawImage) -> NDArray[Any]:

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from nw_eval.cards.model import CardModel, Limits
-from nw_eval.cards.observations.plugins import WRAPPERS, kind_of, known_or_raise
+from nw_eval.cards.observations.named_union import NamedBy, names_of
+from nw_eval.cards.observations.plugins import WRAPPERS, known_or_raise
 
 Pixels = Annotated[int, Field(ge=0, le=4096)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -146,6 +147,24 @@ class Flatten(CardModel):
     wrapper: Literal["flatten"]
 
 
+BuiltInWrapper = (
+    NoiseWrap
+    | Crop
+    | Resize
+    | Normalize
+    | Scale
+    | Clip
+    | Grayscale
+    | Quantize
+    | Stack
+    | Channels
+    | Flatten
+)
+"""The table of built-in wrappers; what makes each of them stands in `sensors.wrappers.make`."""
+
+BUILT_IN_WRAPPERS = names_of(BuiltInWrapper, "wrapper")
+
+
 class PluginWrap(CardModel):
     """A wrapper of somebody else: an installed plug-in, or `module:Class`."""
 
@@ -165,57 +184,10 @@ class PluginWrap(CardModel):
         return dict(self.model_extra or {})
 
 
-BuiltInWrap = (
-    NoiseWrap
-    | Crop
-    | Resize
-    | Normalize
-    | Scale
-    | Clip
-    | Grayscale
-    | Quantize
-    | Stack
-    | Channels
-    | Flatten
-)
-AnyWrap = BuiltInWrap | PluginWrap
-BUILT_IN_WRAPPERS = (
-    "noise",
-    "crop",
-    "resize",
-    "normalize",
-    "scale",
-    "clip",
-    "grayscale",
-    "quantize",
-    "stack",
-    "channels",
-    "flatten",
-)
-
-
 def _bare_word(value: Any) -> Any:
     """Read `grayscale` as `{wrapper: grayscale}`."""
     return {"wrapper": value} if isinstance(value, str) else value
 
 
-def _tag(value: Any) -> str | None:
-    return kind_of(value, "wrapper", BUILT_IN_WRAPPERS)
-
-
-Wrap = Annotated[
-    Annotated[NoiseWrap, Tag("noise")]
-    | Annotated[Crop, Tag("crop")]
-    | Annotated[Resize, Tag("resize")]
-    | Annotated[Normalize, Tag("normalize")]
-    | Annotated[Scale, Tag("scale")]
-    | Annotated[Clip, Tag("clip")]
-    | Annotated[Grayscale, Tag("grayscale")]
-    | Annotated[Quantize, Tag("quantize")]
-    | Annotated[Stack, Tag("stack")]
-    | Annotated[Channels, Tag("channels")]
-    | Annotated[Flatten, Tag("flatten")]
-    | Annotated[PluginWrap, Tag("plug-in")],
-    Discriminator(_tag),
-    BeforeValidator(_bare_word),
-]
+AnyWrapper = BuiltInWrapper | PluginWrap
+Wrapper = Annotated[AnyWrapper, NamedBy("wrapper"), BeforeValidator(_bare_word)]

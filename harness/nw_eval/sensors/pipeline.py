@@ -1,41 +1,36 @@
-"""From an observation of a card to what measures it, and what a measurement passes through."""
+"""The table of what measures each observation that a card can name, and the chain behind it."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import assert_never
 
 from nw_eval.cards import Card, JointControl
-from nw_eval.cards.observations import (
-    AnyObservation,
+from nw_eval.cards.observations import AnyObservation, PluginObservation, ProprioObservation
+from nw_eval.cards.observations.cameras import (
     DepthObservation,
-    DirectionObservation,
-    HeightmapObservation,
-    LidarObservation,
-    PluginObservation,
-    ProprioObservation,
-    ScandotsObservation,
     SemanticsObservation,
     SplatRgbObservation,
 )
+from nw_eval.cards.observations.direction import DirectionObservation
+from nw_eval.cards.observations.heights import HeightmapObservation, ScandotsObservation
+from nw_eval.cards.observations.lidar import LidarObservation
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.body.direction import Direction
 from nw_eval.sensors.body.proprio import Proprio
-from nw_eval.sensors.cameras.depth import Depth, DepthForm
+from nw_eval.sensors.cameras.depth import Depth
 from nw_eval.sensors.cameras.semantics import Semantics
-from nw_eval.sensors.cameras.splat_image import Arrange
 from nw_eval.sensors.ground.heightmap import Heightmap
-from nw_eval.sensors.ground.lidar import Lidar, LidarForm
+from nw_eval.sensors.ground.lidar import Lidar
 from nw_eval.sensors.ground.published_scandots import PublishedScandots
 from nw_eval.sensors.ground.scandots import Scandots
+from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.plugin_sensor import PluginSensor
-from nw_eval.sensors.sampled import Measurement
-from nw_eval.sensors.wrappers import Chain, Link, Named, Spec, make_wrappers
+from nw_eval.sensors.wrappers import Chain, NamedWrapper, Spec, make_wrappers
 from nw_eval.sensors.wrappers.values import AddNoise
 
 
@@ -71,47 +66,44 @@ class Maker:
         Raises:
             PolicyError: it does not fit the robot, or a plug-in cannot be used.
         """
-        measurement, links, nothing = self._measurement(name, observation)
-        named = [Named(name=observation.sensor, link=link) for link in links]
+        measurement = self._measurement(name, observation)
+        chain = [NamedWrapper(name=observation.sensor, wrapper=form) for form in measurement.form]
         if observation.noise is not None:
-            noise = AddNoise(observation.noise, nothing)
-            named.insert(0, Named(name="noise", link=noise))
-        named += make_wrappers(observation.wrap, code_from=self.code_from)
+            noise = AddNoise(observation.noise, measurement.nothing)
+            chain.insert(0, NamedWrapper(name="noise", wrapper=noise))
+        chain += make_wrappers(observation.wrap, code_from=self.code_from)
         spec = Spec(measurement.shape, measurement.dtype)
-        return Pipeline(measurement=measurement, chain=Chain(name, named, spec))
+        return Pipeline(measurement=measurement, chain=Chain(name, chain, spec))
 
-    def _measurement(  # noqa: C901 - one short case for each sensor.
+    def _measurement(  # noqa: C901 - one line for each sensor.
         self, name: str, observation: AnyObservation
-    ) -> tuple[Measurement, list[Link], float]:
-        """Return what measures, the links that give it its form, and what it reads for nothing."""
+    ) -> Measurement:
         robot, rays = self.robot, self.rays
         match observation:
             case ProprioObservation():
                 control = JointControl.from_card(self.card, robot)
-                proprio = Proprio(name, observation, self.card.command, control)
                 spoils = self.protocol.spoils_first_observation
-                return proprio, [*proprio.frame_links(published=spoils)], 0.0
+                command = self.card.command
+                return Proprio(name, observation, command, control, spoils_first=spoils)
             case ScandotsObservation():
                 if self.protocol.scandots_from_height_image:
-                    offset = robot.height_camera_offset
-                    return PublishedScandots(observation, rays, offset), [], 0.0
-                return Scandots(observation, rays), [], 0.0
+                    return PublishedScandots(observation, rays, robot.height_camera_offset)
+                return Scandots(observation, rays)
             case HeightmapObservation():
-                return Heightmap(observation, rays), [], 0.0
+                return Heightmap(observation, rays)
             case SplatRgbObservation():
                 from nw_eval.sensors.cameras.splat_rgb import SplatRgb
 
-                return SplatRgb(name, observation, robot), [Arrange(observation)], 0.0
+                return SplatRgb(name, observation, robot)
             case DepthObservation():
-                return Depth(name, observation, robot, rays), [DepthForm(observation)], math.inf
+                return Depth(name, observation, robot, rays)
             case SemanticsObservation():
-                return Semantics(name, observation, robot, rays), [], 0.0
+                return Semantics(name, observation, robot, rays)
             case LidarObservation():
-                return Lidar(observation, rays), [LidarForm(observation)], math.inf
+                return Lidar(observation, rays)
             case DirectionObservation():
-                return Direction(observation), [], 0.0
+                return Direction(observation)
             case PluginObservation():
-                plugin = PluginSensor(name, observation, robot, code_from=self.code_from)
-                return plugin, [], 0.0
+                return PluginSensor(name, observation, robot, code_from=self.code_from)
             case _:
                 assert_never(observation)

@@ -52,7 +52,7 @@ class Shot:
         return self.generator(self.step)
 
 
-class Link(Memory[Arrays], Protocol):
+class Wrapper(Memory[Arrays], Protocol):
     """A wrapper as the chain uses it; classes of plug-ins need `__call__` only."""
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:
