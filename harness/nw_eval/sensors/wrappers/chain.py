@@ -67,7 +67,7 @@ class Chain:
             spec = self._specs[number]
             if sample.shape != spec.shape or sample.dtype != spec.dtype:
                 raise PolicyError(
-                    f"`{self._observation}`: wrapper {named.name} returned {_told(sample)}, on "
+                    f"`{self._observation}`: wrapper {named.name} returned {_form_of(sample)}, on "
                     f"its trial run {spec.shape} {spec.dtype}",
                     fix="a wrapper's output keeps its shape and type",
                 )
@@ -108,7 +108,7 @@ class Chain:
         except Exception as error:
             raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
-                f"{_told(sample)}: {error}",
+                f"{_form_of(sample)}: {error}",
                 fix="look at its input with `nw-eval sensors CARD`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
@@ -119,7 +119,7 @@ class Chain:
         return np.asarray(result)
 
 
-def _told(sample: Sample) -> str:
+def _form_of(sample: Sample) -> str:
     return f"{sample.shape} {sample.dtype}"
 
 
