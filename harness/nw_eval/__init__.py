@@ -1,7 +1,100 @@
-"""nw-eval: may this policy checkpoint ship?"""
+"""nw-eval: may this policy checkpoint ship?
+
+    report = nw_eval.run("smoke", policy="go1-parkour", trials=1)
+
+Every public name is here, and is imported when it is first used; `__init__.pyi` shows editors what
+each of them is.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from types import MappingProxyType
+
 __version__ = "0.1.0"
 
-__all__ = ["__version__"]
+_ROOMS = MappingProxyType(
+    {
+        "api": (
+            "ActingPolicy",
+            "CardDraft",
+            "CheckedScene",
+            "FoldedGraph",
+            "ListedScene",
+            "ListedSensor",
+            "ListedSuite",
+            "RunReport",
+            "ServedPolicy",
+            "WarmUp",
+            "WrittenSplat",
+            "check",
+            "check_policy",
+            "check_scenes",
+            "draw_sensors",
+            "evaluate",
+            "fold_policy",
+            "init_policy",
+            "list_policies",
+            "list_scenes",
+            "list_sensors",
+            "list_suites",
+            "plan",
+            "read_rows",
+            "render_scenes",
+            "replay",
+            "report",
+            "run",
+            "schema",
+            "serve_policy",
+            "show_policy",
+            "show_scene",
+            "splat_convert",
+            "splat_info",
+            "splat_render",
+            "warmup",
+        ),
+        "cards.card": ("Card",),
+        "cards.file.listing": ("ListedPolicy",),
+        "engine.forecast": ("Forecast",),
+        "engine.plan": ("Plan",),
+        "errors": (
+            "CodeError",
+            "IncomparableError",
+            "NwEvalError",
+            "PolicyError",
+            "PrerequisiteError",
+            "SceneError",
+            "StoreError",
+            "SuiteError",
+            "TrialError",
+            "UsageError",
+        ),
+        "gate.verdict": ("Verdict",),
+        "onboarding.probe.rows": ("ProbeReport",),
+        "onboarding.probe.summary": ("CardSummary",),
+        "request": ("Request",),
+        "results.row": ("Row",),
+        "rollout.replaying.report": ("ReplayReport",),
+        "scenes.figures": ("SceneFigures",),
+        "sensors.gallery": ("SeenCard",),
+        "splat.describe": ("SplatFigures",),
+    }
+)
+"""Where each public name is at home."""
+
+_HOMES = {name: room for room, names in _ROOMS.items() for name in names}
+
+# One table says the names; the stub says them to whoever cannot run it.
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'nw_eval' has no attribute {name!r}")
+    value = getattr(import_module(f"nw_eval.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

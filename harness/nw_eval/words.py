@@ -28,6 +28,9 @@ Collision = Literal["terrain", "triangles"]
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 """Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
 
+Described = Literal["suite", "policy", "scene", "collision"]
+"""Files that people write and a JSON Schema describes; `collision` is a scene's file of boxes."""
+
 Arm = Literal["candidate", "baseline"]
 """Whether a trial's policy is the one that is judged, or one that it is compared with."""
 
@@ -47,8 +50,6 @@ Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
 """How a trial can fail to come to a result: never counted as a failure of the policy."""
 
 ROBOTS: tuple[Robot, ...] = get_args(Robot)
-TIERS: tuple[Tier, ...] = get_args(Tier)
-STATUSES: tuple[Status, ...] = get_args(Status)
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)

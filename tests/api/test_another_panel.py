@@ -7,6 +7,7 @@ import json
 import pytest
 
 from nw_eval import api
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.errors import IncomparableError, UsageError
 
 SUITE = """\
@@ -32,7 +33,8 @@ def suite(tmp_path, monkeypatch):
 
 def panel(suite, **changes):
     """The line of `check` that names the panel."""
-    (line,) = [one for one in api.check(suite, **changes).text.splitlines() if "panel " in one[:6]]
+    lines = forecast_page(api.check(suite, **changes)).splitlines()
+    (line,) = [one for one in lines if one.startswith("panel ")]
     return line
 
 

@@ -8,6 +8,8 @@ from importlib.util import find_spec
 import pytest
 
 from nw_eval import api
+from nw_eval.cli.terminal.summary import summary
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.errors import (
     IncomparableError,
     PrerequisiteError,
@@ -65,7 +67,7 @@ def test_the_shipped_policy_passes_low_bars_and_leaves_the_evidence(suite, tmp_p
     assert (
         metadata["rows_digest"] == json.loads((ran.folder / "run.json").read_text())["rows_digest"]
     )
-    assert "PASS" in ran.summary
+    assert "PASS" in summary(ran)
 
 
 def test_a_policy_that_does_nothing_scores_zero_and_is_convicted(suite):
@@ -138,13 +140,30 @@ def test_a_renderer_that_is_not_installed_is_told_before_anything_runs(suite, tm
     assert not (tmp_path / "reports").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "said"), [({"workers": 2}, "--workers 2"), ({"time_limit": 9.0}, "--time-limit 9")]
+)
+def test_what_one_process_cannot_do_is_refused(suite, tmp_path, option, said):
+    with pytest.raises(UsageError, match=f"{said} with --in-process"):
+        api.run(suite(), in_process=True, **option)
+    assert not (tmp_path / "reports").exists()
+
+
 def test_no_workers_are_refused(suite):
     with pytest.raises(UsageError, match="give at least 1"):
         api.run(suite(), workers=0)
+    with pytest.raises(UsageError, match="give at least 1"):
+        api.check(suite(), workers=0)
 
 
 def test_check_says_what_would_run_and_runs_nothing(suite, tmp_path):
-    told = api.check(suite(trials=3), workers=2).text
+    forecast = api.check(suite(trials=3), workers=2)
+    assert [(scene.name, scene.trials) for scene in forecast.scenes] == [("hurdles/three_low", 3)]
+    assert (forecast.trials, forecast.workers, forecast.policy.name) == (3, 2, "go1-parkour")
+    # 0.06 s for each of 12 s of 300 trials, on two workers that start in 4 s.
+    many = api.check(suite(trials=300), workers=2)
+    assert many.minutes == pytest.approx((4 + 0.06 * 12 * 300 / 2) / 60)
+    told = forecast_page(forecast)
     assert "3 of 12 s: 1 scenes" in told
     assert "hurdles/three_low" in told
     assert "minutes" in told

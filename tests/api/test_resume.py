@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from nw_eval import api
+from nw_eval.cli.terminal.summary import summary
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.results.journal import Journal, read_journal
 from nw_eval.results.provenance import read_run_info
@@ -73,8 +74,8 @@ def test_a_run_is_resumed_from_elsewhere_to_the_same_rows_and_the_same_logs(
     # Fewer trials than have run: what is not planned is kept, and not judged.
     fewer = api.run(None, resume=project / "cut", trials=2)
     assert fewer.verdict.n == fewer.verdict.planned == len(fewer.rows) == 2
-    assert "3 of 2" not in fewer.summary
-    assert "not judged" in fewer.summary
+    assert "3 of 2" not in summary(fewer)
+    assert "not judged" in summary(fewer)
     assert len(read_journal(project / "cut" / "journal.jsonl").rows) == 3
 
 
@@ -114,6 +115,7 @@ KILLED = """
 import os, signal
 from pathlib import Path
 from nw_eval import api
+from nw_eval.cli.terminal.summary import summary
 from nw_eval.results.journal import Journal
 
 Journal._begin = lambda *_: os.kill(os.getpid(), signal.SIGKILL)

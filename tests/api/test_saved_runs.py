@@ -11,6 +11,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli import main
+from nw_eval.cli.terminal.summary import summary
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
@@ -226,9 +227,9 @@ def test_rows_that_the_run_does_not_plan_are_told_and_not_judged(saved):
     assert [one.trial_id for one in judged.rows] == [trial(index).id for index in range(4)]
     assert judged.verdict.n == judged.verdict.planned == 4
     assert judged.verdict.effect == 1.0
-    assert "6 of 4" not in judged.summary
+    assert "6 of 4" not in summary(judged)
     assert "2 rows of the journal (hurdles-one-004, hurdles-one-005)" in " ".join(
-        judged.summary.split()
+        summary(judged).split()
     )
     assert len(read_journal(folder.journal).rows) == 6, "what was run is kept"
 

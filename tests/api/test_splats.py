@@ -66,7 +66,7 @@ def test_info_takes_a_scene_a_file_and_what_lies_in_the_cache(exported):
     assert told == api.splat_info(exported)
     cached = get_scene(GAPS).splat_store()
     assert (cached.parent, cached.suffix) == (cache_dir("scenes"), ".nwsplat")
-    assert api.splat_info(cached).splitlines()[0] == told.splitlines()[0]
+    assert api.splat_info(cached).count == told.count
 
 
 def test_a_misspelt_scene_is_answered_with_the_nearest(capsys):

@@ -19,6 +19,7 @@ import torch
 from nw_eval.built_in.bake.generate import generate
 from nw_eval.catalogue import match_scenes
 from nw_eval.policies import load_bundle
+from nw_eval.request import Request
 from nw_eval.rollout import prepare
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
@@ -52,7 +53,7 @@ def trials_per_minute(jobs, library):
 
 def main():
     torch.set_num_threads(1)
-    suite = override(load_suite("smoke"), trials=1)
+    suite = override(load_suite("smoke"), Request(trials=1))
     scenes = match_scenes(suite.scenes, suite.base)
     bundle = load_bundle(suite.policy)
     library = Library()

@@ -11,7 +11,7 @@ from nw_eval.cards import Card
 @pytest.fixture(scope="module")
 def models():
     """Every model of the schema by name, the card itself among them."""
-    schema = json.loads(api.schema("policy"))
+    schema = api.schema("policy")
     return schema["$defs"] | {"Card": schema}
 
 

@@ -15,8 +15,10 @@ from ruamel.yaml import YAML
 from nw_eval import api
 from nw_eval.cards import Card, load_card
 from nw_eval.cards.joints import joint_values
-from nw_eval.errors import PolicyError, UsageError
-from nw_eval.onboarding.probe.report import BEYOND, probe_here
+from nw_eval.cli.text.probe import probe_page
+from nw_eval.errors import PolicyError
+from nw_eval.onboarding.probe.report import probe_here
+from nw_eval.onboarding.probe.rows import BEYOND
 from nw_eval.onboarding.variants.joint_signs import turned_cards
 from nw_eval.onboarding.variants.written import changed_lines, flow, per_joint
 from nw_eval.policies import load_bundle
@@ -85,8 +87,8 @@ def mend(card, told):
 
 def shares_of(told):
     """What is reached of each command with the advised card, and was: texts by command."""
-    figures = re.search(r"\n  then reached: (.*)", told.text)
-    assert figures, told.text
+    figures = re.search(r"\n  then reached: (.*)", probe_page(told))
+    assert figures, probe_page(told)
     found = re.findall(r"([a-z ]+) (-?[\d.]+) \(was (-?[\d.]+)(?: and \w+)?\)", figures[1])
     return {words.strip(): (now, was) for words, now, was in found}
 
@@ -178,8 +180,8 @@ def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
     weights, card = mirrored(name, joints, tmp_path), example(name)
     told = check(tmp_path / "card", card, weights)
     assert not told.passed
-    assert f"with {words} turned round in targets and observations; if so" in told.text
-    assert mend(card, told.text) == 3
+    assert f"with {words} turned round in targets and observations; if so" in probe_page(told)
+    assert mend(card, probe_page(told)) == 3
     names = joints_of(card)
     signs = np.array([-1.0 if re.search(joints, joint) else 1.0 for joint in names])
     scale = joint_values(card["control"]["scale"], names)
@@ -191,7 +193,7 @@ def test_a_policy_of_a_stack_with_other_signs_is_told_where_to_write_them(
     np.testing.assert_allclose(seen["joint_pos"], signs)
     np.testing.assert_allclose(seen["joint_vel"], velocity * signs)
     mended = check(tmp_path / "card", card, weights)
-    assert mended.passed, mended.text
+    assert mended.passed, probe_page(mended)
 
 
 @pytest.mark.assets
@@ -215,7 +217,7 @@ def test_signs_that_the_checkpoint_does_not_have_are_found_in_the_targets(tmp_pa
     }
     told = check(tmp_path, card, WEIGHTS[name])
     assert not told.passed
-    assert f"\n    control.scale: {SCALE[name]:g}\n" in told.text
+    assert f"\n    control.scale: {SCALE[name]:g}\n" in probe_page(told)
 
 
 @pytest.mark.assets
@@ -225,16 +227,18 @@ def test_hips_with_half_of_their_scale_walk_but_do_not_step_sideways(tmp_path):
     card["control"]["scale"] = {"hip": 0.125, "thigh": 0.25, "calf": 0.25}
     write(tmp_path, card)
     told = api.check_policy(str(tmp_path), checkpoint=WEIGHTS["himloco-go2"])
-    assert told.exit_code == UsageError.exit_code
+    assert not told.passed
     ahead, left = (
-        re.search(rf"\n{words} +[\d.]+ m/s +(-?[\d.]+) m/s +(-?[\d.]+)\n", told.text).groups()
+        re.search(
+            rf"\n{words} +[\d.]+ m/s +(-?[\d.]+) m/s +(-?[\d.]+)\n", probe_page(told)
+        ).groups()
         for words in ("ahead", "to the left")
     )
     assert float(ahead[1]) > 0.8
     assert float(left[1]) < 0.6
-    assert f"note: `command`: 0.5 m/s to the left, {left[0]} m/s reached" in told.text
-    assert "fault: it follows with the scale of the hips doubled" in told.text
-    assert mend(card, told.text) == 1
+    assert f"note: `command`: 0.5 m/s to the left, {left[0]} m/s reached" in probe_page(told)
+    assert "fault: it follows with the scale of the hips doubled" in probe_page(told)
+    assert mend(card, probe_page(told)) == 1
     assert card["control"]["scale"] == 0.25
     assert check(tmp_path, card, WEIGHTS["himloco-go2"]).passed
 
@@ -245,8 +249,8 @@ def test_hips_with_twice_their_scale_are_found_out(tmp_path):
     card = example("playground-go1")
     card["control"]["scale"] = {"hip": 1.0, "thigh": 0.5, "calf": 0.5}
     told = check(tmp_path, card, WEIGHTS["playground-go1"])
-    assert "with the scale of the hips halved" in told.text
-    assert "\n    control.scale: 0.5\n" in told.text
+    assert "with the scale of the hips halved" in probe_page(told)
+    assert "\n    control.scale: 0.5\n" in probe_page(told)
 
 
 @pytest.mark.assets
@@ -263,7 +267,7 @@ def test_a_wrong_scale_of_the_command_is_told(tmp_path, name, scale, right):
     terms[place] = {"term": "command", "scale": scale}
     told = check(tmp_path, card, WEIGHTS[name])
     assert not told.passed
-    assert mend(card, told.text) == 1
+    assert mend(card, probe_page(told)) == 1
     assert terms[place].get("scale", 1) == right
 
 
@@ -302,11 +306,11 @@ def test_scales_that_a_card_lacks_are_told(tmp_path, name, missing):
     card = with_scales(name, ones)
     told = check(tmp_path / "card", card, weights)
     assert not told.passed
-    assert mend(card, told.text) == len(missing)
+    assert mend(card, probe_page(told)) == len(missing)
     right = with_scales(name, {term: USUAL[term] for term in missing})
     assert seen_with(card) == seen_with(right)
     mended = check(tmp_path / "card", card, weights)
-    assert mended.passed, mended.text
+    assert mended.passed, probe_page(mended)
 
 
 @pytest.mark.assets
@@ -315,7 +319,7 @@ def test_scales_that_a_card_lacks_are_told(tmp_path, name, missing):
 def test_scales_that_a_checkpoint_was_not_trained_with_are_told(tmp_path, term):
     card = with_scales("playground-go1", {term: USUAL[term]})
     told = check(tmp_path, card, WEIGHTS["playground-go1"])
-    assert f"it follows with the scale of `{term}` 1; if so trained" in told.text
+    assert f"it follows with the scale of `{term}` 1; if so trained" in probe_page(told)
     assert not told.passed
 
 
@@ -343,7 +347,7 @@ def test_terms_that_stand_in_each_others_place_are_told(tmp_path, name, terms):
     card["observations"]["obs"]["terms"] = wrong
     told = check(tmp_path, card, WEIGHTS[name])
     assert not told.passed
-    assert mend(card, told.text) == 1
+    assert mend(card, probe_page(told)) == 1
     assert seen_with(card) == seen_with(example(name))
 
 
@@ -355,8 +359,10 @@ def test_joint_positions_that_the_training_counted_from_the_pose_are_told(tmp_pa
     terms = terms_of(card)
     terms[terms.index("joint_pos")] = {"term": "joint_pos", "relative": False}
     told = check(tmp_path, card, WEIGHTS[name])
-    assert "it walks with `joint_pos` counted from `default_pose`; if so trained" in told.text
-    assert "observations.obs.terms: - {term: joint_pos}" in told.text
+    assert "it walks with `joint_pos` counted from `default_pose`; if so trained" in probe_page(
+        told
+    )
+    assert "observations.obs.terms: - {term: joint_pos}" in probe_page(told)
 
 
 @pytest.mark.assets
@@ -365,7 +371,7 @@ def test_a_missing_scale_of_the_action_is_told(tmp_path):
     card = example("himloco-go2")
     del card["control"]["scale"]
     told = check(tmp_path, card, WEIGHTS["himloco-go2"])
-    assert "\n    control.scale: 0.25\n" in told.text
+    assert "\n    control.scale: 0.25\n" in probe_page(told)
 
 
 @pytest.mark.assets
@@ -376,8 +382,8 @@ def test_a_robot_too_weak_to_stand_is_told_stronger_gains(tmp_path, kp, is_still
     card["control"]["kp"] = kp
     told = check(tmp_path, card, WEIGHTS["playground-go1"])
     assert not told.passed
-    assert (told.text.count("it stands still, whatever is commanded") == 1) == is_still
-    assert mend(card, told.text) == 1
+    assert (probe_page(told).count("it stands still, whatever is commanded") == 1) == is_still
+    assert mend(card, probe_page(told)) == 1
     assert card["control"]["kp"] >= 20
     assert check(tmp_path, card, WEIGHTS["playground-go1"]).passed
 
@@ -388,8 +394,8 @@ def test_a_stumbling_policy_is_told_a_delay_that_is_not_its_own(tmp_path):
     card = example("himloco-go2")
     card["control"]["delay_steps"] = 3
     told = check(tmp_path, card, WEIGHTS["himloco-go2"])
-    assert "fault: it leans by 0.3" in told.text
-    assert mend(card, told.text) == 1
+    assert "fault: it leans by 0.3" in probe_page(told)
+    assert mend(card, probe_page(told)) == 1
     assert card["control"]["delay_steps"] == 0
     assert shares_of(told)["to the left"] == ("0.81", "0.43")
 
@@ -400,7 +406,7 @@ def test_a_stumbling_policy_is_not_told_a_card_under_which_it_ignores_its_comman
     card = example("himloco-go2")
     card["command"]["speed"] = 3.0  # Faster than it can.
     told = check(tmp_path, card, WEIGHTS["himloco-go2"])
-    assert "fault: it leans by 0.3" in told.text
+    assert "fault: it leans by 0.3" in probe_page(told)
     assert all(0.75 <= float(now) <= 1.3 for now, _ in shares_of(told).values())
 
 
@@ -419,7 +425,7 @@ def test_a_stumbling_policy_is_not_told_a_card_under_which_it_ignores_its_comman
 def test_a_right_card_passes_with_commands_of_its_own(tmp_path, command):
     card = example("himloco-go2") | {"command": command}
     told = check(tmp_path, card, WEIGHTS["himloco-go2"])
-    assert told.passed, told.text
+    assert told.passed, probe_page(told)
 
 
 def card_of(name):
@@ -434,9 +440,9 @@ def card_of(name):
 @pytest.mark.parametrize("name", ["chenci-go2", "legubiao-go2", "go1-climb"])
 def test_the_right_cards_of_policies_that_walk_have_no_fault(name):
     told = probe_here(load_bundle(OTHERS / name))
-    assert told.passed, told.text
-    assert "moves against" not in told.text
-    assert ("it follows better with the scale of the hips doubled" in told.text) == (
+    assert told.passed, probe_page(told)
+    assert "moves against" not in probe_page(told)
+    assert ("it follows better with the scale of the hips doubled" in probe_page(told)) == (
         name == "go1-climb"
     )
 
@@ -457,7 +463,7 @@ def test_a_policy_that_never_turns_as_fast_as_it_is_told_is_told_its_cure(tmp_pa
             terms_of(card)[place] = term_name(term)
     told = check(tmp_path, card, weights)
     assert not told.passed
-    assert mend(card, told.text) == 1 + len(unscaled)
+    assert mend(card, probe_page(told)) == 1 + len(unscaled)
     assert card["control"]["joints"] == right
     assert {term_name(t): t for t in map(spelt, terms_of(card))} == {
         term_name(t): t for t in map(spelt, scaled)
@@ -474,7 +480,7 @@ def test_a_default_pose_whose_hips_have_the_other_sign_is_told(tmp_path):
     card["control"]["default_pose"] = {"hip": -0.1, "FR_hip": 0.1, "RR_hip": 0.1}
     told = check(tmp_path, card, weights)
     assert not told.passed
-    assert mend(card, told.text) == 1
+    assert mend(card, probe_page(told)) == 1
     pose = joint_values(card["control"]["default_pose"], joints_of(card))
     np.testing.assert_allclose(pose, [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1, -1.5, -0.1, 1, -1.5])
 
@@ -495,7 +501,7 @@ def test_the_shipped_policy_with_a_wrong_card_is_told_what_was_trained(tmp_path,
     wrong = card | {"control": card["control"] | change}
     told = check(tmp_path, wrong, weights)
     assert not told.passed
-    assert mend(wrong, told.text) == 1
+    assert mend(wrong, probe_page(told)) == 1
     (key,) = change
     written = wrong["control"][key]
     if key == "default_pose":
@@ -509,7 +515,7 @@ def test_the_shipped_policy_with_a_wrong_card_is_told_what_was_trained(tmp_path,
 
 def test_a_card_without_fault_is_told_what_no_second_on_the_flat_can_show():
     told = probe_here(load_bundle("go1-parkour"))
-    assert told.text.endswith(f"{BEYOND}\nno fault found")
+    assert probe_page(told).endswith(f"{BEYOND}\nno fault found")
 
 
 def test_a_layout_with_turned_joints_is_written_out_as_terms():

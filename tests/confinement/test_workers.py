@@ -14,12 +14,14 @@ import pytest
 import torch
 
 from nw_eval.cache import cache_dir
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import FoundScene, get_scene
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.machine.output import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
+from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.trial import run_trial
@@ -33,7 +35,8 @@ SCENE = "flat/carpet_room"
 
 def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
     """Return the one job of a tiny run: a fifth of a second in the flat room."""
-    bundle, reference, scene = load_bundle(policy), scene, get_scene(scene)
+    bundle, place = load_bundle(policy), FoundScene.at(scene)
+    scene = place.scene
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -43,19 +46,18 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
             "trials": 1,
             "seed": 1,
             "episode": {"duration": 0.2},
-            "scenes": [reference],
+            "scenes": [place.reference],
             "record": record,
         }
     )
     if scene.splat is not None:
         scene.splat_store()  # As a run does first: the cache is out of a worker's reach.
     plan = Plan(
+        request=Request(allow_code=allow_code),
         suite=suite,
         bundle=bundle,
-        scenes=(scene,),
-        references={scene.name: reference},
+        found=(place,),
         trials=expand(suite, [scene]),
-        allow_code=allow_code,
     )
     return plan_jobs(plan, folder)
 
@@ -63,7 +65,10 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
 def run(jobs, folder):
     header = JournalHeader(suite_digest="s", policy_digest="p", scene_digests={})
     with Journal.create(folder.journal, header) as journal:
-        return run_trials(jobs, journal=journal, folder=folder, policy="p", workers=1).rows
+        hire = LocalProcesses(jobs, folder)
+        return run_trials(
+            jobs, journal=journal, folder=folder, policy="p", hire=hire, workers=1
+        ).rows
 
 
 class Standing(torch.nn.Module):
@@ -213,7 +218,7 @@ if __name__ == "__main__":
     replayed = api.replay(log)
     card = api.init_policy(Path(sys.argv[2]), robot="go1", out=folder / "policy.yaml")
     loaded = sorted({"torch", "onnxruntime"} & sys.modules.keys())
-    print(json.dumps([loaded, replayed.text, card.text[:40]]))
+    print(json.dumps([loaded, replayed.is_identical, card.text[:40]]))
 """
 
 
@@ -228,7 +233,7 @@ def test_no_door_opens_a_checkpoint_in_the_process_that_was_called(tmp_path):
     assert done.returncode == 0, done.stderr
     loaded, replayed, _ = json.loads(done.stdout.splitlines()[-1])
     assert loaded == []
-    assert replayed.endswith("identical bit for bit")
+    assert replayed is True
     info = json.loads((tmp_path / "run" / "run.json").read_text())
     assert info["fence"] == str(offered())
     report = (tmp_path / "run" / "report.md").read_text()

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from nw_eval.gate import judge
-from nw_eval.report import print_summary
+from nw_eval.reporting import print_summary
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
 from nw_eval.suite import load_suite

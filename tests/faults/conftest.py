@@ -10,13 +10,12 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.catalogue import get_scene
-from nw_eval.engine.machine.output import WorkerOutput
+from nw_eval.catalogue import FoundScene
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.prepare import worker_start
 from nw_eval.engine.run import run_trials
-from nw_eval.engine.workers.local import LocalWorkers
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
+from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.spawn import draw_start
@@ -225,6 +224,7 @@ class TinyRun:
                 journal=journal,
                 folder=self.folder,
                 policy=self.policy,
+                hire=LocalProcesses(self.jobs, self.folder),
                 workers=workers,
                 listener=self.ears,
             )
@@ -232,11 +232,7 @@ class TinyRun:
     @contextmanager
     def pool(self):
         """One worker, for those who want to see what comes out of it."""
-        start = worker_start(self.jobs, self.folder)
-        with (
-            WorkerOutput(self.folder.workers_log) as output,
-            LocalWorkers(1, start=start, output=output) as workers,
-        ):
+        with LocalProcesses(self.jobs, self.folder)(1, fresh=False) as workers:
             yield workers
 
 
@@ -261,7 +257,8 @@ def tiny_run(tmp_path):
         elif not bundles.exists():
             write_bundle(bundles, model)
         bundle = load_bundle(bundles)
-        scene = get_scene(SCENE)
+        place = FoundScene.at(SCENE)
+        scene = place.scene
         suite = suite_with_both_sides(
             scene,
             {
@@ -277,14 +274,13 @@ def tiny_run(tmp_path):
         )
         folder = RunFolder(path=tmp_path / name)
         plan = Plan(
+            request=Request(time_limit=time_limit, allow_code=deed is not None or code is not None),
             suite=suite,
             bundle=bundle,
-            scenes=(scene,),
-            references={},
+            found=(place,),
             trials=expand(suite, [scene]),
-            allow_code=deed is not None or code is not None,
         )
-        jobs = plan_jobs(plan, folder, time_limit=time_limit)
+        jobs = plan_jobs(plan, folder)
         header = JournalHeader(
             suite_digest=suite.digest,
             policy_digest=bundle.digest,

@@ -63,6 +63,22 @@ def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, mo
     assert [row.status for row in outcome.rows] == ["ok", "ok"]
 
 
+def test_a_worker_waits_for_the_next_jobs_and_is_replaced_if_it_did_not_live_to_see_them(tiny_run):
+    deed = "(self.folder / 'pids').open('a').write(f'{os.getpid()}\\n')"
+    run = tiny_run("noter", deed=deed, trials=3)
+    pids = []
+    with run.pool() as pool:
+        for job in run.jobs:
+            pool.submit([job])
+            [ended] = [each for each in pool.finished() if each is not None]
+            assert ended.result.status == "ok"
+            pids = Path(run.jobs[0].policy).with_name("pids").read_text().split()
+            if len(pids) == 2:
+                os.kill(int(pids[1]), signal.SIGKILL)
+    assert pids[0] == pids[1] != pids[2]
+    assert multiprocessing.active_children() == []
+
+
 @pytest.mark.parametrize("code", [0, 7])
 def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, code):
     # With the time limit as the only witness, code 0 would be told as `hung` after 60 s.

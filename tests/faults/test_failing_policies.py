@@ -9,6 +9,7 @@ import multiprocessing
 import numpy as np
 import pytest
 
+from nw_eval.cli.text.replay import replay_line
 from nw_eval.gate.absolute import judge
 from nw_eval.results.row import rows_digest
 from nw_eval.rollout.replaying.replay import replay
@@ -184,8 +185,8 @@ def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is
 
     for way in ("exit 0", "huge", "shaking"):
         again = replay(run.folder.path / rows[way].mcap_path, allow_code=True)
-        assert again.is_identical, again.text
-        assert "policy_failed after" in again.text
+        assert again.is_identical, replay_line(again.report)
+        assert "policy_failed after" in replay_line(again.report)
     with pytest.raises(KeyboardInterrupt):  # Here it may be Ctrl-C.
         replay(run.folder.path / rows["interrupt"].mcap_path, allow_code=True)
 

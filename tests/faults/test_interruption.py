@@ -17,13 +17,19 @@ SCRIPT = """
 import pickle, sys
 from pathlib import Path
 from nw_eval.engine.run import run_trials
+from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.results.journal import Journal
 
 if __name__ == "__main__":
     run = pickle.loads(Path(sys.argv[1]).read_bytes())
     with Journal.create(run["folder"].journal, run["header"]) as journal:
         outcome = run_trials(
-            run["jobs"], journal=journal, folder=run["folder"], policy=run["policy"], workers=2
+            run["jobs"],
+            journal=journal,
+            folder=run["folder"],
+            policy=run["policy"],
+            hire=LocalProcesses(run["jobs"], run["folder"]),
+            workers=2,
         )
     print(outcome.interrupted.name if outcome.interrupted else "whole", len(outcome.missing))
 """

@@ -121,7 +121,7 @@ def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp
         (path / "report.md").write_text("PASS")
         return told
 
-    monkeypatch.setattr("nw_eval.api.runs.report", remove_and_report)
+    monkeypatch.setattr("nw_eval.api.running.runs.report", remove_and_report)
     with pytest.raises(StoreError, match="run was removed or replaced"):
         api.run(suite, out=tmp_path / "run", workers=1)
 

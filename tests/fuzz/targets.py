@@ -339,12 +339,12 @@ def _card(folder):
 
 
 def _suite(folder):
-    from nw_eval.api.faults import Faults, open_scenes
+    from nw_eval.api.running.faults import Faults, open_scenes
     from nw_eval.suite import draft_suite
 
     draft = draft_suite(folder / "mine.yaml")
     faults = Faults(draft)
-    open_scenes(draft, faults, "terrain")
+    open_scenes(draft, faults, None)
     faults.raise_any()
 
 

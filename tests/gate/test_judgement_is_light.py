@@ -6,7 +6,7 @@ import sys
 
 def test_gate_report_and_rows_import_no_simulation() -> None:
     code = (
-        "import sys, nw_eval.gate, nw_eval.report, nw_eval.results.parquet, nw_eval.suite\n"
+        "import sys, nw_eval.gate, nw_eval.reporting, nw_eval.results.parquet, nw_eval.suite\n"
         "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'} & set(sys.modules)\n"
         "print(sorted(heavy))"
     )

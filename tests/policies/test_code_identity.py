@@ -3,6 +3,7 @@
 import pytest
 
 from nw_eval import api
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import code_digest as code
 from nw_eval.policies import load_bundle
@@ -105,8 +106,8 @@ def test_a_folder_with_too_much_code_is_refused(folder, monkeypatch):
 def test_a_check_names_the_code_or_says_that_there_is_no_checkpoint(folder, tmp_path):
     (tmp_path / "suite.yaml").write_text(SUITE.replace("POLICY", "stand"))
     suite = tmp_path / "suite.yaml"
-    assert "stand  (zero, no checkpoint)" in api.check(suite).text
-    said = api.check(suite, policy=str(folder), allow_code=True).text
+    assert "stand  (zero, no checkpoint)" in forecast_page(api.check(suite))
+    said = forecast_page(api.check(suite, policy=str(folder), allow_code=True))
     assert f"Policy, code {load_bundle(folder).checkpoint_sha256[:16]})" in said
     assert "code outside the card's folder is not part of it" in said
 

@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval.errors import StoreError
 from nw_eval.gate import judge
-from nw_eval.report import render_markdown, write_report
+from nw_eval.reporting import render_markdown, write_report
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
 from nw_eval.suite.digest import digest_of

@@ -12,29 +12,18 @@ from hypothesis import strategies as st
 from nw_eval.errors import StoreError
 from nw_eval.results import parquet
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.parquet import read_rows, schema_text, sealed, write_rows
+from nw_eval.results.parquet import read_rows, sealed, write_rows
 from nw_eval.results.row import Row, rows_digest
 from nw_eval.words import FAULTS, OUTCOMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GOLDEN = Path(__file__).with_name("row_schema.jsonl")
-
 
 def write_as_another_version(path: Path, table: pa.Table) -> None:
     """Write a table with other columns, with the sum that its own writer would have given it."""
     pq.write_table(table, path)
     path.write_bytes(sealed(path.read_bytes()))
-
-
-def test_the_schema_is_the_one_that_readers_elsewhere_rely_on() -> None:
-    """Columns may be added at the end of the golden file; none may change or go."""
-    assert schema_text() == GOLDEN.read_text(encoding="utf-8")
-
-
-def test_the_schema_and_the_row_have_the_same_columns() -> None:
-    assert SCHEMA.names == list(Row.__dataclass_fields__)
 
 
 def test_rows_come_back_equal_sorted_and_with_their_metadata(

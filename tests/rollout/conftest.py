@@ -58,8 +58,8 @@ class OneScene(Library):
         super().__init__()
         self.only = scene
 
-    def scene(self, reference):
-        assert reference == SCENE
+    def scene(self, reference, collision="terrain"):
+        assert (reference, collision) == (SCENE, "terrain")
         return self.only
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import open_scene
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -33,8 +33,8 @@ class Edited(Library):
         super().__init__()
         self.change = change
 
-    def scene(self, reference):
-        return self.change(get_scene(reference))
+    def scene(self, reference, collision="terrain"):
+        return self.change(open_scene(reference, collision))
 
 
 def run(

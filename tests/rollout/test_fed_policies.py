@@ -13,6 +13,8 @@ import torch
 from onnx.utils import Extractor
 from torch import nn
 
+from nw_eval.cli.text.card import card_page
+from nw_eval.cli.text.probe import probe_page
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.probe.report import probe_here
 from nw_eval.onboarding.probe.summary import card_summary
@@ -159,16 +161,16 @@ def with_encoder(data, eyes, folder):
 def test_check_names_every_network_and_finds_the_deaf_one(eyes, tmp_path):
     place = "hurdles/one_low_carpet"
     told = probe_here(load_bundle(eyes), scene=place)
-    assert re.search(r"^network +gives +numbers +asked", told.text, re.MULTILINE)
-    assert re.search(r"^encoder +encoder +8 +10 Hz", told.text, re.MULTILINE)
-    assert "does not hear its inputs" not in told.text
+    assert re.search(r"^network +gives +numbers +asked", probe_page(told), re.MULTILINE)
+    assert re.search(r"^encoder +encoder +8 +10 Hz", probe_page(told), re.MULTILINE)
+    assert "does not hear its inputs" not in probe_page(told)
     told = probe_here(with_encoder(scripted(Deaf()), eyes, tmp_path), scene=place)
     assert not told.passed
-    assert "fault: network `encoder`: `encoder` is the same at every step" in told.text
+    assert "fault: network `encoder`: `encoder` is the same at every step" in probe_page(told)
 
 
 def test_show_names_every_network(eyes, split):
-    text = card_summary(eyes / "policy.yaml")
+    text = card_page(card_summary(eyes / "policy.yaml"))
     assert re.search(
         r"^network     encoder: e\.pt, 0\.\d+ MB, SHA-256 \w{16}, torchscript, 10 Hz$",
         text,
@@ -176,7 +178,7 @@ def test_show_names_every_network(eyes, split):
     )
     assert "encoder: input = depth\ninput = joints | encoder\n" in text
     assert "front: input = proprio | scandots | last_output | history\ninput h2 = front\n" in (
-        card_summary(load_bundle(split).card_path)
+        card_page(card_summary(load_bundle(split).card_path))
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from nw_eval.cli.text.replay import replay_line
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.mcap.reader import LogReader
@@ -61,7 +62,7 @@ def test_a_replay_is_identical_from_the_start_and_from_the_middle(recorded, libr
     assert half.is_identical
     assert (whole.start_step, half.start_step) == (0, 25)
     assert half.result.steps == result.steps
-    assert "identical bit for bit" in half.text
+    assert "identical bit for bit" in replay_line(half.report)
 
 
 def test_a_replay_says_what_differs(recorded, library, monkeypatch):
@@ -74,7 +75,7 @@ def test_a_replay_says_what_differs(recorded, library, monkeypatch):
     )
     replayed = replay(path, library=library)
     assert not replayed.is_identical
-    assert "state_digest was" in replayed.text
+    assert "state_digest was" in replay_line(replayed.report)
 
 
 def test_another_checkpoint_or_scene_is_refused(recorded, library):

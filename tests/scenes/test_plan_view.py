@@ -4,12 +4,14 @@ import numpy as np
 from PIL import Image
 
 from nw_eval.catalogue import get_scene
-from nw_eval.scenes.plan_view import draw_plan, figures
+from nw_eval.cli.text.scenes import scene_page
+from nw_eval.scenes.figures import figures
+from nw_eval.scenes.plan_view import draw_plan
 
 
 def test_the_figures_name_every_waypoint_and_the_digest():
     scene = get_scene("hurdles/three_low")
-    text = "\n".join(figures(scene))
+    text = scene_page(figures(scene))
     assert scene.digest in text
     for x, _, z in scene.trail.tolist():
         assert f"x {x:.2f}" in text

@@ -10,6 +10,7 @@ import pytest
 
 from nw_eval.api import check_scenes
 from nw_eval.catalogue import get_scene, names
+from nw_eval.cli.text.scenes import findings_text
 from nw_eval.errors import SceneError
 from nw_eval.scenes.name import checked_name
 
@@ -96,8 +97,8 @@ def test_a_number_of_no_place_is_refused_with_its_place_in_the_file(place, said,
 
 def test_check_tells_all_faults_of_a_file_in_a_line_each(place):
     told = check_scenes([str(place(name="../x", ground=1e9, waypoint_noise=[-1, 0]))])
-    assert told.exit_code == 2
-    lines = told.text.splitlines()
+    assert [scene.has_errors for scene in told] == [True]
+    lines = findings_text(told).splitlines()
     assert all(" error unreadable: " in line for line in lines)
     assert [line.split("scene.yaml:")[1].split(": ")[1] for line in lines] == [
         "name",

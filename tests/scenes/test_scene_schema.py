@@ -13,7 +13,7 @@ from nw_eval.catalogue import get_scene
 
 
 def read(kind: Any) -> dict[str, Any]:
-    return json.loads(api.schema(kind))
+    return api.schema(kind)
 
 
 def test_both_files_have_a_schema_with_all_that_a_folder_can_say() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
+from nw_eval.cli.text.sensors import seen_text
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.policies import load_bundle
 from nw_eval.sensors import gallery
@@ -79,9 +80,10 @@ def test_a_card_is_told_and_its_images_are_drawn(place, tmp_path):
         "  eye: {sensor: depth, wrap: [{wrapper: stack, steps: 2}]}\n"
     )
     told = gallery.draw_card(load_bundle(tmp_path).card, place(*BARS), tmp_path / "seen.png")
-    way, eye = told.splitlines()
+    way, eye, picture = seen_text(told).splitlines()
     assert way.startswith("way: direction, 1 float32, ")
     assert eye.startswith("eye: depth, 2 x 45 x 80 float32, ")
+    assert picture == str(tmp_path / "seen.png")
     sheet = np.asarray(PillowImage.open(tmp_path / "seen.png"))
     assert sheet.shape[1] < 2 * gallery.PANEL[0]  # One image.
 

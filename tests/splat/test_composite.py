@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import UsageError
-from nw_eval.splat import CameraModel, Image, composite, measure_coverage, paste
+from nw_eval.splat import CameraModel, Image, composite, paste
 
 WHITE, RED = (1.0, 1.0, 1.0), np.float32([1, 0, 0])
 
@@ -80,15 +80,6 @@ def test_shapes_that_differ_are_refused():
     rgb, depth, coverage = _object(1.0, 1.0)
     with pytest.raises(UsageError, match=r"depth has shape \(3, 4\)"):
         composite(_image(), rgb, depth[:3], coverage)
-
-
-def test_coverage_tells_the_half_that_is_empty():
-    image = _image()
-    image.alpha[2:] = 0.1
-    coverage = measure_coverage(image)
-    assert coverage.covered == 0.5
-    assert coverage.lower_half == 0.0
-    assert coverage.mean_alpha == pytest.approx(0.55)
 
 
 def test_a_perfect_camera_changes_nothing_and_draws_no_numbers():

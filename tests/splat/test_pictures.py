@@ -7,6 +7,7 @@ import pytest
 from PIL import Image as Picture
 from splat_rooms import cloud
 
+from nw_eval.cli.text.splats import splat_page
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat import (
     Camera,
@@ -34,7 +35,7 @@ def test_a_description_counts_what_is_there():
     assert told.opacity_histogram == (99, 0, 0, 0, 0, 900, 0, 0, 0, 0)
     assert (told.bounds[0][0], told.bounds[1][0]) == (-3, 7)
     assert told.bulk[0][0] == pytest.approx(-2.9, abs=0.01)
-    text = "\n".join(told.lines())
+    text = splat_page(told)
     assert "1,000 (900 visible, 1 not finite)" in text
     assert "0.5-0.6        900 ####" in text
 

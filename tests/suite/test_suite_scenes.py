@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from nw_eval.errors import UsageError
+from nw_eval.request import Request
 from nw_eval.suite import Suite, draft_suite, load_suite, override, tier_problems
 
 if TYPE_CHECKING:
@@ -79,18 +80,18 @@ def test_a_scenes_own_name_wins_over_a_glob(tmp_path: Path) -> None:
 
 def test_an_override_keeps_what_it_does_not_name(tmp_path: Path) -> None:
     before = suite(tmp_path, "[hurdles/*]", "{hurdles/*: critical}")
-    after = override(before, trials=7)
+    after = override(before, Request(trials=7))
     assert after.trials == 7
     assert after.gate == before.gate
     assert after.source is before.source
-    assert override(before) == before
+    assert override(before, Request()) == before
 
 
 def test_an_override_that_cannot_be_used_names_the_option(tmp_path: Path) -> None:
     before = suite(tmp_path, "[hurdles/*]")
     with pytest.raises(UsageError, match="--trials 0: input should be greater"):
-        override(before, trials=0)
+        override(before, Request(trials=0))
     with pytest.raises(UsageError, match="--seed -1: input should be greater"):
-        override(before, seed=-1)
+        override(before, Request(seed=-1))
     with pytest.raises(UsageError, match="--record 'fail'"):
-        override(before, record="fail")
+        override(before, Request(record="fail"))

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nw_eval.errors import UsageError
+from nw_eval.request import Request
 from nw_eval.suite import Trial, expand, new_suite, override
 
 BASE: dict[str, Any] = {
@@ -80,7 +81,7 @@ def test_scenes_whose_trials_would_share_a_name_are_refused() -> None:
 
 def test_more_trials_and_other_policies_keep_the_earlier_trials() -> None:
     suite = new_suite(BASE)
-    more = override(suite, trials=5, policy="other", record="none")
+    more = override(suite, Request(trials=5, policy="other", record="none"))
     earlier = {t.id: t.seed for t in expand(suite, [ONE, TWO])}
     later = {t.id: t.seed for t in expand(more, [TWO, ONE])}
     assert len(later) == 10
@@ -116,7 +117,7 @@ def test_names_for_people_do_not_move_the_seed() -> None:
 
 
 def test_no_two_trials_of_a_large_run_share_a_seed() -> None:
-    suite = override(new_suite(BASE), trials=2000)
+    suite = override(new_suite(BASE), Request(trials=2000))
     seeds = [t.seed for t in expand(suite, [ONE, TWO])]
     assert len(set(seeds)) == 4000
 

@@ -2,78 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.message import Message
-from nw_eval.clean import clean
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+    from nw_eval.built_in.splits import Split
     from nw_eval.engine.listener import Listener
+    from nw_eval.scenes.figures import SceneFigures
+    from nw_eval.scenes.health.finding import Finding
 
 
-def list_scenes(patterns: Sequence[str] = ()) -> str:
-    """Return a table of scenes: name, waypoints, split (train or eval), title."""
+@dataclass(frozen=True, kw_only=True)
+class ListedScene:
+    """A scene that suites can name."""
+
+    name: str
+    title: str
+    waypoints: int
+    split: Split | None
+    """Which half of the built-in scenes it is of; None for any other scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedScene:
+    """What is wrong with a scene."""
+
+    reference: str
+    """The name or the folder that was asked about."""
+    findings: tuple[Finding, ...]
+    """Errors first; none if nothing is worth saying."""
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether results of this scene would mean nothing."""
+        from nw_eval.scenes.health.finding import has_errors
+
+        return has_errors(self.findings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUp:
+    """What was made ahead of the first run."""
+
+    kernel_seconds: float
+    """To compile the kernels, or to load them from the cache."""
+    scenes: tuple[str, ...]
+    """Whose splats are built now."""
+
+
+def list_scenes(patterns: Sequence[str] = ()) -> tuple[ListedScene, ...]:
+    """Return the scenes that match one of some globs; all built-in ones without any.
+
+    Raises:
+        SceneError: a pattern matches nothing.
+    """
     from nw_eval.built_in.splits import split_of
     from nw_eval.catalogue import match_scenes
 
-    found = match_scenes(tuple(patterns) or ("*",))
-    width = max(len(scene.name) for scene in found)
-    return "\n".join(
-        f"{scene.name:{width}}  {len(scene.trail)} waypoints  {split_of(scene.name) or '-':5}  "
-        f"{scene.title}"
-        for scene in found
+    return tuple(
+        ListedScene(
+            name=scene.name,
+            title=scene.title,
+            waypoints=len(scene.trail),
+            split=split_of(scene.name),
+        )
+        for scene in match_scenes(tuple(patterns) or ("*",))
     )
 
 
-def show_scene(reference: str, *, out: Path | None = None) -> str:
-    """Return a scene's figures as lines of text, and draw it from above if asked.
+def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
+    """Return a scene's figures, and draw it from above if asked.
+
+    Args:
+        reference: a built-in name, a scene folder, or `neverwhere:<folder>`.
+        out: the PNG of the view from above; None = none is drawn.
 
     Raises:
         SceneError: there is no such scene, or it cannot be read.
         StoreError: the picture cannot be written.
     """
     from nw_eval.catalogue import get_scene
-    from nw_eval.scenes.plan_view import draw_plan, figures
+    from nw_eval.scenes.figures import figures
+    from nw_eval.scenes.plan_view import draw_plan
 
     scene = get_scene(reference)
     if out is not None:
         draw_plan(scene, out)
-    return "\n".join([*figures(scene), *([str(out)] if out is not None else [])])
+    return figures(scene)
 
 
-def check_scenes(references: Sequence[str]) -> Message:
-    """Return what is wrong with scenes, one line a finding; exit code 2 if anything is.
+def check_scenes(references: Sequence[str]) -> tuple[CheckedScene, ...]:
+    """Return what is wrong with scenes; one that cannot be read is a finding, too.
 
     Raises:
         UsageError: no scene is named, so nothing would be checked.
     """
     from nw_eval.catalogue.inspect import inspect_scene
-    from nw_eval.errors import SceneError, UsageError
-    from nw_eval.scenes.health.finding import has_errors
+    from nw_eval.errors import UsageError
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
-    lines: list[str] = []
-    is_bad = False
-    for reference in references:
-        findings = inspect_scene(reference)
-        is_bad |= has_errors(findings)
-        lines += [f"{clean(reference)}: {finding}" for finding in findings]
-        if not findings:
-            lines.append(f"{clean(reference)}: nothing wrong")
-    return Message(text="\n".join(lines), exit_code=SceneError.exit_code if is_bad else 0)
+    return tuple(
+        CheckedScene(reference=reference, findings=inspect_scene(reference))
+        for reference in references
+    )
 
 
 def render_scenes(
     patterns: Sequence[str] = (), *, out: Path, width: int = 480, listener: Listener | None = None
-) -> None:
-    """Draw scenes from the robot's eye and from outside into one PNG.
+) -> Path:
+    """Draw scenes from the robot's eye and from outside into one PNG, and return its path.
+
+    Args:
+        patterns: names or globs; all built-in scenes without any.
+        out: the PNG.
+        width: of each view, pixels.
+        listener: hears how far splats have been built.
 
     Raises:
-        SceneError: no such scene. StoreError: the picture cannot be written.
+        SceneError: no such scene.
+        StoreError: the picture cannot be written.
     """
     from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import Silence
@@ -83,10 +133,15 @@ def render_scenes(
     found = match_scenes(tuple(patterns) or ("*",))
     build_splats(found, listener or Silence())
     write_scene_sheet(found, out, width=width)
+    return out
 
 
-def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> str:
-    """Compile the kernels into the cache and build scenes ahead; return what was done, in words."""
+def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> WarmUp:
+    """Compile the kernels into the cache, and build the splats of scenes ahead.
+
+    Raises:
+        SceneError: a pattern matches nothing, or a splat cannot be made.
+    """
     from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import Silence
     from nw_eval.engine.prepare import build_splats
@@ -95,5 +150,4 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> s
     seconds = compile_kernels()
     found = match_scenes(tuple(scenes)) if scenes else ()
     build_splats(found, listener or Silence())
-    built = f", {len(found)} scenes built" if found else ""
-    return f"kernels ready after {seconds:.1f} s{built}"
+    return WarmUp(kernel_seconds=seconds, scenes=tuple(scene.name for scene in found))

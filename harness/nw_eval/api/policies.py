@@ -4,21 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from nw_eval.api.message import Message, write_text
 from nw_eval.errors import UsageError
 
-
-def list_policies() -> str:
-    """Return a table of the shipped and the project's bundles, and of the example cards."""
-    from nw_eval.cards.file.listing import policy_table
-
-    return policy_table()
+if TYPE_CHECKING:
+    from nw_eval.cards.file.listing import ListedPolicy
+    from nw_eval.onboarding.probe.rows import ProbeReport
+    from nw_eval.onboarding.probe.summary import CardSummary
 
 
-def show_policy(policy: str, *, checkpoint: Path | None = None, allow_code: bool = False) -> str:
-    """Return what a card says: each term, each joint, whatever is not by default, the checkpoint.
+@dataclass(frozen=True, kw_only=True)
+class CardDraft:
+    """A first card for a checkpoint, as it was written."""
+
+    file: Path
+    text: str
+    to_check: int
+    """How many lines its author has to look at, marked CHECK."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoldedGraph:
+    """An ONNX graph and its weights in one file, as it was written."""
+
+    file: Path
+    bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServedPolicy:
+    """A policy that is being served."""
+
+    name: str
+    digest: str
+    """Of the card, the weights and the code beside them."""
+    url: str
+    """What a card's `options.url` must be."""
+
+
+def list_policies() -> tuple[ListedPolicy, ...]:
+    """Return the shipped bundles, those of the project, and the example cards, by name."""
+    from nw_eval.cards.file.listing import list_cards
+
+    return list_cards()
+
+
+def show_policy(
+    policy: str, *, checkpoint: Path | None = None, allow_code: bool = False
+) -> CardSummary:
+    """Return what a card says: each term, each joint, whatever is not by default, its files.
 
     Args:
         policy: a bundle's name, folder or card.
@@ -40,8 +77,8 @@ def check_policy(
     checkpoint: Path | None = None,
     scene: str | None = None,
     allow_code: bool = False,
-) -> Message:
-    """Run a policy for some seconds and say what is odd; exit code 2 if something is wrong.
+) -> ProbeReport:
+    """Run a policy for some seconds, in a process of its own, and return what is odd.
 
     A policy that follows a velocity command is also commanded ahead, sideways and in turns.
 
@@ -52,19 +89,20 @@ def check_policy(
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        PolicyError, SceneError: it cannot be run at all.
+        PolicyError: it cannot be run at all.
+        SceneError: there is no such scene.
     """
-    from nw_eval.onboarding.probe.report import FLAT, probe_policy
+    from nw_eval.onboarding.probe.report import probe_policy
+    from nw_eval.onboarding.probe.rows import FLAT
     from nw_eval.policies import load_bundle
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
-    told = probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
-    return Message(text=told.text, exit_code=0 if told.passed else UsageError.exit_code)
+    return probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
 
 
 def init_policy(
     checkpoint: Path, *, robot: str, out: Path | None = None, layout: str | None = None
-) -> Message:
+) -> CardDraft:
     """Inspect a checkpoint without running it, and write a first card beside it.
 
     Args:
@@ -77,7 +115,9 @@ def init_policy(
         PolicyError: the file cannot be read, could run code, holds an unknown network, or does not
             fit `layout`.
         UsageError: there is a card already.
+        StoreError: the card cannot be written.
     """
+    from nw_eval.cache import atomic_path
     from nw_eval.cards.file.load import CARD_FILE
     from nw_eval.onboarding.drafting.draft import draft_of
     from nw_eval.onboarding.reading.beside import files_beside
@@ -100,11 +140,12 @@ def init_policy(
     )
     if card.parent.resolve() == checkpoint.parent.resolve():
         text += files_beside(checkpoint)
-    write_text(card, text)
-    return Message(text=f"{text}\n{card}: {text.count('CHECK')} lines to check")
+    with atomic_path(card) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return CardDraft(file=card, text=text, to_check=text.count("CHECK"))
 
 
-def fold_policy(checkpoint: Path, *, out: Path) -> str:
+def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     """Write an ONNX graph and the weights in files beside it as one file, without running it.
 
     Args:
@@ -126,7 +167,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> str:
         checkpoint=str(checkpoint),
         out=str(out),
     )
-    return f"{out}: {int(size) / 1e6:.2f} MB, graph and weights"
+    return FoldedGraph(file=out, bytes=int(size))
 
 
 @contextmanager
@@ -138,8 +179,8 @@ def serve_policy(
     port: int = 8765,
     allow_code: bool = False,
     confined: bool = False,
-) -> Generator[str]:
-    """Serve a policy over a websocket, for `adapter: remote`, and give a line that says where.
+) -> Generator[ServedPolicy]:
+    """Serve a policy over a websocket, for `adapter: remote`, while the context lasts.
 
     Args:
         policy: a bundle's name, folder or card.
@@ -170,4 +211,4 @@ def serve_policy(
         if confined and not allow_code:
             fence_in_server(bundle)
         with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
-            yield f"serving {bundle.name} at {address.url} (digest {bundle.digest})"
+            yield ServedPolicy(name=bundle.name, digest=bundle.digest, url=address.url)

@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
-Kind = Literal["suite", "policy", "scene", "collision"]
-
-
-def schema(kind: Kind) -> str:
-    """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes."""
-    return json.dumps(_schema(kind), indent=2)
+from nw_eval.words import Described
 
 
-def _schema(kind: Kind) -> dict[str, Any]:
+def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
+    """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
+
+    Args:
+        kind: of the files that it describes.
+        out: where to write it as JSON as well; None = nowhere.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    from nw_eval.cache import atomic_path
+
+    described = _schema(kind)
+    if out is not None:
+        with atomic_path(out) as temporary:
+            temporary.write_text(json.dumps(described, indent=2) + "\n", encoding="utf-8")
+    return described
+
+
+def _schema(kind: Described) -> dict[str, Any]:
     if kind == "suite":
         from nw_eval.suite import json_schema as of_suite
 

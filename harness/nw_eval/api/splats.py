@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,27 +11,40 @@ from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.inside import what_is
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.job import Backend
+    from nw_eval.splat.describe import SplatFigures
     from nw_eval.splat.gaussians import Gaussians
-    from nw_eval.splat.movies.turntable import Up
+    from nw_eval.words import Backend, UpAxis
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
 
 
-def splat_info(source: str | Path) -> str:
-    """Return what a file of Gaussians or a built-in scene holds, in lines of text.
+@dataclass(frozen=True, kw_only=True)
+class WrittenSplat:
+    """A file of Gaussians that was written."""
+
+    file: Path
+    gaussians: int
+    bytes: int
+
+
+def splat_info(source: str | Path) -> SplatFigures:
+    """Return what a file of Gaussians or a built-in scene holds: counts, bounds, sizes, opacities.
 
     Raises:
         SceneError: it cannot be read.
     """
     from nw_eval.splat.describe import describe
 
-    return "\n".join(describe(_gaussians(source)).lines())
+    return describe(_gaussians(source))
 
 
-def splat_convert(source: str | Path, out: Path) -> str:
-    """Write the Gaussians of a file or of a built-in scene, and return what was written, in words.
+def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
+    """Write the Gaussians of a file or of a built-in scene.
+
+    Args:
+        source: path of a file, in its own frame, or a built-in scene's name, in world metres.
+        out: its suffix says the format.
 
     Raises:
         SceneError: they cannot be read, or do not fit the new format.
@@ -40,7 +54,7 @@ def splat_convert(source: str | Path, out: Path) -> str:
 
     gaussians = _gaussians(source)
     write_splat(out, gaussians)
-    return f"{out}: {len(gaussians):,} Gaussians, {out.stat().st_size / 2**20:.1f} MiB"
+    return WrittenSplat(file=out, gaussians=len(gaussians), bytes=out.stat().st_size)
 
 
 def splat_render(
@@ -48,13 +62,15 @@ def splat_render(
     out: Path,
     *,
     size: tuple[int, int] = (640, 360),
-    up: Up = "-y",
+    up: UpAxis = "-y",
     eye: tuple[float, float, float] | None = None,
     target: tuple[float, float, float] | None = None,
     frames: int = 48,
     backend: Backend = "cpu",
-) -> None:
-    """Draw a file of Gaussians or a built-in scene: PNG from a pose, a turn as GIF or MP4.
+) -> Path:
+    """Draw a file of Gaussians or a built-in scene, and return the path of the picture.
+
+    A PNG is a still from one pose, a GIF or MP4 a turn.
 
     Args:
         source: path of a file, or a built-in scene's name.
@@ -68,7 +84,10 @@ def splat_render(
         backend: the renderer.
 
     Raises:
-        SceneError, UsageError, PrerequisiteError: something cannot be read, drawn or written.
+        SceneError: the source cannot be read.
+        UsageError: what `out` is called says no format, or `target` is given without `eye`.
+        PrerequisiteError: the renderer, or what writes MP4, is not installed.
+        StoreError: the picture cannot be written.
     """
     from nw_eval import catalogue
     from nw_eval.scenes.circuit import circuit
@@ -93,6 +112,7 @@ def splat_render(
     else:
         subject = portrait.Subject(gaussians=gaussians, up=up)
     subject.draw(out, size=size, eye=eye, target=target, frames=frames, backend=backend)
+    return out
 
 
 def _gaussians(source: str | Path) -> Gaussians:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from textwrap import shorten
@@ -9,44 +10,55 @@ from textwrap import shorten
 from nw_eval.clean import clean
 
 
-def list_suites() -> str:
-    """Return a table of the shipped and the project's suites, a line for each.
+@dataclass(frozen=True, kw_only=True)
+class ListedSuite:
+    """A suite that can be asked for by name, as far as its file can be read."""
 
-    Name, number of scenes and trials in each, bar, and the first sentence of the file's comment. A
-    suite with problems is listed with the first of them.
-    """
+    name: str
+    file: Path
+    purpose: str = ""
+    """The first sentence of the comment that the file opens with, cut to a line."""
+    scenes: int = 0
+    trials: int = 0
+    """In each scene."""
+    bar: float | None = None
+    """The success rate to reach; None for a suite that only runs."""
+    problem: str | None = None
+    """The first of what is wrong with the file; then nothing else of it is known."""
+
+
+def list_suites() -> tuple[ListedSuite, ...]:
+    """Return the shipped suites and those of the project in the working directory, by name."""
     from nw_eval.shipped import available
 
-    found = available("suites")
-    if not found:
-        return "no suites: neither shipped, nor in ./suites"
-    rows = [(name, *_describe(str(path))) for name, path in found.items()]
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return "\n".join(
-        "  ".join(f"{cell:{width}}" for cell, width in zip(row, (*widths, 0), strict=True)).rstrip()
-        for row in rows
-    )
+    return tuple(_listed(name, path) for name, path in available("suites").items())
 
 
-def _describe(path: str) -> tuple[str, str, str]:
-    """Return how much a suite runs, its bar, and what it is for."""
-    from nw_eval.catalogue import references
+def _listed(name: str, path: Path) -> ListedSuite:
+    from nw_eval.catalogue import names, open_scene, references
     from nw_eval.errors import NwEvalError
     from nw_eval.suite import load_suite
 
     try:
-        suite = load_suite(path)
-        scenes = len(references(suite.scenes, suite.base))
+        suite = load_suite(str(path))
+        scenes = references(suite.scenes, suite.base)
+        for reference, collision in scenes:
+            if reference not in names():  # A built-in one is right, and takes long to build.
+                open_scene(reference, collision)
     except NwEvalError as error:
-        return "?", "?", clean(str(error).splitlines()[0])
-    bar = suite.gate.success_rate
-    said = "no bar" if bar is None else f"bar {bar:g}"
-    return f"{scenes} scenes x {suite.trials}", said, _first_sentence(path)
+        return ListedSuite(name=name, file=path, problem=clean(str(error).splitlines()[0]))
+    return ListedSuite(
+        name=name,
+        file=path,
+        purpose=_first_sentence(path),
+        scenes=len(scenes),
+        trials=suite.trials,
+        bar=suite.gate.success_rate,
+    )
 
 
-def _first_sentence(path: str) -> str:
-    """Return the first sentence of the comment that a file opens with, cut to a line."""
-    lines = Path(path).read_text(encoding="utf-8").splitlines()
+def _first_sentence(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8").splitlines()
     comment = takewhile(lambda line: line.startswith("#"), lines)
     text = clean(" ".join(line.lstrip("# ") for line in comment))
     return shorten(text.split(". ", 1)[0].rstrip("."), width=90, placeholder=" ...")

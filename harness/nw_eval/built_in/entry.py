@@ -13,7 +13,8 @@ from nw_eval.built_in.places.parts import Place
 from nw_eval.built_in.places.stage import Stage
 from nw_eval.built_in.splat import BuiltInSplat
 from nw_eval.scenes.mesh import TriangleMesh, merge, quad_mesh
-from nw_eval.scenes.scene import Box, Plane, Scene, Spawn, Task, Vector
+from nw_eval.scenes.scene import Box, Plane, Scene, Spawn, Vector
+from nw_eval.words import Task
 
 # The robot's eye, metres above what it stands on.
 EYE_HEIGHT = 0.3

@@ -1,5 +1,21 @@
 """Scenes by name or path: a built-in place, a scene folder, or a published one."""
 
-from nw_eval.catalogue.find import get_scene, match_scenes, names, references
+from nw_eval.catalogue.find import (
+    get_scene,
+    match_scenes,
+    names,
+    open_scene,
+    parse_reference,
+    references,
+)
+from nw_eval.catalogue.found import FoundScene
 
-__all__ = ["get_scene", "match_scenes", "names", "references"]
+__all__ = [
+    "FoundScene",
+    "get_scene",
+    "match_scenes",
+    "names",
+    "open_scene",
+    "parse_reference",
+    "references",
+]

@@ -14,10 +14,10 @@ from nw_eval.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, load_published, reference_path
 from nw_eval.scenes.scene import Scene
-from nw_eval.scenes.terrain.options import Collision
+from nw_eval.words import Collision
 
-TRIANGLES = "triangles:"
-"""Before a reference: collide by the mesh's own triangles."""
+_TRIANGLES = "triangles:"
+"""What people write before a scene that is to collide by its mesh's own triangles."""
 
 _BY_NAME = {entry.name: entry for entry in ENTRIES}
 
@@ -25,6 +25,12 @@ _BY_NAME = {entry.name: entry for entry in ENTRIES}
 def names(split: Split | None = None) -> tuple[str, ...]:
     """Return the names of all built-in scenes, or of those of one split, sorted."""
     return tuple(name for name in sorted(_BY_NAME) if split is None or split_of(name) == split)
+
+
+def parse_reference(text: str) -> tuple[str, Collision]:
+    """Return what people write of a scene as its reference, and how its mesh is to collide."""
+    reference = text.removeprefix(_TRIANGLES)
+    return reference, "terrain" if reference == text else "triangles"
 
 
 def get_scene(name_or_path: str | Path) -> Scene:
@@ -37,11 +43,21 @@ def get_scene(name_or_path: str | Path) -> Scene:
     Raises:
         SceneError: no such scene (with the nearest name), or the folder cannot be read.
     """
-    reference = str(name_or_path)
-    collision: Collision = "triangles" if reference.startswith(TRIANGLES) else "terrain"
-    reference = reference.removeprefix(TRIANGLES)
+    return open_scene(*parse_reference(str(name_or_path)))
+
+
+def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
+    """Return the scene of a reference.
+
+    Args:
+        reference: a name, a folder or its `scene.yaml`, or `neverwhere:<folder>`.
+        collision: how the mesh of a folder collides; boxes collide exactly as they are.
+
+    Raises:
+        SceneError: as `get_scene`.
+    """
     if reference in _BY_NAME:
-        return _built_in(reference)  # Boxes collide exactly as they are.
+        return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
     path = Path(reference)
@@ -55,48 +71,41 @@ def get_scene(name_or_path: str | Path) -> Scene:
     )
 
 
-def match_scenes(
-    patterns: Sequence[str], base: Path | None = None, *, collision: Collision = "terrain"
-) -> tuple[Scene, ...]:
-    """Return the scenes that patterns name: by pattern, then by name, each once.
+def match_scenes(patterns: Sequence[str], base: Path | None = None) -> tuple[Scene, ...]:
+    """Return the scenes that patterns name, in the order of `references`.
+
+    Raises:
+        SceneError: as `references` and `open_scene`.
+    """
+    return tuple(open_scene(*each) for each in references(patterns, base))
+
+
+def references(
+    patterns: Sequence[str], base: Path | None = None, *, collision: Collision | None = None
+) -> tuple[tuple[str, Collision], ...]:
+    """Return what `open_scene` takes for the scenes that patterns name; opens none of them.
 
     Args:
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
-            of scene folders.
+            of scene folders; `triangles:` before any of them as in `get_scene`.
         base: folder that relative paths start from; the working folder by default.
-        collision: how scan meshes collide; `triangles` is as `triangles:` before each.
+        collision: how meshes collide, whatever the patterns say of it; as they say if None.
+
+    Returns:
+        By pattern, then by name, each once: a built-in name, the absolute path of a folder, or
+        `neverwhere:` and such a path; and how its mesh collides.
 
     Raises:
         SceneError: a pattern matches nothing, with the nearest name.
     """
-    return tuple(get_scene(key) for key in _keys(patterns, base, collision))
-
-
-def references(
-    patterns: Sequence[str], base: Path | None = None, *, collision: Collision = "terrain"
-) -> dict[str, str]:
-    """Return, by name, what `get_scene` understands for the scenes that patterns name.
-
-    Raises:
-        SceneError: as `match_scenes`.
-    """
-    return {_name(key): key for key in _keys(patterns, base, collision)}
-
-
-def _name(key: str) -> str:
-    """Return the name of the scene that a key means; a built-in one is not built for it."""
-    return key if key in _BY_NAME else get_scene(key).name
-
-
-def _keys(patterns: Sequence[str], base: Path | None, collision: Collision) -> list[str]:
-    """Return what patterns match, each once."""
-    keys: dict[str, None] = {}
+    found: dict[tuple[str, Collision], None] = {}
     for pattern in patterns:
-        plain = pattern.removeprefix(TRIANGLES)
-        exact = TRIANGLES if collision == "triangles" or plain != pattern else ""
-        for key in _match(plain, Path() if base is None else base):
-            keys[key if key in _BY_NAME else f"{exact}{key}"] = None
-    return list(keys)
+        plain, written = parse_reference(pattern)
+        way = written if collision is None else collision
+        for reference in _match(plain, Path() if base is None else base):
+            # Boxes collide exactly as they are.
+            found[reference, "terrain" if reference in _BY_NAME else way] = None
+    return tuple(found)
 
 
 def _match(pattern: str, base: Path) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nw_eval.catalogue.find import TRIANGLES, names
+from nw_eval.catalogue.find import names, parse_reference
 from nw_eval.scenes.folder import SCENE_FILE
 from nw_eval.scenes.neverwhere import PREFIX, reference_path
 from nw_eval.scenes.neverwhere.places import find_places
@@ -19,7 +19,7 @@ def scene_paths(reference: str) -> tuple[Path, ...]:
     Raises:
         SceneError: a published scene is not there.
     """
-    plain = reference.removeprefix(TRIANGLES)
+    plain, _ = parse_reference(reference)
     if plain in names():
         return ()
     if plain.startswith(PREFIX):

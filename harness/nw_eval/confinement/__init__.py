@@ -13,7 +13,7 @@ environment.py  what children inherit
 """
 
 from nw_eval.confinement.environment import child_environment
-from nw_eval.confinement.family import interrupts_blocked, kill_group
+from nw_eval.confinement.family import interrupts_blocked, kill_group, without_script
 from nw_eval.confinement.fence import Fence, offered, raise_fence
 from nw_eval.confinement.limits import memory_to_open, memory_to_run
 from nw_eval.confinement.rules import Rules, confine
@@ -29,4 +29,5 @@ __all__ = [
     "memory_to_run",
     "offered",
     "raise_fence",
+    "without_script",
 ]

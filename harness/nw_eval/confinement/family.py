@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from contextlib import contextmanager, suppress
 from multiprocessing import connection, parent_process, resource_tracker
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from nw_eval.confinement import kernel
@@ -72,6 +74,21 @@ def interrupts_blocked() -> Generator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def without_script() -> Generator[None]:
+    """Start processes that do not import the script which the caller runs.
+
+    `spawn` would: a script that calls nw-eval outside of `if __name__ == "__main__"` would call it
+    again in each of them, and none would start. Nothing that they are handed comes from there.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def kill_group(process: int | None) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from hashlib import sha256
-from itertools import takewhile
+from itertools import groupby, takewhile
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable
 
+    from nw_eval.rollout.job import TrialJob
     from nw_eval.suite.trials import Trial
 
 
@@ -20,6 +21,15 @@ def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     short has met every scene about equally often.
     """
     return tuple(sorted(trials, key=lambda trial: (trial.index, _rank(trial))))
+
+
+def rounds(jobs: Iterable[TrialJob]) -> list[list[TrialJob]]:
+    """Return jobs by round: each has one more start in every scene and perturbation.
+
+    Args:
+        jobs: `in_order`.
+    """
+    return [list(part) for _, part in groupby(jobs, key=lambda job: job.trial.index)]
 
 
 def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Container[str]) -> int:

@@ -6,19 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.order import in_order
+from nw_eval.engine.prepare import needs_splats
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import attachments
+from nw_eval.suite import suite_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
+    from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
+    from nw_eval.request import Request
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import Backend
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import Trial
+    from nw_eval.words import Backend
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
@@ -30,15 +31,32 @@ _SECONDS_MORE = 90.0
 class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
+    request: Request
     suite: Suite  # with what was asked of it otherwise
     bundle: Bundle
-    scenes: tuple[Scene, ...]
-    references: Mapping[str, str]
-    """What `scenes.get_scene` understands for a scene's name, where it is not the name itself: the
-    folders of scenes that are not built in."""
+    found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]
-    checkpoint: Path | None = None  # weights that were given instead of the card's
-    allow_code: bool = False  # whether `python:` adapters may import code
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The scenes of its trials."""
+        return tuple(found.scene for found in self.found)
+
+    @property
+    def render(self) -> Backend:
+        """The splat renderer."""
+        return "cpu" if self.request.render is None else self.request.render
+
+    @property
+    def renders(self) -> bool:
+        """Whether any trial may render."""
+        return needs_splats(self.bundle.card, self.suite.record)
+
+    @property
+    def time_limit(self) -> float:
+        """Wall seconds after which a trial counts as hung."""
+        limit = self.request.time_limit
+        return default_time_limit(self.suite.episode.duration) if limit is None else limit
 
 
 def default_time_limit(duration: float) -> float:
@@ -46,26 +64,16 @@ def default_time_limit(duration: float) -> float:
     return _SECONDS_MORE + _SECONDS_PER_SECOND * duration
 
 
-def plan_jobs(
-    plan: Plan,
-    folder: RunFolder,
-    *,
-    render: Backend = "cpu",
-    time_limit: float | None = None,
-    suite_text: str = "",
-) -> tuple[TrialJob, ...]:
+def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
     """Return the jobs of a run in the order in which they are to be started.
 
     Args:
         plan: what is to be run.
         folder: where logs go.
-        render: the splat backend.
-        time_limit: wall seconds after which a trial counts as hung.
-        suite_text: the resolved suite, attached to every log.
     """
     suite, bundle = plan.suite, plan.bundle
-    limit = default_time_limit(suite.episode.duration) if time_limit is None else time_limit
-    attached = attachments(bundle.card_path, suite_text)
+    places = {found.scene.name: found for found in plan.found}
+    attached = attachments(bundle.card_text, suite_yaml(suite))
     return tuple(
         TrialJob(
             trial=trial,
@@ -73,16 +81,17 @@ def plan_jobs(
             protocol=suite.protocol,
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
-            scene=plan.references.get(trial.scene, trial.scene),
-            policy=str(bundle.card_path.resolve()),
+            scene=places[trial.scene].reference,
+            collision=places[trial.scene].collision,
+            policy=bundle.reference,
             policy_name=bundle.name,
-            checkpoint=None if plan.checkpoint is None else plan.checkpoint.resolve(),
+            checkpoint=plan.request.checkpoint,
             checkpoint_digest=bundle.checkpoint_digest,
-            allow_code=plan.allow_code,
+            allow_code=plan.request.allow_code,
             record=suite.record,
             mcap=folder.mcap(trial.scene, trial.id).resolve(),
-            render=render,
-            time_limit=limit,
+            render=plan.render,
+            time_limit=plan.time_limit,
             attachments=attached,
         )
         for trial in in_order(plan.trials)

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.workers.worker import WorkerStart
 from nw_eval.errors import UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined.access import running_rules
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import Backend, Record, TrialJob
     from nw_eval.scenes import Scene
+    from nw_eval.words import Backend, Record
 
 _WORTH_SAYING = 3.0  # s
 
@@ -91,24 +86,3 @@ def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
                 listener.scene(name, fraction)
 
             scene.splat_store(progress)
-
-
-def worker_start(jobs: Sequence[TrialJob], folder: RunFolder) -> WorkerStart:
-    """Return what workers start with that run these jobs; the folder of logs is made.
-
-    Raises:
-        PolicyError, SceneError: policy or scenes are not where the jobs say.
-    """
-    with suppress(OSError):  # Each trial says that its log cannot be written.
-        folder.logs.mkdir(parents=True, exist_ok=True)
-    job = jobs[0]
-    bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
-    rules = running_rules(
-        bundle,
-        scenes=[each.scene for each in jobs],
-        logs=folder.logs,
-        allow_code=job.allow_code,
-        render=job.render,
-    )
-    draws = any(needs_splats(bundle.card, each.record) for each in jobs)
-    return WorkerStart(rules=rules, renders=draws and not rules.off)

@@ -1,31 +1,28 @@
-"""Runs all trials of a plan: workers, journal, retries, resume, and an orderly stop."""
+"""Runs all trials of a plan: rounds, workers, journal, retries, resume, and an orderly stop."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.machine.interrupts import Interrupts
-from nw_eval.engine.machine.output import WorkerOutput
-from nw_eval.engine.prepare import worker_start
-from nw_eval.engine.repeat import is_open, settled
-from nw_eval.engine.rows import make_row
-from nw_eval.engine.workers.local import RECYCLE_AFTER, Finished, LocalWorkers
-from nw_eval.engine.workers.presence import Presence
-from nw_eval.rollout.result import policy_fault
+from nw_eval.engine.order import rounds
+from nw_eval.engine.trials.attempts import Attempts
 
 if TYPE_CHECKING:
     import signal
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from nw_eval.engine.workers.worker import WorkerStart
+    from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+
+    Enough = Callable[[Sequence[Row]], bool]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +30,8 @@ class RunOutcome:
     """What became of a run."""
 
     rows: tuple[Row, ...]  # the latest of every trial that finished, in this run or before
-    missing: tuple[str, ...]  # trials of the plan without a row, by id
+    missing: tuple[str, ...]  # trials that were to be run and have no row, by id
+    stopped_after: int | None  # rounds that were enough; None = no trial of the plan was left out
     interrupted: signal.Signals | None  # which signal stopped it
     wall_seconds: float
 
@@ -43,26 +41,21 @@ class RunOutcome:
         return tuple(row for row in self.rows if row.status == "error")
 
 
-def default_workers() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def run_trials(
     jobs: Sequence[TrialJob],
     *,
     journal: Journal,
     folder: RunFolder,
     policy: str,
+    hire: Hire,
     workers: int | None = None,
+    enough: Enough | None = None,
     listener: Listener | None = None,
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
-    A trial that ends in an error is run again in a process of its own (`engine.repeat`). The first
-    Ctrl-C or SIGTERM kills the trials in flight and returns what is finished; the journal can be
+    A trial that ends in an error is run again in a process of its own (`engine.trials.repeat`). The
+    first Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be
     resumed. A second one raises KeyboardInterrupt.
 
     Args:
@@ -70,131 +63,66 @@ def run_trials(
         journal: open; its rows with a result are not run again.
         folder: of the run.
         policy: the policy's name, for rows.
-        workers: processes; one for each core if None.
+        hire: gets workers.
+        workers: how many; one for each core if None.
+        enough: asked after each round but the last, with the rows of all rounds so far in the order
+            of their jobs, whether the rest need not run; None = all of them run, without rounds.
         listener: told of progress.
 
     Raises:
         StoreError: the journal cannot be written, and what it holds stays; or it was removed.
-        TrialError: worker processes cannot be kept alive.
+        TrialError: workers cannot be kept alive.
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
-    latest = {row.trial_id: row for row in journal.rows}
-    finished = {name for name, row in latest.items() if row.status == "ok"}
-    todo = [job for job in jobs if job.trial.id not in finished]
-    run = _Run(
+    ears = listener or Silence()
+    attempts = Attempts(
         journal=journal,
         folder=folder,
         policy=policy,
-        listener=listener or Silence(),
-        start=worker_start(jobs, folder),
-        presence=Presence(journal.path),
-        errors={name: row for name, row in latest.items() if row.status == "error"},
+        listener=ears,
+        hire=hire,
+        workers=worker_count(workers, len(jobs)),
     )
-    run.listener.planned(total=len(jobs), finished=len(jobs) - len(todo))
-    count = max(1, min(workers or default_workers(), len(todo)))
-    # Where a policy failed before a run was cut, what is missing is the attempt in a fresh process.
-    first = [job for job in todo if not run.awaits_repeat(job)]
-    again = [job for job in todo if run.awaits_repeat(job)]
-    with Interrupts() as interrupts:
-        again += run.work(first, interrupts, workers=count, fresh=False)
-        while again:
-            repeated = [_with_evidence(job) for job in again]
-            again = run.work(repeated, interrupts, workers=min(count, len(again)), fresh=True)
-    run.presence.check()
+    ears.planned(total=len(jobs), finished=attempts.finished_of(jobs))
+    wanted, stopped_after = list(jobs), None
+    with Interrupts() as interrupts, attempts:
+        if enough is None:
+            attempts.settle(jobs, interrupts)
+        else:
+            wanted, stopped_after = _by_rounds(jobs, attempts, interrupts, enough)
+    if stopped_after is not None:
+        saved = f"{len(jobs) - len(wanted)} of {len(jobs)} trials need not run"
+        ears.message(f"enough after round {stopped_after}: {saved}")
+    attempts.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
         rows=journal.rows,
-        missing=tuple(job.trial.id for job in jobs if job.trial.id not in names),
+        missing=tuple(job.trial.id for job in wanted if job.trial.id not in names),
+        stopped_after=stopped_after,
         interrupted=interrupts.requested,
         wall_seconds=perf_counter() - began,
     )
 
 
-def _with_evidence(job: TrialJob) -> TrialJob:
-    """Return a job whose log is written as it goes, and not held back until the trial's end.
+def _by_rounds(
+    jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
+) -> tuple[list[TrialJob], int | None]:
+    """Run round after round until there are enough.
 
-    If the trial kills its process again, what it did until then is on disk.
+    No trial starts before all of the round before have ended, those that are run again included. So
+    what has run does not depend on the number of workers, their speed, or a resume.
+
+    Returns:
+        The jobs that were to be run, and the number of rounds that were enough: all jobs and None
+        if they were not, or if a signal came first.
     """
-    return replace(job, record="all") if job.record == "failures" else job
-
-
-@dataclass(kw_only=True)
-class _Run:
-    """What all passes over the jobs share."""
-
-    journal: Journal
-    folder: RunFolder
-    policy: str
-    listener: Listener
-    start: WorkerStart
-    presence: Presence
-    errors: dict[str, Row]  # the latest attempt that ended in an error, by trial id
-
-    def awaits_repeat(self, job: TrialJob) -> bool:
-        """Whether the policy failed in a trial's latest attempt."""
-        row = self.errors.get(job.trial.id)
-        return row is not None and policy_fault(row) is not None
-
-    def work(
-        self, jobs: Sequence[TrialJob], interrupts: Interrupts, *, workers: int, fresh: bool
-    ) -> list[TrialJob]:
-        """Run jobs until they are done or a signal came; return those that are to run again.
-
-        Args:
-            jobs: any.
-            interrupts: heard ten times a second.
-            workers: processes.
-            fresh: these are further attempts, each in a process of its own.
-        """
-        again: list[TrialJob] = []
-        if not jobs or interrupts.requested is not None:
-            return again
-        recycle = 1 if fresh else RECYCLE_AFTER
-        with (
-            WorkerOutput(self.folder.workers_log) as output,
-            LocalWorkers(workers, start=self.start, output=output, recycle_after=recycle) as pool,
-        ):
-            pool.submit(jobs)
-            for ended in pool.finished():
-                if ended is not None:
-                    before = self.errors.get(ended.job.trial.id)
-                    row = self._keep(ended, before)
-                    if is_open(row, before if fresh else None):
-                        again.append(ended.job)
-                        self._announce_retry(row)
-                    else:
-                        self._announce_failure(row)
-                        self.listener.trial(row)
-                self.presence.check()
-                if interrupts.requested is not None:
-                    break
-        return again
-
-    def _keep(self, ended: Finished, before: Row | None) -> Row:
-        """Write an attempt down."""
-        name = ended.job.trial.id
-        row = make_row(
-            ended.job,
-            settled(ended.result, before),
-            attempt=1 if before is None else before.attempt + 1,
-            policy=self.policy,
-            folder=self.folder,
-        )
-        self.journal.append(row)
-        if row.status == "error":
-            self.errors[name] = row
-        if ended.result.mcap_error:
-            self.listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
-        return row
-
-    def _announce_retry(self, row: Row) -> None:
-        said = f"{row.error_type}: {row.error_text}"
-        self.listener.message(f"trial {row.trial_id}: {said}; it will run again in a fresh process")
-
-    def _announce_failure(self, row: Row) -> None:
-        if row.outcome == "policy_failed":
-            self.listener.message(
-                f"trial {row.trial_id}: the policy failed again ({row.end_reason}): that is its "
-                "result"
-            )
+    wanted: list[TrialJob] = []
+    for number, part in enumerate(rounds(jobs), 1):
+        attempts.settle(part, interrupts)
+        wanted += part
+        if interrupts.requested is not None or len(wanted) == len(jobs):
+            break
+        if enough(attempts.rows_of(wanted)):
+            return wanted, number
+    return list(jobs), None

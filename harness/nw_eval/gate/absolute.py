@@ -29,6 +29,7 @@ import numpy as np
 from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
+from nw_eval.plural import plural
 from nw_eval.results.row import Row
 from nw_eval.stats import (
     Interval,
@@ -99,13 +100,13 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
         kinds = ", ".join(f"{count} {kind}" for kind, count in _counted(failed))
         first = failed[0]
         reasons.append(
-            f"{_plural(len(failed), 'trial')} ended in errors ({kinds}), first {first.trial_id}: "
+            f"{plural(len(failed), 'trial')} ended in errors ({kinds}), first {first.trial_id}: "
             f"{first.error_text or first.error_type}; --resume tries them again"
         )
     if missing := [item for item in scores if item.missing]:
         places = _listed([f"{item.scene} {item.missing}" for item in missing])
         total = sum(item.missing for item in missing)
-        reasons.append(f"{_plural(total, 'trial')} missing ({places}); --resume runs them")
+        reasons.append(f"{plural(total, 'trial')} missing ({places}); --resume runs them")
     required = [pattern for pattern, tier in gate.tiers.items() if tier == "critical"]
     having = [item.scene for item in scores if item.n]
     reasons += [
@@ -123,7 +124,7 @@ def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tupl
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
-        total = _plural(sum(item.n for item in scores), "trial")
+        total = plural(sum(item.n for item in scores), "trial")
         return "RAN", [f"{total} ran and nothing was judged: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
@@ -161,13 +162,13 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     if not weak:
         return []
     percent = f"{100 * gate.confidence:.4g} %"
-    told = [
+    scenes = [
         f"{item.scene} {item.mean:.3f} ({percent} {item.interval.low:.2f} to "
         f"{item.interval.high:.2f}), completed {item.completed} of {item.n}"
         for item in sorted(weak, key=lambda item: (item.interval.high, item.scene))
     ]
     which = "scene below the bar by itself" if len(weak) == 1 else "scenes below the bar each alone"
-    return [f"{len(weak)} {which}: {_listed(told, '; ')}"]
+    return [f"{len(weak)} {which}: {_listed(scenes, '; ')}"]
 
 
 def _unjudged(gate: Gate) -> list[str]:
@@ -184,7 +185,3 @@ def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
 def _listed(words: Sequence[str], between: str = ", ") -> str:
     more = len(words) - _NAMED
     return between.join(words[:_NAMED]) + (f"{between}and {more} more" if more > 0 else "")
-
-
-def _plural(count: int, word: str) -> str:
-    return f"{count} {word}" if count == 1 else f"{count} {word}s"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -53,7 +52,6 @@ def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneSco
         completion=wilson(completed, values.size, gate.confidence),
         mean=estimate.mean if estimate else None,
         interval=estimate.interval if estimate else Interval(0.0, 1.0),
-        outcomes=dict(Counter(row.outcome for row in rows)),
     )
 
 

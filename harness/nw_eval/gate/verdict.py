@@ -34,7 +34,6 @@ class SceneScore:
     completion: Interval  # Of the share that completed: Wilson.
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
-    outcomes: Mapping[str, int]
 
     @property
     def missing(self) -> int:

@@ -8,6 +8,7 @@ from nw_eval.policies.action_delay import ActionDelay
 from nw_eval.policies.action_filter import ActionFilter
 from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.bundle import Bundle, find_card, load_bundle
+from nw_eval.policies.instance import instance_bundle
 from nw_eval.policies.policy import Observation, Policy
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Observation",
     "Policy",
     "find_card",
+    "instance_bundle",
     "load_bundle",
     "open_policy",
 ]

@@ -25,6 +25,9 @@ SIZE_LIMIT = 2**30
 NOTHING = hashlib.sha256(b"").hexdigest()
 """The digest of a policy that has neither weights nor code, or whose server gives none."""
 
+NO_FILE = "card "
+"""What the reference of a card without a file begins with."""
+
 _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
 
@@ -41,7 +44,8 @@ class Bundle:
     """A valid card and a checkpoint: the one whose digest the card says, if it says one."""
 
     card: Card
-    card_path: Path
+    card_path: Path | None
+    """The card's file; None where the card came from none."""
     checkpoint: Path | None
     """The weights; None for a policy without any."""
     checkpoint_sha256: str
@@ -53,6 +57,8 @@ class Bundle:
     """The files of the networks that feed the checkpoint, by name."""
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
+    instance: object | None = None
+    """The policy itself, where it is an object of this process (`instance_bundle`)."""
 
     @property
     def name(self) -> str:
@@ -61,8 +67,13 @@ class Bundle:
 
     @property
     def folder(self) -> Path:
-        """Where the card lies."""
-        return self.card_path.parent
+        """Where the card lies; the working directory for one without a file."""
+        return Path() if self.card_path is None else self.card_path.parent
+
+    @property
+    def reference(self) -> str:
+        """What `load_bundle` finds it by, from anywhere; a card without a file it does not find."""
+        return f"{NO_FILE}{self.name}" if self.card_path is None else str(self.card_path.resolve())
 
     @property
     def subject(self) -> str:
@@ -73,7 +84,15 @@ class Bundle:
     @property
     def where(self) -> str:
         """Where an error says that a card is wrong."""
-        return f"{self.card_path}: networks.{self.network}" if self.network else str(self.card_path)
+        place = f"card {self.name!r}" if self.card_path is None else str(self.card_path)
+        return f"{place}: networks.{self.network}" if self.network else place
+
+    @property
+    def card_text(self) -> str:
+        """The card as its file has it, comments included; as JSON, for one without a file."""
+        if self.card_path is None:
+            return self.card.model_dump_json(by_alias=True, exclude_defaults=True, indent=2)
+        return self.card_path.read_text(encoding="utf-8", errors="replace")
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -106,6 +125,9 @@ class Bundle:
     def origin(self) -> str:
         """What the digests say, short and in words."""
         told: list[str] = []
+        if self.instance is not None:
+            known = f", {self.checkpoint_sha256[:16]}" if self.checkpoint_sha256 else ""
+            return f"an object in the calling process{known}"
         if self.checkpoint_sha256 == NOTHING and self.card.adapter == "remote":
             told.append("the server gives no digest")
         elif self.card.adapter == "remote":
@@ -146,7 +168,7 @@ class Bundle:
         """
         if self.checkpoint is None:
             return b""
-        data = _read(self.checkpoint, self.card_path)
+        data = _read(self.checkpoint, self.folder)
         if hashlib.sha256(data).hexdigest() != self.checkpoint_sha256:
             raise PolicyError(
                 f"{self.checkpoint}: the checkpoint changed while it was in use",
@@ -216,7 +238,7 @@ def _verified(card_path: Path, named: Checkpoint, *, network: str = "") -> Weigh
 
 
 def _measured(path: Path, card_path: Path, source: str | None, *, is_own: bool = True) -> Weights:
-    data = _read(path, card_path, source, is_own=is_own)
+    data = _read(path, card_path.parent, source, is_own=is_own)
     return Weights(path, hashlib.sha256(data).hexdigest())
 
 
@@ -280,7 +302,7 @@ def _beside(card_path: Path, file: str) -> Path:
         ) from None
 
 
-def _read(path: Path, card_path: Path, source: str | None = None, *, is_own: bool = True) -> bytes:
+def _read(path: Path, folder: Path, source: str | None = None, *, is_own: bool = True) -> bytes:
     try:
         facts = path.stat()
         if not stat.S_ISREG(facts.st_mode):  # A device or a pipe may never end.
@@ -297,7 +319,7 @@ def _read(path: Path, card_path: Path, source: str | None = None, *, is_own: boo
         origin = f" (from {source})" if source else ""
         raise PolicyError(
             f"{path}: the checkpoint is missing",
-            fix=f"put it{origin} at {card_path.parent}" + (", or give --checkpoint FILE" * is_own),
+            fix=f"put it{origin} at {folder}" + (", or give --checkpoint FILE" * is_own),
         ) from None
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         raise PolicyError(

@@ -34,6 +34,6 @@ def read_options(bundle: Bundle, model: type[Options]) -> Options:
             else:
                 problems.append(f"option {name!r}: {problem['msg']}, not {problem['input']!r}")
         raise PolicyError(
-            f"{bundle.card_path}: {'; '.join(problems)}",
+            f"{bundle.where}: {'; '.join(problems)}",
             fix=f"correct `options` for the adapter `{bundle.card.adapter}`",
         ) from None

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from hashlib import file_digest
 
 from nw_eval.errors import StoreError
+from nw_eval.plural import plural
 from nw_eval.results.journal import read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
 from nw_eval.results.provenance import RunInfo, write_run_info
@@ -26,7 +27,7 @@ class RunRows:
     """The rows of a run that may be judged."""
 
     rows: tuple[Row, ...]
-    told: tuple[str, ...]  # Sentences: what was left out, what was damaged.
+    remarks: tuple[str, ...]  # Sentences: what was left out, what was damaged.
 
 
 def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunInfo:
@@ -63,7 +64,7 @@ def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]
     Raises:
         StoreError: neither copy of the rows is whole, or what is there is of another run.
     """
-    told: list[str] = []
+    remarks: list[str] = []
     try:
         contents = read_journal(folder.journal)
         rows, others = _checked(contents.rows, info, trials, folder.journal.name)
@@ -71,14 +72,14 @@ def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]
         if not info.rows_digest:
             raise
         rows = _from_parquet(folder, info, trials, error)
-        return RunRows(rows=tuple(rows), told=(f"judged from trials.parquet: {error.said}",))
+        return RunRows(rows=tuple(rows), remarks=(f"judged from trials.parquet: {error.said}",))
     if contents.dropped:
-        told.append(contents.dropped)
+        remarks.append(contents.dropped)
     if others:
-        told.append(_left_out(others))
+        remarks.append(_left_out(others))
     if info.rows_digest:
-        told += _mended(folder, info, rows)
-    return RunRows(rows=tuple(rows), told=tuple(told))
+        remarks += _mended(folder, info, rows)
+    return RunRows(rows=tuple(rows), remarks=tuple(remarks))
 
 
 def _from_parquet(
@@ -137,6 +138,6 @@ def _left_out(rows: Sequence[Row]) -> str:
     names = [row.trial_id for row in rows]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return (
-        f"not judged, because the run does not plan their trials: {len(names)} rows of the journal "
-        f"({', '.join(names[:_NAMED])}{more})"
+        "not judged, because the run does not plan their trials: "
+        f"{plural(len(names), 'row')} of the journal ({', '.join(names[:_NAMED])}{more})"
     )

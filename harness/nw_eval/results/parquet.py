@@ -7,7 +7,6 @@ which is not made for damage. What a whole file says of its size is bounded befo
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
@@ -22,13 +21,10 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.row import Row, from_dict, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, Row, from_dict, rows_digest, to_dict
 
 SCHEMA_VERSION = "2"
 """Raised when a column changes its meaning; new columns may be added without."""
-
-_ADDED = frozenset({"contact_s", "sense_s", "setup_s"})
-"""Columns that came later; in older files a row has what it has by default."""
 
 MOST_BYTES = 256 * 2**20
 """Of a file that is read, and of any of its columns unpacked."""
@@ -53,8 +49,8 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
         StoreError: the file cannot be written.
     """
     ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    told = {"schema_version": SCHEMA_VERSION, **metadata}
-    named = {f"nw.{key}": value for key, value in sorted(told.items())}
+    labels = {"schema_version": SCHEMA_VERSION, **metadata}
+    named = {f"nw.{key}": value for key, value in sorted(labels.items())}
     schema = SCHEMA.with_metadata({**named, _SUM: _UNKNOWN})
     table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=schema)
     with atomic_path(path) as temporary:
@@ -142,13 +138,14 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
         if metadata.get("schema_version") != SCHEMA_VERSION:
             raise _other_version(path, metadata.get("schema_version"))
         held = table.schema.names
-        if missing := [name for name in SCHEMA.names if name not in held and name not in _ADDED]:
+        needed = [name for name, column in COLUMNS.items() if not column.added]
+        if missing := [name for name in needed if name not in held]:
             raise StoreError(f"{path} lacks the columns {', '.join(missing)}", fix="run again")
         rows = [from_dict(plain) for plain in _plain(table)]
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
-        said = clean(error, at_most=200) or type(error).__name__
-        raise StoreError(f"{path} is damaged: {said}", fix=_REBUILD) from None
+        reason = clean(error, at_most=200) or type(error).__name__
+        raise StoreError(f"{path} is damaged: {reason}", fix=_REBUILD) from None
     if metadata.get("rows_digest", rows_digest(rows)) != rows_digest(rows):
         raise StoreError(f"{path}: its rows are not those of its rows_digest", fix=_REBUILD)
     return rows, metadata
@@ -165,11 +162,11 @@ def _table(data: bytes) -> pa.Table:
         thrift_string_size_limit=2**24,
         thrift_container_size_limit=2**16,
     )
-    told = file.metadata
-    if not 0 <= told.num_rows <= _MOST_ROWS or told.num_columns > _MOST_COLUMNS:
-        raise ValueError(f"{told.num_rows} rows of {told.num_columns} columns")
-    groups = [told.row_group(index) for index in range(told.num_row_groups)]
-    if sum(group.num_rows for group in groups) != told.num_rows:
+    footer = file.metadata
+    if not 0 <= footer.num_rows <= _MOST_ROWS or footer.num_columns > _MOST_COLUMNS:
+        raise ValueError(f"{footer.num_rows} rows of {footer.num_columns} columns")
+    groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
+    if sum(group.num_rows for group in groups) != footer.num_rows:
         raise ValueError("its parts have other numbers of rows than the whole")
     columns = [group.column(index) for group in groups for index in range(group.num_columns)]
     if not all(0 <= column.total_uncompressed_size <= MOST_BYTES for column in columns):
@@ -189,11 +186,3 @@ def _metadata(schema: pa.Schema) -> dict[str, str]:
         for key, value in raw.items()
         if key.startswith(b"nw.") and key != _SUM.encode()
     }
-
-
-def schema_text() -> str:
-    """Return the schema as JSON lines of name and type: what a golden file is compared with."""
-    return "".join(
-        json.dumps({"name": field.name, "type": str(field.type), "nullable": field.nullable}) + "\n"
-        for field in SCHEMA
-    )

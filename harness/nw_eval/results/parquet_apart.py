@@ -62,8 +62,8 @@ def _answer(path: Path) -> None:
     try:
         lines = [json.dumps(to_dict(row)) for row in read_rows(path)[0]]
     except (StoreError, MemoryError) as error:
-        said = error.said if isinstance(error, StoreError) else f"{path}: no memory to read it"
-        lines = [json.dumps({"error": said})]
+        reason = error.said if isinstance(error, StoreError) else f"{path}: no memory to read it"
+        lines = [json.dumps({"error": reason})]
     else:
         lines.append('"end"')
     sys.stdout.write("".join(f"{line}\n" for line in lines))

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
+from nw_eval.request import Request
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal
 
@@ -38,7 +39,6 @@ class PolicyInfo(_Model):
     checkpoint_digest: str
     card: str = ""  # Path of the card, for --resume.
     origin: str = ""  # What the digest is of where there are no weights: server, code.
-    checkpoint: str = ""  # Weights that were given in place of the card's, for --resume.
 
 
 class CodeInfo(_Model):
@@ -69,13 +69,14 @@ class RunInfo(_Model):
     finished: str | None = None
     wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
+    stopped_after: int | None = None  # Rounds that were enough; None = no trial was left out.
+    request: Request | None = None  # What was asked for, for --resume; older files do not say.
     suite_file: str
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
     suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
     suite_digest: str
     policy: PolicyInfo
     scenes: dict[str, SceneInfo]
-    collision: str = "terrain"  # How scan meshes collided, for --resume.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
@@ -120,8 +121,8 @@ def read_run_info(path: Path) -> RunInfo:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the file"
-        said = clean(f"{place}: {first['msg'].lower()}", at_most=300)
-        raise StoreError(f"{path} is damaged: {said}", fix=fix) from None
+        reason = clean(f"{place}: {first['msg'].lower()}", at_most=300)
+        raise StoreError(f"{path} is damaged: {reason}", fix=fix) from None
     except ValueError as error:
         raise StoreError(f"{path} is damaged: {error}", fix=fix) from None
     return info

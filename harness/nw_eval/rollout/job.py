@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.suite.trials import Trial
-from nw_eval.words import Backend, Protocol, Record
+from nw_eval.words import Backend, Collision, Protocol, Record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,8 @@ class TrialJob:
     protocol: Protocol = "strict"
     duration: float  # s of simulated time after which the trial times out
     contact_termination: bool = True  # whether a blow to head or trunk ends it
-    scene: str  # what scenes.get_scene understands: a built-in name or a folder
+    scene: str  # what `catalogue.open_scene` understands: a built-in name or a folder
+    collision: Collision = "terrain"  # how the mesh of a folder collides
     policy: str  # what policies.load_bundle understands
     policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it
     checkpoint: Path | None = None  # weights instead of those that the card names

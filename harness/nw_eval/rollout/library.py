@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import open_scene
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.scenes import Scene
+from nw_eval.words import Collision
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from nw_eval.scenes.rays import RayScene
@@ -41,30 +42,37 @@ class Library:
     """What trials of one process may share: values that no trial can change.
 
     Worlds, policies and sensors have state, and are made anew for every trial.
+
+    Args:
+        scenes: that are kept loaded.
+        bundles: likewise.
+        known: bundles that are loaded already, with the weights that jobs want. They go by their
+            `reference` and are kept for good.
     """
 
-    def __init__(self, *, scenes: int = 32, bundles: int = 4) -> None:
-        self._scenes = Recent[str, Scene](scenes, get_scene)
-        self._rays = Recent[str, "RayScene"](scenes, self._make_rays)
+    def __init__(self, *, scenes: int = 32, bundles: int = 4, known: Iterable[Bundle] = ()) -> None:
+        self._scenes = Recent[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
+        self._rays = Recent[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
         self._bundles = Recent[tuple[str, "Path | None"], Bundle](
             bundles, lambda key: load_bundle(key[0], checkpoint=key[1])
         )
+        self._known = {bundle.reference: bundle for bundle in known}
 
-    def scene(self, reference: str) -> Scene:
-        """Return the scene of a name or folder.
+    def scene(self, reference: str, collision: Collision = "terrain") -> Scene:
+        """Return the scene of a name or folder, whose mesh collides as told.
 
         Raises:
-            SceneError: as `scenes.get_scene`.
+            SceneError: as `catalogue.open_scene`.
         """
-        return self._scenes(reference)
+        return self._scenes((reference, collision))
 
-    def rays(self, reference: str) -> RayScene:
+    def rays(self, reference: str, collision: Collision = "terrain") -> RayScene:
         """Return the ray caster of a scene's static geometry.
 
         Raises:
-            SceneError: as `scenes.get_scene`.
+            SceneError: as `catalogue.open_scene`.
         """
-        return self._rays(reference)
+        return self._rays((reference, collision))
 
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
         """Return the policy bundle of a name, folder or card, with its own weights or others.
@@ -72,9 +80,9 @@ class Library:
         Raises:
             PolicyError: as `policies.load_bundle`.
         """
-        return self._bundles((reference, checkpoint))
+        return self._known.get(reference) or self._bundles((reference, checkpoint))
 
-    def _make_rays(self, reference: str) -> RayScene:
+    def _make_rays(self, key: tuple[str, Collision]) -> RayScene:
         from nw_eval.scenes.rays import RayScene
 
-        return RayScene(self.scene(reference).mesh())
+        return RayScene(self.scene(*key).mesh())

@@ -63,7 +63,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     """
     trial = job.trial
     robot = get_robot(job.robot)
-    scene = library.scene(job.scene)
+    scene = library.scene(job.scene, job.collision)
     bundle = library.bundle(job.policy, job.checkpoint)
     _check_same(job, scene, bundle)
     renderer = cache(lambda: _open_renderer(scene, job.render))
@@ -90,7 +90,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         sensors = build_sensors(
             bundle.card,
             world,
-            rays=lambda: library.rays(job.scene),
+            rays=lambda: library.rays(job.scene, job.collision),
             renderer=lambda _scene: renderer(),
             code_from=bundle.folder if job.allow_code else None,
         )

@@ -7,13 +7,13 @@ import math
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval import __version__
+from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
@@ -72,7 +72,11 @@ def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
         ValueError: the metadata is damaged or of another version.
     """
     try:
-        job = TypeAdapter(TrialJob).validate_python(_kept(json.loads(metadata["job"])))
+        fields = _kept(json.loads(metadata["job"]))
+        scene = fields.get("scene")
+        if isinstance(scene, str) and "collision" not in fields:  # Older logs say it before it.
+            fields["scene"], fields["collision"] = parse_reference(scene)
+        job = TypeAdapter(TrialJob).validate_python(fields)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "job"
@@ -126,7 +130,6 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
     }
 
 
-def attachments(card: Path, suite_text: str) -> tuple[tuple[str, str], ...]:
+def attachments(card_text: str, suite_text: str) -> tuple[tuple[str, str], ...]:
     """Return what every log of a run carries along: the resolved suite and the policy's card."""
-    text = card.read_text(encoding="utf-8", errors="replace")
-    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(text))
+    return ("suite.yaml", suite_text), ("policy.yaml", without_credentials(card_text))

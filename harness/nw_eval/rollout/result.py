@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault
+from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault, Status
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
@@ -28,14 +28,14 @@ class TrialResult:
     """One attempt at a trial. An error has no outcome; it says who failed.
 
     Where the policy itself failed, `end_reason` of the error is how, a `PolicyFault`. That is an
-    error until it has happened twice (`engine.repeat`). An `exit` leaves nobody to say how far the
-    trial was: it has reached 0 of 0 waypoints in 0 steps, whatever was reached in truth.
+    error until it has happened twice (`engine.trials.repeat`). An `exit` leaves nobody to say how
+    far the trial was: it has reached 0 of 0 waypoints in 0 steps, whatever was reached in truth.
 
     Digests chain SHA-256 over the control steps: `state_digest` over qpos and qvel,
     `action_digest` over the applied actions, so equal digests mean equal trajectories bit for bit.
     """
 
-    status: Literal["ok", "error"]
+    status: Status
     outcome: Outcome | None = None
     end_reason: str = ""  # what decided it: "roll", "contact face", "time", or a PolicyFault
     error_type: Fault | None = None

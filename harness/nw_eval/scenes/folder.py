@@ -19,9 +19,10 @@ from nw_eval.json_schema import json_schema_of
 from nw_eval.scenes import limits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
-from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn, Task
+from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
 from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
-from nw_eval.scenes.terrain.options import Collision, TerrainOptions
+from nw_eval.scenes.terrain.options import TerrainOptions
+from nw_eval.words import Collision, Task
 from nw_eval.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 
 SCENE_FILE = "scene.yaml"

@@ -1,45 +1,18 @@
-"""A scene in figures, and from above: heights, trail and spawn."""
+"""A scene from above: heights, trail and spawn."""
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from nw_eval.cache import atomic_path
-from nw_eval.scenes.mesh import FACE_KINDS
 from nw_eval.scenes.scene import Scene
 
 _MARGIN = 1.6  # m around trail and spawn
 _CELL = 0.02  # m
 _LONGEST = 1200  # cells along a side
 _TALLEST = 40.0  # inches
-
-
-def figures(scene: Scene) -> list[str]:
-    """Return a scene's figures as lines of text."""
-    mesh = scene.mesh()
-    solids = Counter(type(solid).__name__ for solid in scene.solids)
-    kinds = Counter(FACE_KINDS[kind] for kind in mesh.kinds.tolist())
-    x, y, z = scene.spawn.position
-    lines = [
-        f"name       {scene.name}",
-        f"title      {scene.title}",
-        f"task       {scene.task}",
-        f"digest     {scene.digest}",
-        f"licence    {scene.licence}",
-        f"spawn      x {x:.2f}  y {y:.2f}  z {z:.2f} m, heading {scene.spawn.yaw:.2f} rad",
-        f"ground     z {scene.ground.z:.3f} m",
-        f"solids     {', '.join(f'{count} {kind}' for kind, count in sorted(solids.items()))}",
-        f"mesh       {len(mesh.faces):,} triangles: "
-        + ", ".join(f"{count:,} {kind}" for kind, count in kinds.most_common()),
-        f"splat      {'none' if scene.splat is None else scene.splat.key[:16]}",
-    ]
-    for index, (px, py, pz) in enumerate(scene.trail.tolist()):
-        label = "trail" if index == 0 else ""
-        lines.append(f"{label:<10} {index + 1}: x {px:.2f}  y {py:.2f}  z {pz:.2f} m")
-    return lines
 
 
 def draw_plan(scene: Scene, path: Path) -> None:

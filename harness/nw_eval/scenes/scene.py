@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,8 @@ from nw_eval.errors import SceneError
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
 from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
+from nw_eval.words import Task
 
-Task = Literal["hurdles", "gaps", "ramps", "stairs"]
-TASKS: tuple[Task, ...] = get_args(Task)
 Vector = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
@@ -92,7 +91,7 @@ class Scene:
 
     Attributes:
         name: such as `hurdles/one_low_carpet`.
-        task: one of `TASKS`.
+        task: what it asks for.
         title: one line for people.
         solids: what physics touches, beside the ground.
         ground: the plane that everything stands on.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,6 +64,28 @@ _OBSERVATIONS: dict[str, dict[str, Any]] = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class SeenObservation:
+    """What an observation of a card gave in one moment."""
+
+    name: str
+    sensor: str
+    shape: tuple[int, ...]
+    dtype: str
+    low: float | None
+    """The least of its numbers; None where none is finite."""
+    high: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenCard:
+    """What the sensors of a card gave in one moment."""
+
+    observations: tuple[SeenObservation, ...]
+    picture: Path | None
+    """The PNG of those that are images; None if none is."""
+
+
 def draw_gallery(
     scene: Scene, path: Path, *, robot: str = "go1", renderer: Renderer | None = None
 ) -> None:
@@ -103,7 +126,7 @@ def draw_card(
     path: Path,
     *,
     code_from: Path | None = None,
-) -> str:
+) -> SeenCard:
     """Draw those observations of a policy's card that are images, and describe all of them.
 
     Args:
@@ -112,21 +135,26 @@ def draw_card(
         path: of the PNG; nothing is written if no observation is an image.
         code_from: as for `build_sensors`.
 
-    Returns:
-        One line for each observation: shape, type, range of values.
-
     Raises:
         PolicyError: an observation cannot be made. StoreError: the PNG cannot be written.
     """
     sensors, seen = _observe(card, scene, code_from=code_from)
-    told: list[str] = []
+    found: list[SeenObservation] = []
     cells: list[Cell] = []
     for name, sample in seen.items():
         kind = card.observations[name]
         form = f"{' x '.join(map(str, sample.shape))} {sample.dtype}"
         finite = sample[np.isfinite(sample)]
-        span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "nothing finite"
-        told.append(f"{name}: {kind.sensor}, {form}, {span}")
+        found.append(
+            SeenObservation(
+                name=name,
+                sensor=kind.sensor,
+                shape=sample.shape,
+                dtype=str(sample.dtype),
+                low=float(finite.min()) if finite.size else None,
+                high=float(finite.max()) if finite.size else None,
+            )
+        )
         image = pictures.picture_of(sample, sensors[name].unit)
         if image is not None:
             wrapped = "".join(f" > {wrap.wrapper}" for wrap in kind.wrap)
@@ -135,7 +163,7 @@ def draw_card(
             cells.append(Cell(name=name, caption=caption, images=[large]))
     if cells:
         _write(cells, path, f"{scene.name}: what {card.name} sees")
-    return "\n".join(told)
+    return SeenCard(observations=tuple(found), picture=path if cells else None)
 
 
 def _write(cells: Sequence[Cell], path: Path, title: str) -> None:

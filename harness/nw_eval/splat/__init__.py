@@ -16,8 +16,7 @@ from nw_eval.splat.cameras.camera_model import CameraModel
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.cameras.presets import PRESETS, Preset, PresetName
 from nw_eval.splat.composite import composite, paste
-from nw_eval.splat.coverage import Coverage, measure_coverage
-from nw_eval.splat.describe import Description, describe
+from nw_eval.splat.describe import SplatFigures, describe
 from nw_eval.splat.files import RestOrder, read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.splat.image import Image
@@ -33,9 +32,7 @@ __all__ = [
     "PRESETS",
     "Camera",
     "CameraModel",
-    "Coverage",
     "CpuRenderer",
-    "Description",
     "Gaussians",
     "Image",
     "Pixels",
@@ -43,6 +40,7 @@ __all__ = [
     "PresetName",
     "Renderer",
     "RestOrder",
+    "SplatFigures",
     "Stages",
     "Store",
     "compile_store",
@@ -52,7 +50,6 @@ __all__ = [
     "describe",
     "framing_camera",
     "look_at",
-    "measure_coverage",
     "memory_store",
     "open_renderer",
     "open_store",

@@ -9,11 +9,9 @@ import numpy as np
 from nw_eval.splat.files.quantise import sigmoid
 from nw_eval.splat.gaussians import Gaussians
 
-_BAR = 40
-
 
 @dataclass(frozen=True, kw_only=True)
-class Description:
+class SplatFigures:
     """Figures of a set of Gaussians.
 
     Attributes:
@@ -36,24 +34,8 @@ class Description:
     scale_percentiles: tuple[float, float, float]
     opacity_histogram: tuple[int, ...]
 
-    def lines(self) -> list[str]:
-        """Return the figures as lines of text, the histogram as bars."""
-        most = max(*self.opacity_histogram, 1)
-        text = [
-            f"Gaussians  {self.count:,} ({self.visible:,} visible, {self.not_finite:,} not finite)",
-            f"harmonics  degree {self.sh_degree}",
-            f"bounds     {_box(self.bounds)}",
-            f"bulk (98%) {_box(self.bulk)}",
-            "size       1% {:.4g}, median {:.4g}, 99% {:.4g}".format(*self.scale_percentiles),
-            "opacity",
-        ]
-        for i, number in enumerate(self.opacity_histogram):
-            bar = "#" * round(_BAR * number / most)
-            text.append(f"  {i / 10:.1f}-{(i + 1) / 10:.1f} {number:>10,} {bar}".rstrip())
-        return text
 
-
-def describe(gaussians: Gaussians) -> Description:
+def describe(gaussians: Gaussians) -> SplatFigures:
     """Return the figures of a set of Gaussians."""
     finite = np.isfinite(gaussians.means).all(axis=1)
     centres = gaussians.means[finite]
@@ -65,7 +47,7 @@ def describe(gaussians: Gaussians) -> Description:
     opacity = sigmoid(gaussians.opacity_logits[finite])
     largest = np.exp(np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0))
     percentiles = np.percentile(largest, [1, 50, 99]) if len(largest) else np.zeros(3)
-    return Description(
+    return SplatFigures(
         count=len(gaussians),
         visible=int((opacity >= 1.0 / 255.0).sum()),
         not_finite=int((~finite).sum()),
@@ -82,10 +64,3 @@ def describe(gaussians: Gaussians) -> Description:
 
 def _point(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(v) for v in values)
-
-
-def _box(corners: tuple[tuple[float, ...], tuple[float, ...]]) -> str:
-    low, high = corners
-    return "  ".join(
-        f"{axis} {a:.3f} to {b:.3f}" for axis, a, b in zip("xyz", low, high, strict=True)
-    )

@@ -7,7 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ from nw_eval.splat.kernels.sort import HISTOGRAM
 from nw_eval.splat.kernels.view import Window, view_vector
 from nw_eval.splat.layout import CHUNK
 from nw_eval.splat.store import Store
-
-Backend = Literal["cpu", "cuda"]
+from nw_eval.words import Backend
 
 _SLAB_CHUNKS = 128
 """Chunks of a slab: about 33,000 Gaussians, whose records fit the caches near the core."""

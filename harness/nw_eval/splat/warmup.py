@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from typing import Literal
 
 import numpy as np
 
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
+from nw_eval.words import Backend
 
 
-def warmup(backend: Literal["cpu", "cuda"] = "cpu") -> float:
+def warmup(backend: Backend = "cpu") -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
     Workers that start afterwards find everything there; in a fence they could not write it.

@@ -31,7 +31,7 @@ class Draft:
     @property
     def base(self) -> Path:
         """The folder that relative scene and policy paths of the file start from."""
-        return Path(self.source.file).parent
+        return self.source.base
 
     @property
     def scenes(self) -> dict[int, str]:

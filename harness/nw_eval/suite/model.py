@@ -31,6 +31,11 @@ class Source:
         default_factory=dict, compare=False
     )
 
+    @property
+    def base(self) -> Path:
+        """The folder that relative scene and policy paths of the file start from."""
+        return Path(self.file).parent if self.folder is None else self.folder
+
     def problem(self, location: tuple[str | int, ...], message: str, fix: str | None) -> Problem:
         """Return a problem at a setting, or at the nearest one around it that the file has."""
         while location and location not in self.places:
@@ -173,7 +178,7 @@ class Suite(_Strict):
     @property
     def base(self) -> Path:
         """The folder that relative scene and policy paths of the file start from."""
-        return self._source.folder or Path(self._source.file).parent
+        return self._source.base
 
     @property
     def digest(self) -> str:

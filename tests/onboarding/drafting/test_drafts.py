@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
 import zipfile
 
 import pytest
@@ -13,7 +15,8 @@ from torch import nn
 from nw_eval import api
 from nw_eval.cards.file.load import load_card
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.reading import inspect_checkpoint, write_card_draft
+from nw_eval.onboarding.drafting import write_card_draft
+from nw_eval.onboarding.reading import inspect_checkpoint
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.robots import get_robot
 
@@ -302,3 +305,9 @@ def test_a_draft_elsewhere_says_nothing_of_what_lies_beside_the_checkpoint(onnx_
     path.with_name("encoder.pt").write_bytes(b"any")
     api.init_policy(path, robot="go1", out=tmp_path / "other.yaml")
     assert "networks" not in (tmp_path / "other.yaml").read_text()
+
+
+def test_drafting_can_be_imported_before_all_else_as_the_verb_does():
+    line = "import nw_eval.onboarding.drafting.draft"
+    ended = subprocess.run([sys.executable, "-c", line], check=False, capture_output=True)
+    assert ended.returncode == 0, ended.stderr

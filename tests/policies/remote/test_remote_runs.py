@@ -173,9 +173,8 @@ def test_a_card_of_other_sizes_than_the_served_one_fails_before_the_run(tmp_path
     (tmp_path / "suite.yaml").write_text(SHORT)
     short = TERMS.replace(", gravity", "")
     served = standing(tmp_path, "served", adapter="zero", terms=short)
-    with api.serve_policy(str(served), port=0) as where:
-        url = where.split()[3]
-        adapter = f"remote\noptions: {{url: '{url}'}}"
+    with api.serve_policy(str(served), port=0) as served:
+        adapter = f"remote\noptions: {{url: '{served.url}'}}"
         card = standing(tmp_path, "client", adapter=adapter, terms=TERMS)
         with pytest.raises(PolicyError) as caught:
             api.check(tmp_path / "suite.yaml", policy=str(card))

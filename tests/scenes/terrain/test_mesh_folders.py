@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.catalogue import get_scene, match_scenes, references
+from nw_eval.catalogue import get_scene, open_scene, references
 from nw_eval.errors import SceneError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
@@ -61,14 +61,17 @@ def test_a_reference_and_an_option_choose_the_triangles_and_the_digest_tells(tmp
     folder = folder_with(tmp_path, "collision.obj")
     terrain = get_scene(folder)
     assert isinstance(get_scene(f"triangles:{folder}").solids[0], Triangles)
-    (exact,) = match_scenes([str(folder)], collision="triangles")
+    (reference,) = references([str(folder)], collision="triangles")
+    assert reference == (str(folder.resolve()), "triangles")
+    exact = open_scene(*reference)
     assert isinstance(exact.solids[0], Triangles)
     assert exact.digest != terrain.digest
-    assert references([str(folder)], collision="triangles") == {
-        "scanned": f"triangles:{folder.resolve()}"
-    }
+    # What is asked for wins over what the suite says of a place.
+    assert references([f"triangles:{folder}"]) == (reference,)
+    assert references([f"triangles:{folder}"], collision="terrain") != (reference,)
 
 
 def test_boxes_of_built_in_scenes_are_exact_already():
-    (scene,) = match_scenes(["hurdles/three_low"], collision="triangles")
-    assert scene.digest == get_scene("hurdles/three_low").digest
+    (reference,) = references(["hurdles/three_low"], collision="triangles")
+    assert open_scene(*reference) is get_scene("hurdles/three_low")
+    assert get_scene("triangles:hurdles/three_low") is get_scene("hurdles/three_low")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scanned import write_scan
 
-from nw_eval.catalogue import get_scene
+from nw_eval.catalogue import get_scene, open_scene, parse_reference
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.trial import run_trial
@@ -19,7 +19,8 @@ TRIALS = 2
 
 def success(reference, place, bundle, *, contact_termination=True, trials=TRIALS):
     """Return the mean share of waypoints that a policy reaches at one place."""
-    scene = get_scene(reference)
+    reference, collision = parse_reference(reference)
+    scene = open_scene(reference, collision)
     shares = []
     for index in range(trials):
         trial = Trial(
@@ -37,6 +38,7 @@ def success(reference, place, bundle, *, contact_termination=True, trials=TRIALS
             duration=12.0,
             contact_termination=contact_termination,
             scene=reference,
+            collision=collision,
             policy=str(bundle.card_path),
             checkpoint=bundle.checkpoint,
             checkpoint_digest=bundle.checkpoint_digest,

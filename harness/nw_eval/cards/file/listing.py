@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.cards.file.load import CARD_FILE, load_card
-from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.shipped import available, shipped
 
 
-def policy_table(search: Path | None = None) -> str:
-    """Return a line for each shipped bundle, each of the project's, and each example card.
+@dataclass(frozen=True, kw_only=True)
+class ListedPolicy:
+    """A policy that can be asked for by name, as far as its card can be read."""
 
-    A card with problems is listed with the first of them.
+    name: str
+    card: Path
+    robot: str = ""
+    adapter: str = ""
+    title: str = ""
+    networks: tuple[str, ...] = ()
+    """What feeds the checkpoint, by name."""
+    missing: str | None = None
+    """Where people get the weights that are not here; empty if the card does not say; None if all
+    of them are here."""
+    problem: str | None = None
+    """The first of what is wrong with the card; then nothing else of it is known."""
+
+
+def list_cards(search: Path | None = None) -> tuple[ListedPolicy, ...]:
+    """Return the shipped bundles, those of the project, and the example cards, by name.
 
     Args:
         search: the project folder, by default the working directory.
@@ -21,27 +37,23 @@ def policy_table(search: Path | None = None) -> str:
     cards = {name: folder / CARD_FILE for name, folder in available("policies", search).items()}
     examples = shipped("policies") / "examples"
     cards |= {f"examples/{path.parent.name}": path for path in examples.glob(f"*/{CARD_FILE}")}
-    rows = [(clean(name), *_describe(path)) for name, path in sorted(cards.items())]
-    if not rows:
-        return "no policies: neither shipped, nor in ./policies"
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return "\n".join(
-        f"{name:{widths[0]}}  {robot:{widths[1]}}  {adapter:{widths[2]}}  {title}".rstrip()
-        for name, robot, adapter, title in rows
-    )
+    return tuple(_listed(name, path) for name, path in sorted(cards.items()))
 
 
-def _describe(path: Path) -> tuple[str, str, str]:
+def _listed(name: str, path: Path) -> ListedPolicy:
     try:
         card = load_card(path)
     except PolicyError as error:
-        return "?", "?", str(error).splitlines()[0]
-    title = card.title
-    if card.networks:
-        title += f" (fed by {', '.join(card.networks)})"
+        return ListedPolicy(name=name, card=path, problem=str(error).splitlines()[0])
     named = [network.checkpoint for network in card.networks.values()]
-    for checkpoint in named if card.checkpoint is None else (card.checkpoint, *named):
-        if not (path.parent / checkpoint.file).is_file():
-            title += f" (weights: {checkpoint.source or 'not here'})"
-            break
-    return card.robot, card.adapter, title
+    weights = named if card.checkpoint is None else [card.checkpoint, *named]
+    absent = [file for file in weights if not (path.parent / file.file).is_file()]
+    return ListedPolicy(
+        name=name,
+        card=path,
+        robot=card.robot,
+        adapter=card.adapter,
+        title=card.title,
+        networks=tuple(card.networks),
+        missing=(absent[0].source or "") if absent else None,
+    )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from pydantic import ValidationError
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.file.inputs import input_problems
 from nw_eval.cards.file.joints import joint_problems
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
+from nw_eval.yaml_file import Location, YamlFile, YamlProblems, read_yaml, validation_problems
 
 CARD_FILE = "policy.yaml"
 
@@ -34,9 +37,29 @@ def load_card(path: Path) -> Card:
         PolicyError: all problems of the file, one line each, with file, line and column.
     """
     try:
-        file = read_yaml(path)
+        return _card(read_yaml(path))
     except YamlProblems as error:
         raise PolicyError(error.problems) from None
+
+
+def card_of(values: Mapping[str, Any]) -> Card:
+    """Return the card of a mapping that says what a file would.
+
+    Raises:
+        PolicyError: all problems, one line each.
+    """
+    places = dict.fromkeys(_locations(values, ()), (1, 1))
+    try:
+        return _card(YamlFile(path="", data=dict(values), places=places))
+    except PolicyError as error:
+        name = f"card {clean(values.get('name', ''), at_most=60)!r}"
+        raise PolicyError(
+            f"{name}: {problem.message}{'' if problem.fix is None else f'; {problem.fix}'}"
+            for problem in error.problems
+        ) from None
+
+
+def _card(file: YamlFile) -> Card:
     try:
         card = Card.model_validate(file.data)
     except ValidationError as error:
@@ -47,3 +70,15 @@ def load_card(path: Path) -> Card:
         problems.sort(key=lambda problem: (problem.line, problem.column))
         raise PolicyError(problems)
     return card
+
+
+def _locations(value: Any, above: Location) -> Iterator[Location]:
+    """Yield where everything lies in nested mappings and lists."""
+    yield above
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, Mapping):
+        items = cast("Mapping[Any, Any]", value).items()
+    elif isinstance(value, list | tuple):
+        items = enumerate(cast("Sequence[Any]", value))
+    for key, item in items:
+        yield from _locations(item, (*above, key))

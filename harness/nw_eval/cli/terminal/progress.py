@@ -40,9 +40,13 @@ def _harmless(
 
 
 class RunProgress:
-    """Listens to `api.run`: scene building, then trials with their rate and success so far."""
+    """Listens to `api.run`: scene building, then trials with their rate and success so far.
 
-    def __init__(self) -> None:
+    Args:
+        bars: whether a terminal shows bars. They would be drawn over a debugger's prompt.
+    """
+
+    def __init__(self, *, bars: bool = True) -> None:
         self.is_broken = False
         self._console = Console(stderr=True)
         self._bars = Progress(
@@ -52,7 +56,7 @@ class RunProgress:
             TimeRemainingColumn(),
             console=self._console,
             transient=True,
-            disable=not self._console.is_terminal,
+            disable=not (bars and self._console.is_terminal),
         )
         self._tasks: dict[str, TaskID] = {}
         self._total = 0
@@ -93,7 +97,7 @@ class RunProgress:
         label = f"building {name}"
         if label not in self._tasks:
             self._tasks[label] = self._bars.add_task(label, total=1.0, note="")
-            if not self._console.is_terminal:
+            if self._bars.disable:
                 self.message(label)
         self._bars.update(self._tasks[label], completed=fraction, visible=fraction < 1.0)
 

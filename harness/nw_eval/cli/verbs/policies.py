@@ -17,8 +17,9 @@ class List:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.policies import policy_table
 
-        print(api.list_policies())
+        print(policy_table(api.list_policies()))
         return 0
 
 
@@ -35,8 +36,12 @@ class Show:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.card import card_page
 
-        print(api.show_policy(self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code))
+        summary = api.show_policy(
+            self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code
+        )
+        print(card_page(summary))
         return 0
 
 
@@ -60,15 +65,17 @@ class Check:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.probe import probe_page
+        from nw_eval.errors import UsageError
 
-        told = api.check_policy(
+        report = api.check_policy(
             self.policy,
             checkpoint=self.checkpoint,
             scene=self.scene,
             allow_code=self.allow_code,
         )
-        print(told.text)
-        return told.exit_code
+        print(probe_page(report))
+        return 0 if report.passed else UsageError.exit_code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +95,9 @@ class Init:
     def __call__(self) -> int:
         from nw_eval import api
 
-        told = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
-        print(told.text)
-        return told.exit_code
+        draft = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
+        print(f"{draft.text}\n{draft.file}: {draft.to_check} lines to check")
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +112,8 @@ class Fold:
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(api.fold_policy(self.checkpoint, out=self.out))
+        folded = api.fold_policy(self.checkpoint, out=self.out)
+        print(f"{folded.file}: {folded.bytes / 1e6:.2f} MB, graph and weights")
         return 0
 
 
@@ -138,8 +146,8 @@ class Serve:
             port=self.port,
             allow_code=self.allow_code,
             confined=True,
-        ) as where:
-            print(where, flush=True)
+        ) as served:
+            print(f"serving {served.name} at {served.url} (digest {served.digest})", flush=True)
             stop.wait()
         return 0
 

@@ -28,6 +28,8 @@ class Replay:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.replay import replay_line
+        from nw_eval.errors import StoreError
 
         replayed = api.replay(
             self.log,
@@ -37,5 +39,7 @@ class Replay:
             picture=self.picture,
             allow_code=self.allow_code,
         )
-        print(replayed.text)
-        return replayed.exit_code
+        print(replay_line(replayed))
+        if replayed.picture is not None:
+            print(replayed.picture)
+        return 0 if replayed.is_identical else StoreError.exit_code

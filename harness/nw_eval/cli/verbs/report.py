@@ -22,7 +22,8 @@ class Report:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.summary import summary
 
         outcome = api.report(self.run, out=self.out)
-        print(outcome.summary)
+        print(summary(outcome))
         return outcome.exit_code

@@ -18,8 +18,9 @@ class List:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.scenes import scene_table
 
-        print(api.list_scenes(self.patterns))
+        print(scene_table(api.list_scenes(self.patterns)))
         return 0
 
 
@@ -34,8 +35,11 @@ class Show:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.scenes import scene_page
 
-        print(api.show_scene(self.scene, out=self.out))
+        print(scene_page(api.show_scene(self.scene, out=self.out)))
+        if self.out is not None:
+            print(self.out)
         return 0
 
 
@@ -48,10 +52,12 @@ class Check:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.scenes import findings_text
+        from nw_eval.errors import SceneError
 
-        told = api.check_scenes(self.scenes)
-        print(told.text)
-        return told.exit_code
+        checked = api.check_scenes(self.scenes)
+        print(findings_text(checked))
+        return SceneError.exit_code if any(scene.has_errors for scene in checked) else 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +76,10 @@ class Render:
         from nw_eval.cli.terminal.progress import build_progress
 
         with build_progress() as listener:
-            api.render_scenes(self.patterns, out=self.out, width=self.width, listener=listener)
-        print(self.out)
+            picture = api.render_scenes(
+                self.patterns, out=self.out, width=self.width, listener=listener
+            )
+        print(picture)
         return 0
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import tyro
+
+from nw_eval.words import Described
 
 
 @dataclass(frozen=True, kw_only=True)
 class Schema:
     """Write the JSON Schema that editors use to complete and check files."""
 
-    kind: tyro.conf.Positional[Literal["suite", "policy", "scene", "collision"]] = "suite"
+    kind: tyro.conf.Positional[Described] = "suite"
     """Which kind of file: a suite, a policy's card, scene.yaml, or a scene's file of boxes."""
     out: Path | None = None
     """Where to write it; standard output when absent."""
@@ -21,9 +23,7 @@ class Schema:
     def __call__(self) -> int:
         from nw_eval import api
 
-        text = api.schema(self.kind)
+        described = api.schema(self.kind, out=self.out)
         if self.out is None:
-            print(text)
-        else:
-            api.write_text(self.out, text + "\n")
+            print(json.dumps(described, indent=2))
         return 0

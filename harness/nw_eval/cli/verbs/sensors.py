@@ -26,15 +26,14 @@ class Sensors:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.sensors import seen_text, sensor_list
 
         if self.names:
-            print(api.list_sensors())
+            print(sensor_list(api.list_sensors()))
             return 0
-        told = api.draw_sensors(
+        seen = api.draw_sensors(
             self.policy, scene=self.scene, out=self.out, allow_code=self.allow_code
         )
-        if told:
-            print(told)
-        if self.out.exists():
-            print(self.out)
+        if text := seen_text(seen):
+            print(text)
         return 0

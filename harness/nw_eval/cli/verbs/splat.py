@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
+
+from nw_eval.words import Backend, UpAxis
 
 Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
@@ -21,8 +23,9 @@ class Info:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.splats import splat_page
 
-        print(api.splat_info(self.source))
+        print(splat_page(api.splat_info(self.source)))
         return 0
 
 
@@ -37,8 +40,9 @@ class Convert:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.text.splats import written_line
 
-        print(api.splat_convert(self.source, self.out))
+        print(written_line(api.splat_convert(self.source, self.out)))
         return 0
 
 
@@ -57,7 +61,7 @@ class Render:
     """Pixels across."""
     height: int = 360
     """Pixels down."""
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "-y"
+    up: UpAxis = "-y"
     """Upward axis of a file; built-in scenes have +z."""
     eye: Point = None
     """Where the camera stands, and a turn looks round from; chosen when absent."""
@@ -65,13 +69,13 @@ class Render:
     """What a PNG's camera looks at; needs --eye."""
     frames: int = 48
     """Frames of a turn."""
-    render: Literal["cpu", "cuda"] = "cpu"
+    render: Backend = "cpu"
     """The renderer. There is no silent fallback."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        api.splat_render(
+        picture = api.splat_render(
             self.source,
             self.out,
             size=(self.width, self.height),
@@ -81,7 +85,7 @@ class Render:
             frames=self.frames,
             backend=self.render,
         )
-        print(self.out)
+        print(picture)
         return 0
 
 

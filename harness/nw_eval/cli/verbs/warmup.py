@@ -19,5 +19,7 @@ class Warmup:
         from nw_eval.cli.terminal.progress import build_progress
 
         with build_progress() as listener:
-            print(api.warmup(self.scenes, listener=listener))
+            done = api.warmup(self.scenes, listener=listener)
+            built = f", {len(done.scenes)} scenes built" if done.scenes else ""
+            print(f"kernels ready after {done.kernel_seconds:.1f} s{built}")
         return 0

@@ -9,24 +9,27 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.confinement import child_environment
+from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
+from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.workers import worker
 from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
+from nw_eval.engine.workers.protocol import Finished
+from nw_eval.engine.workers.worker import WorkerStart
 from nw_eval.errors import TrialError
+from nw_eval.policies import load_bundle
+from nw_eval.rollout.confined.access import running_rules
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from nw_eval.engine.machine.output import WorkerOutput
-    from nw_eval.engine.workers.worker import WorkerStart
+    from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
 
 # Trials that a worker runs before a fresh one takes its place: a leak has an end.
 RECYCLE_AFTER = 100
@@ -37,21 +40,50 @@ POLL = 0.1
 _STILLBORN = 3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finished:
-    """A job that came to an end, whatever end."""
+class LocalProcesses:
+    """Gets worker processes on this machine.
 
-    job: TrialJob
-    result: TrialResult
+    Args:
+        jobs: all of the run.
+        folder: of the run.
+
+    Raises:
+        PolicyError, SceneError: policy or scenes are not where the jobs say.
+    """
+
+    again = "in a fresh process"
+
+    def __init__(self, jobs: Sequence[TrialJob], folder: RunFolder) -> None:
+        job = jobs[0]
+        bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
+        rules = running_rules(
+            bundle,
+            scenes=[each.scene for each in jobs],
+            logs=folder.logs,
+            allow_code=job.allow_code,
+            render=job.render,
+        )
+        draws = any(needs_splats(bundle.card, each.record) for each in jobs)
+        self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
+        self._printed = folder.workers_log
+
+    def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
+        """Return workers: `count` processes, each for many jobs or for one."""
+        return LocalWorkers(
+            count,
+            start=self._start,
+            output=WorkerOutput(self._printed),
+            recycle_after=1 if fresh else RECYCLE_AFTER,
+        )
 
 
 class LocalWorkers:
-    """Worker processes with a queue; a context manager. Starts no threads.
+    """Worker processes with a queue; a context manager.
 
     Args:
         workers: number of processes.
         start: what each of them starts with.
-        output: where what they print goes.
+        output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
     """
 
@@ -69,10 +101,12 @@ class LocalWorkers:
         self._recycle_after = recycle_after
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
-        self._busy: list[WorkerProcess] = []  # Every worker has a job, or is none of ours any more.
+        self._busy: list[WorkerProcess] = []
+        self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
         self._stillborn = 0
 
     def __enter__(self) -> Self:
+        self._cleanup.enter_context(self._output)
         self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         return self
 
@@ -91,7 +125,8 @@ class LocalWorkers:
         """
         while self._queue or self._busy:
             while self._queue and len(self._busy) < self._count:
-                self._start()
+                self._busy.append(self._idle.pop() if self._idle else self._started())
+                self._busy[-1].give(self._next(self._busy[-1]))
             wait([handle for each in self._busy for handle in each.handles], POLL)
             ended = [done for each in tuple(self._busy) if (done := self._look(each)) is not None]
             yield from ended or (None,)
@@ -100,16 +135,17 @@ class LocalWorkers:
         """End every worker now, running trials included; calling it again does nothing."""
         self._queue.clear()
         # A trial holds nothing that needs an orderly end, and one that hangs ignores SIGTERM.
-        for each in self._busy:
+        for each in (*self._busy, *self._idle):
             each.kill()
-        while self._busy:
-            self._busy.pop().close()
+        for ended in (self._busy, self._idle):
+            while ended:
+                ended.pop().close()
         self._cleanup.close()
 
-    def _start(self) -> None:
-        """Start one more worker with the next job."""
+    def _started(self) -> WorkerProcess:
+        """Return one more worker."""
         try:
-            new = WorkerProcess(
+            return WorkerProcess(
                 start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
             )
         except OSError as error:
@@ -117,12 +153,10 @@ class LocalWorkers:
                 f"worker processes cannot be started: {error.strerror or error}",
                 fix="use fewer --workers",
             ) from error
-        self._busy.append(new)
-        new.give(self._next(new))
 
     def _next(self, each: WorkerProcess) -> TrialJob:
         """Take a worker's next job from the queue."""
-        taken = {scene for other in self._busy for scene in other.scenes}
+        taken = {scene for other in (*self._busy, *self._idle) for scene in other.scenes}
         place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
         job = self._queue[place]
         del self._queue[place]
@@ -151,10 +185,13 @@ class LocalWorkers:
             return None
         self._stillborn = 0
         is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
-        if is_well and self._queue:
+        if not is_well:
+            self._dismiss(each)
+        elif self._queue:
             each.give(self._next(each))
         else:
-            self._dismiss(each)
+            self._busy.remove(each)
+            self._idle.append(each)
         return Finished(job=job, result=result)
 
     def _dismiss(self, each: WorkerProcess) -> None:

@@ -22,7 +22,7 @@ from typing import NoReturn
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.clean import clean
-from nw_eval.confinement import interrupts_blocked, kill_group
+from nw_eval.confinement import interrupts_blocked, kill_group, without_script
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 
@@ -62,7 +62,7 @@ class WorkerProcess:
         # Its processes are ours to end: a daemon could have none of its own, which policies may.
         self._process = context.Process(target=_serve, args=(start, run, theirs, back))
         try:
-            with interrupts_blocked():
+            with interrupts_blocked(), without_script():
                 self._process.start()
         except BaseException:
             self._jobs.close()

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from nw_eval.cards.observations.heights import GridOrder
+
 Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
 """Simulators whose users export alike."""
 
@@ -61,7 +63,7 @@ class Frame:
     """How frames before the present one stand there, where there are any."""
     steps: int = 1
     """Frames that it is published with."""
-    scan: Literal["x_fastest", "y_fastest"] = "x_fastest"
+    scan: GridOrder = "x_fastest"
     """Order of a scan of heights behind the frame."""
     scan_scale: float = 1.0
     """Factor of that."""

@@ -13,6 +13,7 @@ search          which of these helps most
 comparison      the policy under its card and under others
 budget          how long commands and other cards are tried
 written         a change of a card as the lines to write
-report          the tables that `nw-eval policies check` prints
-summary         what `nw-eval policies show` prints
+rows            what a check showed, as plain values
+report          the check itself: runs a policy, and fills the rows
+summary         what a card says, as plain values
 """

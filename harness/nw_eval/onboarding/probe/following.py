@@ -58,6 +58,11 @@ class Motion:
         """Size of the command, m/s or rad/s."""
         return abs(self.velocity[self.axis])
 
+    @property
+    def unit(self) -> str:
+        """Of the command."""
+        return _UNITS[self.axis]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Followed:
@@ -87,11 +92,15 @@ class Followed:
         return 1.0 if self.fell or self.stumbled else min(1.0, abs(1.0 - self.ratio))
 
     @property
+    def reached(self) -> float:
+        """What became of the command, m/s or rad/s."""
+        return self.ratio * self.motion.asked
+
+    @property
     def words(self) -> tuple[str, str, str]:
         """The direction, what was commanded, what was reached."""
-        unit = _UNITS[self.motion.axis]
-        reached = self.ratio * self.motion.asked
-        return self.motion.words, f"{self.motion.asked:g} {unit}", f"{reached:z.2f} {unit}"
+        motion, unit = self.motion, self.motion.unit
+        return motion.words, f"{motion.asked:g} {unit}", f"{self.reached:z.2f} {unit}"
 
 
 def motions(card: Card) -> list[Motion]:

@@ -9,29 +9,27 @@ import numpy as np
 from nw_eval.cards import Card
 from nw_eval.onboarding.probe.findings import Finding
 from nw_eval.onboarding.probe.recording import Recording
+from nw_eval.onboarding.probe.rows import ProbedOutput
 
 
-def network_rows(card: Card, recording: Recording) -> list[tuple[str, ...]]:
-    """Return a row for each output of each network, with a heading; none without networks."""
-    rows: list[tuple[str, ...]] = []
+def network_rows(card: Card, recording: Recording) -> tuple[ProbedOutput, ...]:
+    """Return what each output of each network gave."""
+    found: list[ProbedOutput] = []
     for name, output in _outputs(card):
         values = recording.fed[output].reshape(len(recording.actions), -1).astype(np.float64)
-        constant = int((values == values[:1]).all(axis=0).sum())
-        rate = card.networks[name].rate or card.control.rate
-        rows.append(
-            (
-                name,
-                output,
-                f"{values.shape[1]}",
-                f"{rate} Hz",
-                f"{values.min():z.3f}",
-                f"{values.mean():z.3f}",
-                f"{values.max():z.3f}",
-                f"{constant} of {values.shape[1]}" if constant else "",
+        found.append(
+            ProbedOutput(
+                network=name,
+                output=output,
+                numbers=values.shape[1],
+                rate=card.networks[name].rate or card.control.rate,
+                low=float(values.min()),
+                mean=float(values.mean()),
+                high=float(values.max()),
+                constant=int((values == values[:1]).all(axis=0).sum()),
             )
         )
-    heading = ("network", "gives", "numbers", "asked", "min", "mean", "max", "constant")
-    return [heading, *rows] if rows else []
+    return tuple(found)
 
 
 def network_findings(card: Card, recording: Recording) -> list[Finding]:

@@ -1,10 +1,13 @@
-"""What a policy showed, and what is wrong with it, as lines of text."""
+"""Runs a policy for some seconds, and returns what it showed and what is wrong with it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.joints import short_name
@@ -25,6 +28,13 @@ from nw_eval.onboarding.probe.networks import network_findings, network_rows
 from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import Recording
 from nw_eval.onboarding.probe.rig import SceneRig
+from nw_eval.onboarding.probe.rows import (
+    FLAT,
+    ProbedCommand,
+    ProbedJoint,
+    ProbedTerm,
+    ProbeReport,
+)
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.check_bundle import check_bundle
@@ -32,25 +42,11 @@ from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.fault import PolicyFailedError
 
-FLAT = "flat/carpet_room"
 SECONDS = 1.0
-BEYOND = (
-    "beyond this check: a robot, pose, scale, frame, gain, torque limit, rate or delay that is not "
-    "the training's, but with which it walks all the same"
-)
-"""What no second on the flat can show; said where no fault is found."""
 _TIME_LIMIT = 600.0  # s of wall time
 _BUDGET = 360.0
 """Seconds of simulation for commands and other cards. Measured on six policies under 140 cards:
 2 to 186, which took up to 13 s."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProbeReport:
-    """What some seconds of a policy showed."""
-
-    text: str
-    passed: bool
 
 
 def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -> ProbeReport:
@@ -68,24 +64,27 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         place.splat_store()  # The cache is out of that process's reach.
     answer = call_isolated(
         _probe,
-        subject=str(bundle.card_path),
+        subject=bundle.where,
         rules=running_rules(bundle, scenes=[scene], allow_code=allow_code),
         time_limit=_TIME_LIMIT,
         renders=sees,
-        card=str(bundle.card_path.resolve()),
+        card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         scene=scene,
         allow_code=allow_code,
     )
-    return ProbeReport(text=str(answer["text"]), passed=bool(answer["passed"]))
+    try:
+        return TypeAdapter(ProbeReport).validate_python(answer)
+    except ValidationError:
+        raise PolicyError(
+            f"{bundle.card_path}: the check gave no answer that can be read",
+            fix="do not use this checkpoint",
+        ) from None
 
 
-def _probe(
-    *, card: str, checkpoint: str | None, scene: str, allow_code: bool
-) -> dict[str, str | bool]:
+def _probe(*, card: str, checkpoint: str | None, scene: str, allow_code: bool) -> dict[str, Any]:
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
-    told = probe_here(bundle, scene=scene, allow_code=allow_code)
-    return {"text": told.text, "passed": told.passed}
+    return asdict(probe_here(bundle, scene=scene, allow_code=allow_code))
 
 
 def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -> ProbeReport:
@@ -102,7 +101,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     try:
         recording = rig.record(card, seconds=SECONDS)
     except PolicyFailedError as error:
-        raise PolicyError(f"{bundle.card_path}: {error}") from error
+        raise PolicyError(f"{bundle.where}: {error}") from error
     ranges = [measure(part, recording) for part in parts_of(card, robot, specs)]
     followed: list[Followed] = []
     findings = [
@@ -116,94 +115,66 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         metered = Metered(rig, simulated=_BUDGET, deadline=deadline)
         followed, found = compare(metered, card, robot, recording)
         findings += found
-    faults = sum(finding.kind == "fault" for finding in findings)
-    lines = [
-        f"{bundle.name}: {recording.seconds:.2f} s in {scene}, {recording.travelled:.2f} m",
-        "",
-        *observation_table(ranges),
-        *network_table(card, recording),
-        "",
-        *action_table(card, robot, recording),
-        "",
-        *command_table(followed),
-        *(f"{finding.kind}: {finding.text}" for finding in findings),
-        *([BEYOND] if scene == FLAT and not faults else []),
-        "no fault found" if not faults else f"{faults} {'fault' if faults == 1 else 'faults'}",
-    ]
-    return ProbeReport(text="\n".join(lines), passed=not faults)
+    return ProbeReport(
+        policy=bundle.name,
+        scene=scene,
+        seconds=recording.seconds,
+        travelled=recording.travelled,
+        terms=tuple(_term(value) for value in ranges),
+        outputs=network_rows(card, recording),
+        joints=_joints(card, robot, recording),
+        drives_torque=card.control.action == "joint_torque",
+        commands=tuple(_command(one) for one in followed),
+        findings=tuple(findings),
+    )
 
 
-def observation_table(ranges: list[Range]) -> list[str]:
-    """Return a line for each term, with a heading."""
-    rows = [("observation", "term", "numbers", "as", "min", "mean", "max", "constant")]
-    for value in ranges:
-        part = value.part
-        frames = f" ({part.steps} frames)" if part.steps > 1 else ""
-        rows.append(
-            (
-                part.observation,
-                part.kind,
-                f"{value.size}{frames}",
-                part.form,
-                f"{value.low:z.3f}",
-                f"{value.mean:z.3f}",
-                f"{value.high:z.3f}",
-                f"{value.constant} of {value.size}" if value.constant else "",
-            )
-        )
-    return aligned(rows, right={4, 5, 6})
+def _term(value: Range) -> ProbedTerm:
+    part = value.part
+    return ProbedTerm(
+        observation=part.observation,
+        term=part.kind,
+        numbers=value.size,
+        frames=part.steps,
+        form=part.form,
+        low=value.low,
+        mean=value.mean,
+        high=value.high,
+        constant=value.constant,
+    )
 
 
-def network_table(card: Card, recording: Recording) -> list[str]:
-    """Return a line for each output of each network, after an empty line and a heading."""
-    rows = network_rows(card, recording)
-    return ["", *aligned(rows, right={4, 5, 6})] if rows else []
-
-
-def action_table(card: Card, robot: RobotSpec, recording: Recording) -> list[str]:
-    """Return a line for each joint, in the policy's order, with a heading."""
-    torque = card.control.action == "joint_torque"
-    unit = "N m" if torque else "rad"
-    rows = [("joint", "action min", "mean", "max", f"target min, {unit}", "max", "torque max, N m")]
+def _joints(card: Card, robot: RobotSpec, recording: Recording) -> tuple[ProbedJoint, ...]:
+    """Return what was asked of each joint; none if the card does not fit the robot."""
     try:
         order = JointControl.from_card(card, robot).order
     except PolicyError:
-        return []
+        return ()
+    found: list[ProbedJoint] = []
     for place, index in enumerate(order.tolist()):
         action, target = recording.actions[:, place], recording.targets[:, index]
-        rows.append(
-            (
-                short_name(robot.joints[index]),
-                f"{action.min():z.3f}",
-                f"{action.mean():z.3f}",
-                f"{action.max():z.3f}",
-                f"{target.min():z.3f}",
-                f"{target.max():z.3f}",
-                f"{abs(recording.torques[:, index]).max():.1f}",
+        found.append(
+            ProbedJoint(
+                joint=short_name(robot.joints[index]),
+                action_low=float(action.min()),
+                action_mean=float(action.mean()),
+                action_high=float(action.max()),
+                target_low=float(target.min()),
+                target_high=float(target.max()),
+                torque=float(abs(recording.torques[:, index]).max()),
             )
         )
-    return aligned(rows, right={1, 2, 3, 4, 5, 6})
+    return tuple(found)
 
 
-def command_table(followed: list[Followed]) -> list[str]:
-    """Return a line for each command, with a heading and an empty line behind; none for none."""
-    if not followed:
-        return []
-    rows: list[tuple[str, ...]] = [("command", "asked", "reached", "share")]
-    for one in followed:
-        direction, asked, reached = one.words
-        ending = ", fell" if one.fell else ", stumbled" if one.stumbled else ""
-        rows.append((direction, asked, reached + ending, f"{one.ratio:z.2f}"))
-    return [*aligned(rows, right={3}), ""]
-
-
-def aligned(rows: list[tuple[str, ...]], *, right: set[int]) -> list[str]:
-    """Return rows as lines whose columns are aligned."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if column in right else cell.ljust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+def _command(followed: Followed) -> ProbedCommand:
+    motion = followed.motion
+    return ProbedCommand(
+        command=motion.words,
+        unit=motion.unit,
+        asked=motion.asked,
+        reached=followed.reached,
+        share=followed.ratio,
+        fell=followed.fell,
+        stumbled=followed.stumbled,
+    )

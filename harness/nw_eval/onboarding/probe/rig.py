@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from nw_eval.cards import Card
+from nw_eval.catalogue import parse_reference
 from nw_eval.onboarding.probe.recording import Collector, Recording
 from nw_eval.policies import Bundle
 from nw_eval.rollout.clock import StageClock
@@ -99,7 +100,13 @@ def record(
         NwEvalError: it cannot be run.
     """
     library = library or ThisBundle(bundle)
-    job = _job(bundle, library.scene(scene), scene, seconds=seconds, allow_code=allow_code)
+    job = _job(
+        bundle,
+        library.scene(*parse_reference(scene)),
+        scene,
+        seconds=seconds,
+        allow_code=allow_code,
+    )
     with open_trial(job, library, StageClock()) as trial:
         collector = Collector(trial.episode)
         for _ in trial.episode.steps(collector):
@@ -118,12 +125,14 @@ def _job(bundle: Bundle, place: Scene, scene: str, *, seconds: float, allow_code
         task=place.task,
         index=0,
     )
+    reference, collision = parse_reference(scene)
     return TrialJob(
         trial=trial,
         robot=bundle.card.robot,
         duration=seconds,
-        scene=scene,
-        policy=str(bundle.card_path),
+        scene=reference,
+        collision=collision,
+        policy=bundle.reference,
         checkpoint=bundle.checkpoint,
         checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,

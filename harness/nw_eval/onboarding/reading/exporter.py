@@ -46,11 +46,10 @@ class ExporterMetadata:
     """rad for each unit of action; one number for all joints, or one each."""
     observation_terms: tuple[ExportedTerm, ...] = ()
     """In the order in which they are joined."""
-    command_names: tuple[str, ...] = ()
 
 
 _NUMBERS = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
-_NAMES = ("joint_names", "observation_names", "command_names")
+_NAMES = ("joint_names", "observation_names")
 _LONGEST = 10_000  # Characters of a list of terms; splitting takes the square of them.
 
 
@@ -69,7 +68,6 @@ def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | Non
         default_joint_pos=_numbers(text["default_joint_pos"]),
         action_scale=_numbers(text["action_scale"]),
         observation_terms=_terms(_names(text["observation_names"]), entries),
-        command_names=_names(text["command_names"]),
     )
 
 

@@ -58,7 +58,7 @@ class ActPolicy(NetworkPolicy):
             )
         if self._options.query_every > sizes.chunk:
             raise PolicyError(
-                f"{bundle.card_path}: query_every is {self._options.query_every}, but a chunk has "
+                f"{bundle.where}: query_every is {self._options.query_every}, but a chunk has "
                 f"only {sizes.chunk} actions",
                 fix=f"use {sizes.chunk} or less",
             )

@@ -129,7 +129,7 @@ class OnnxPolicy(ActingNetwork):
         size = shape[-1] if shape else None
         if isinstance(size, int) and size != joints:
             raise PolicyError(
-                f"{bundle.card_path}: output {clean(name, at_most=100)!r} of the checkpoint has "
+                f"{bundle.where}: output {clean(name, at_most=100)!r} of the checkpoint has "
                 f"{size} numbers, the robot {bundle.card.robot!r} has {joints} joints",
                 fix="name the action with `output`, or the right robot with `robot`",
             )

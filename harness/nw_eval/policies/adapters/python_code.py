@@ -5,6 +5,9 @@ of `Policy` it has is used: `reset(seed)`, `state()` with `restore(state)`, `clo
 A class without `state` promises that its next action depends on the next observation alone.
 All Python files below the card's folder count for the identity of the policy; installed code does
 not. Where the card names a file as `checkpoint`, its digest is verified, and counts as well.
+
+A caller in this process may hand in the object itself, or a function in place of its `act`
+(`policies.instance_bundle`). It outlives its trials, so it is never closed.
 """
 
 from __future__ import annotations
@@ -24,28 +27,34 @@ from nw_eval.policies.policy import Observation, checked_action
 
 
 class PythonPolicy:
-    """An object of the user's class, with its actions checked."""
+    """An object of the user's, with its actions checked.
+
+    Args:
+        bundle: its card, and the object itself if it is there.
+        joints: how many numbers an action has.
+        allow_code: whether its module may be imported.
+
+    Raises:
+        PolicyError: code is not allowed.
+        CodeError: the class cannot be imported or made, or the object is no policy.
+    """
 
     def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
-        """Import the module and make the object.
-
-        Raises:
-            PolicyError: code is not allowed.
-            CodeError: the class cannot be imported or made, or is no policy.
-        """
         self._name = bundle.name
         self._joints = joints
-        self._policy: Any = None
-        if not allow_code:
-            raise PolicyError(
-                f"{bundle.card_path}: `{bundle.card.adapter}` imports and runs Python code",
-                fix="add --allow-code if you trust it, or use `remote` and run it elsewhere",
-            )
-        self._policy = _make(bundle)
+        self._is_ours = bundle.instance is None
+        self._policy: Any = (
+            _make(bundle, allow_code=allow_code) if self._is_ours else bundle.instance
+        )
         self.inputs: tuple[InputSpec, ...] = getattr(self._policy, "inputs", ())
+        if not callable(getattr(self._policy, "act", None if self._is_ours else self._policy)):
+            raise CodeError(
+                f"{bundle.where}: {bundle.card.adapter} has no method `act`",
+                fix="write `act(self, observation)`",
+            )
         if hasattr(self._policy, "state") != hasattr(self._policy, "restore"):
             raise CodeError(
-                f"{bundle.card_path}: {bundle.card.adapter} has only one of `state` and `restore`",
+                f"{bundle.where}: {bundle.card.adapter} has only one of `state` and `restore`",
                 fix="write both, or neither if the policy has no memory",
             )
 
@@ -62,7 +71,7 @@ class PythonPolicy:
         if self._policy is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
         try:
-            raw = self._policy.act(observation)
+            raw = getattr(self._policy, "act", self._policy)(observation)
         except Exception as error:
             raise _failed(self._name, "act", error) from error
         return checked_action(raw, joints=self._joints, policy=self._name)
@@ -83,7 +92,8 @@ class PythonPolicy:
     def close(self) -> None:
         """Close the object."""
         if self._policy is not None:
-            self._call("close")
+            if self._is_ours:
+                self._call("close")
             self._policy = None
 
     def _call(self, method: str, *arguments: Any) -> Any:
@@ -103,27 +113,26 @@ def _failed(policy: str, method: str, error: Exception) -> TrialError:
     return TrialError(f"policy {policy!r}: {method} raised {type(error).__name__}: {error}")
 
 
-def _make(bundle: Bundle) -> Any:
+def _make(bundle: Bundle, *, allow_code: bool) -> Any:
+    if not allow_code:
+        raise PolicyError(
+            f"{bundle.where}: `{bundle.card.adapter}` imports and runs Python code",
+            fix="add --allow-code if you trust it, or use `remote` and run it elsewhere",
+        )
     module, _, name = bundle.card.adapter.removeprefix("python:").partition(":")
     try:
         with _importable(bundle.folder):
             cls = getattr(importlib.import_module(module), name)
-        policy = cls(bundle)
+        return cls(bundle)
     except NwEvalError:
         raise
     except Exception as error:  # noqa: BLE001 - the user's code may raise anything.
         raise CodeError(
-            f"{bundle.card_path}: {bundle.card.adapter} cannot be opened: "
+            f"{bundle.where}: {bundle.card.adapter} cannot be opened: "
             f"{type(error).__name__}: {error}",
             fix=f"the module must lie in {bundle.folder} or be installed, and the class take the "
             "bundle",
         ) from None
-    if not callable(getattr(policy, "act", None)):
-        raise CodeError(
-            f"{bundle.card_path}: {bundle.card.adapter} has no method `act`",
-            fix="write `act(self, observation)`",
-        )
-    return policy
 
 
 @contextmanager

@@ -79,7 +79,7 @@ class TorchExportPolicy(ActingNetwork):
         ((name, shape),) = network.wanted
         if int(np.prod(shape)) != joints:
             raise PolicyError(
-                f"{bundle.card_path}: output {name!r} of the checkpoint has shape {shape}, "
+                f"{bundle.where}: output {name!r} of the checkpoint has shape {shape}, "
                 f"the robot {bundle.card.robot!r} has {joints} joints",
                 fix="name the action with `output`, or the right robot with `robot`",
             )

@@ -104,14 +104,14 @@ class RemotePolicy:
             self.served = _check(hello, bundle, self._options, joints)
         except TrialError as error:
             self.close()
-            raise PolicyError(f"{bundle.card_path}: {error}", fix=_START) from None
+            raise PolicyError(f"{bundle.where}: {error}", fix=_START) from None
         except PolicyError:
             self.close()
             raise
         except (TypeError, ValueError, OverflowError) as error:  # Arrays in place of words, say.
             self.close()
             raise PolicyError(
-                f"{bundle.card_path}: cannot read the greeting of {self._options.url}: {error}",
+                f"{bundle.where}: cannot read the greeting of {self._options.url}: {error}",
                 fix="speak the protocol of nw_eval.policies.remote.wire",
             ) from None
 
@@ -222,34 +222,34 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
             status = refusal.response.status_code
             moved = "redirects are not followed: name the server itself"
             raise PolicyError(
-                f"{bundle.card_path}: what answers at {options.url} is no websocket: HTTP {status}",
+                f"{bundle.where}: what answers at {options.url} is no websocket: HTTP {status}",
                 fix=moved if 300 <= status < 400 else _START,
             ) from None
         raise PolicyError(
-            f"{bundle.card_path}: {options.url} is no address: {error}",
+            f"{bundle.where}: {options.url} is no address: {error}",
             fix="write `options: {url: ws://host:port}`",
         ) from None
     except TimeoutError:
         raise PolicyError(
-            f"{bundle.card_path}: no policy server answers at {options.url} within "
+            f"{bundle.where}: no policy server answers at {options.url} within "
             f"{options.connect_timeout:g} s",
             fix=_START,
         ) from None
     except InvalidHandshake as error:
         raise PolicyError(
-            f"{bundle.card_path}: what answers at {options.url} is no websocket: {error}",
+            f"{bundle.where}: what answers at {options.url} is no websocket: {error}",
             fix=_START,
         ) from None
     except OSError as error:
         raise PolicyError(
-            f"{bundle.card_path}: no policy server at {options.url}: {error.strerror or error}",
+            f"{bundle.where}: no policy server at {options.url}: {error.strerror or error}",
             fix=_START,
         ) from None
 
 
 def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joints: int) -> Served:
     """Compare what the server says of itself with the card, and return it."""
-    where = f"{bundle.card_path}: the server at {options.url}"
+    where = f"{bundle.where}: the server at {options.url}"
     if "error" in hello:
         raise PolicyError(f"{where} says: {clean(hello['error'], at_most=300)}", fix=_START)
     if hello.get("protocol") != PROTOCOL:

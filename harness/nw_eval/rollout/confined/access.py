@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.policies import Bundle
-    from nw_eval.rollout.job import Backend
+    from nw_eval.words import Backend
 
 OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
@@ -92,8 +92,10 @@ def fence_in_server(bundle: Bundle) -> None:
     raise_fence(reads=_files(bundle), writes=(), network="server")
 
 
-def why_off(*, allow_code: bool, render: Backend = "cpu") -> str:
+def why_off(*, allow_code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
     """Return why a process is not fenced in; empty if it is."""
+    if in_process:
+        return "in the calling process"
     if allow_code:
         return "--allow-code"
     return "--render cuda" if render == "cuda" else ""

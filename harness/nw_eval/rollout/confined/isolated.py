@@ -13,7 +13,14 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.confinement import Rules, child_environment, confine, interrupts_blocked, kill_group
+from nw_eval.confinement import (
+    Rules,
+    child_environment,
+    confine,
+    interrupts_blocked,
+    kill_group,
+    without_script,
+)
 from nw_eval.errors import (
     IncomparableError,
     NwEvalError,
@@ -81,7 +88,7 @@ def call_isolated(
         target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
     )
     try:
-        with child_environment(fenced=not rules.off), interrupts_blocked():
+        with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
             process.start()
         sender.close()
         answer = _received(receiver, process, subject, time_limit)

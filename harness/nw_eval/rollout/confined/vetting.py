@@ -43,9 +43,9 @@ def vet_bundle(
         return bundle
     call_isolated(
         _check,
-        subject=str(bundle.card_path),
+        subject=bundle.where,
         rules=opening_rules(bundle, allow_code=allow_code),
-        card=str(bundle.card_path.resolve()),
+        card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         robot=robot,
         allow_code=allow_code,
@@ -65,7 +65,7 @@ def _asked(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
         wanted = served.shapes.get(spec.name, spec.shape)
         if wanted != spec.shape:
             raise PolicyError(
-                f"{bundle.card_path}: `{spec.name}` is {_size(spec.shape)} numbers; on the served "
+                f"{bundle.where}: `{spec.name}` is {_size(spec.shape)} numbers; on the served "
                 f"card it is {_size(wanted)}",
                 fix=f"the card makes {spec.reckoning}; copy `observations` from the served card",
             )

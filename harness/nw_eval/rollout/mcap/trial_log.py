@@ -17,7 +17,6 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.job import Record
 from nw_eval.rollout.mcap.content.body import (
     BodyPoses,
     command_form,
@@ -42,6 +41,7 @@ from nw_eval.rollout.mcap.form import Form
 from nw_eval.rollout.mcap.messages import Event, PolicyStep
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.words import Record
 
 EventKind = Literal["start", "waypoint", "contact", "coverage", "end", "error"]
 

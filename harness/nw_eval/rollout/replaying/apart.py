@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from base64 import b64decode, b64encode
-from dataclasses import dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from nw_eval.cache import atomic_path
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.logged import agreed
 from nw_eval.rollout.replaying.replay import check_start, replay
+from nw_eval.rollout.replaying.report import ReplayReport
 
 _TIME_LIMIT = 3600.0
 """Seconds; a trial of 12 s takes 5 to 30."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReplayReport:
-    """What came of a replay, as plain values."""
-
-    text: str
-    is_identical: bool
-    picture: bytes | None
-    """The trial's contact sheet, a PNG, if it was asked for."""
 
 
 def replay_apart(
@@ -35,14 +29,15 @@ def replay_apart(
     policy: str | None = None,
     checkpoint: Path | None = None,
     allow_code: bool = False,
-    picture: bool = False,
+    picture: Path | None = None,
 ) -> ReplayReport:
-    """As `replay`, in a process of its own; with a picture if asked for.
+    """As `replay`, in a process of its own; draws the trial's contact sheet if asked for.
 
     This process reads the log's words and makes the scene, whose cache is out of the other's reach.
 
     Raises:
         NwEvalError: as `replay`; the policy took more time or memory than it may.
+        StoreError: the picture cannot be written.
         UsageError: CUDA must draw what it sees, and the caller does not allow code.
     """
     check_start(start)
@@ -51,9 +46,9 @@ def replay_apart(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     job = logged.job
-    bundle, scene = library.bundle(job.policy, job.checkpoint), library.scene(job.scene)
-    sees = bool(bundle.card.splat_images)
-    renders = (sees or picture) and scene.splat is not None
+    bundle = library.bundle(job.policy, job.checkpoint)
+    scene = library.scene(job.scene, job.collision)
+    renders = (bool(bundle.card.splat_images) or picture is not None) and scene.splat is not None
     if renders and job.render == "cuda" and not allow_code:
         # A log's word may not take the fence away, and the driver needs more than it lets through.
         raise UsageError(
@@ -74,19 +69,20 @@ def replay_apart(
         policy=policy,
         checkpoint=None if checkpoint is None else str(checkpoint),
         allow_code=allow_code,
-        picture=picture,
+        draws=picture is not None,
     )
     try:
-        drawn = answer["picture"]
-        return ReplayReport(
-            text=str(answer["text"]),
-            is_identical=answer["identical"] is True,
-            picture=None if drawn is None else b64decode(drawn, validate=True),
-        )
+        report = TypeAdapter(ReplayReport).validate_python(answer["report"])
+        drawn = None if picture is None else b64decode(answer["picture"], validate=True)
     except (KeyError, TypeError, ValueError):
         raise PolicyError(
             f"{path}: the replay gave no answer that can be read", fix="do not use this checkpoint"
         ) from None
+    if picture is None or drawn is None:
+        return report
+    with atomic_path(picture) as temporary:
+        temporary.write_bytes(drawn)
+    return replace(report, picture=picture)
 
 
 def _replay(
@@ -96,7 +92,7 @@ def _replay(
     policy: str | None,
     checkpoint: str | None,
     allow_code: bool,
-    picture: bool,
+    draws: bool,
 ) -> dict[str, Any]:
     replayed = replay(
         Path(log),
@@ -106,8 +102,8 @@ def _replay(
         allow_code=allow_code,
     )
     drawn = None
-    if picture:
+    if draws:
         from nw_eval.rollout.replaying.contact_sheet import contact_sheet
 
         drawn = b64encode(contact_sheet(replayed.logged)).decode()
-    return {"text": replayed.text, "identical": replayed.is_identical, "picture": drawn}
+    return {"report": asdict(replayed.report), "picture": drawn}

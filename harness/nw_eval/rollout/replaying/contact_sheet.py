@@ -87,15 +87,7 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
             ]
         caption = f"{scene.title}{_as_drawn(scene)}"
         cells.append(Cell(name=scene.name, caption=caption, images=views))
-    write_picture(draw_sheet(cells, across=max(1, round(len(cells) ** 0.5))), path)
-
-
-def write_picture(picture: bytes, path: Path) -> None:
-    """Write a PNG to a file, whole or not at all.
-
-    Raises:
-        StoreError: it cannot be written.
-    """
+    picture = draw_sheet(cells, across=max(1, round(len(cells) ** 0.5)))
     with atomic_path(path) as temporary:
         temporary.write_bytes(picture)
 

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
 from nw_eval.inside import what_is
+from nw_eval.policies.instance import was_instance
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.reader import LogReader
@@ -66,6 +68,12 @@ def agreed(
     """
     logged = read_logged_trial(path)
     recorded = logged.job
+    if policy is None and was_instance(recorded.policy):
+        name = clean(recorded.policy_name, at_most=100)
+        raise PolicyError(
+            f"{path}: policy {name!r} was an object of the process that ran it",
+            fix="name a bundle that does the same with --policy",
+        )
     job = replace(
         recorded,
         policy=policy or _found(recorded),
@@ -82,8 +90,8 @@ def _refuse_servers(logged: LoggedTrial, library: Library) -> None:
     bundle = library.bundle(logged.job.policy, logged.job.checkpoint)
     if bundle.card.adapter == "remote":
         raise PolicyError(
-            f"{logged.path}: {bundle.card_path}, which the log names, asks a policy on a server",
-            fix=f"add --policy {bundle.card_path} if you trust it",
+            f"{logged.path}: {bundle.where}, which the log names, asks a policy on a server",
+            fix=f"add --policy {bundle.where} if you trust it",
         )
 
 

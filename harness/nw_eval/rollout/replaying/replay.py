@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
@@ -16,10 +15,11 @@ from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
+from nw_eval.rollout.replaying.report import Difference, ReplayReport
 from nw_eval.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
@@ -27,41 +27,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """A trial that was run again.
-
-    `differences` says in words what is not as recorded; `version_differences` says which versions
-    are not, under which equal bits cannot be expected.
-    """
+    """A trial that was run again, and what came of it."""
 
     logged: LoggedTrial
     result: TrialResult
-    start_step: int
-    differences: tuple[str, ...]
-    version_differences: tuple[str, ...]
+    report: ReplayReport
 
     @property
     def is_identical(self) -> bool:
         """Whether the end is the recorded one, bit for bit."""
-        return not self.differences
+        return self.report.is_identical
 
     @property
-    def text(self) -> str:
-        """What happened, in one line; most words of it are the log's."""
-        return clean(self._text, at_most=2000)
-
-    @property
-    def _text(self) -> str:
-        trial = self.logged.job.trial.id
-        start = "" if self.start_step == 0 else f" from step {self.start_step}"
-        if self.is_identical:
-            end = as_metadata(self.result)["outcome"] or self.result.error_type
-            return f"{trial}{start}: {end} after {self.result.steps} steps, identical bit for bit"
-        changes = "; ".join(self.differences)
-        if self.version_differences:
-            return (
-                f"{trial}{start}: {changes} (recorded with {', '.join(self.version_differences)})"
-            )
-        return f"{trial}{start}: {changes}"
+    def start_step(self) -> int:
+        """The control step from which on it was run."""
+        return self.report.start_step
 
 
 def replay(
@@ -106,13 +86,17 @@ def replay(
             restore(trial, logged, start)
         start_step = trial.episode.step
         result = run_on(trial)
-    return Replayed(
-        logged=logged,
-        result=result,
+    was, now = logged.verdict, as_metadata(result)
+    built, builds = logged.versions, provenance()
+    report = ReplayReport(
+        trial=job.trial.id,
         start_step=start_step,
-        differences=_differences(logged.verdict, as_metadata(result)),
-        version_differences=_version_differences(logged.versions),
+        steps=result.steps,
+        end=now["outcome"] or now["error_type"],
+        differences=_differences((name for name in now if name != "error_text"), was, now),
+        versions=_differences(sorted({*built, *builds}), built, builds),
     )
+    return Replayed(logged=logged, result=result, report=report)
 
 
 def check_start(start: float) -> None:
@@ -150,20 +134,11 @@ def run_on(trial: OpenTrial) -> TrialResult:
     return ended(trial, outcome)
 
 
-def _differences(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    names = [name for name in now if name != "error_text" and recorded.get(name) != now[name]]
-    return tuple(f"{name} was {_short(recorded, name)}, now {_short(now, name)}" for name in names)
-
-
-def _short(values: Mapping[str, str], name: str) -> str:
-    text = values.get(name, "") or "none"
-    return text[:12] if name.endswith("_digest") else clean(text, at_most=100)
-
-
-def _version_differences(recorded: Mapping[str, str]) -> tuple[str, ...]:
-    now = provenance()
+def _differences(
+    names: Iterable[str], recorded: Mapping[str, str], now: Mapping[str, str]
+) -> tuple[Difference, ...]:
     return tuple(
-        f"{name} {recorded.get(name, 'unknown')}, not {now.get(name, 'none')}"
-        for name in sorted({*recorded, *now})
+        Difference(name=name, recorded=recorded.get(name, ""), now=now.get(name, ""))
+        for name in names
         if recorded.get(name) != now.get(name)
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes.health.finding import Finding
-from nw_eval.scenes.mesh import FACE_KINDS, rotation_matrix
+from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.scenes.terrain.solids import HeightField
@@ -227,9 +227,3 @@ def _means(scene: Scene) -> Values:
     layout = open_store(scene.splat_store()).layout
     centers = layout.geometry.reshape(-1, GEOMETRY, GROUP)[:, :3].transpose(0, 2, 1)
     return centers.reshape(-1, 3)[: layout.count].astype(np.float64)
-
-
-def kinds_of(scene: Scene) -> dict[str, int]:
-    """Return how many faces of each kind a scene has, for its description."""
-    counts = np.bincount(scene.mesh().kinds, minlength=len(FACE_KINDS))
-    return dict(zip(FACE_KINDS, counts.tolist(), strict=True))

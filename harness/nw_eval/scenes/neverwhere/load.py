@@ -15,14 +15,15 @@ from nw_eval.scenes.health.finding import Finding, unreadable
 from nw_eval.scenes.limits import REACH, SOLIDS, WAYPOINTS
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.name import name_of
-from nw_eval.scenes.neverwhere.places import ROBOTS, Places, RobotName, find_places
+from nw_eval.scenes.neverwhere.places import Places, find_places
 from nw_eval.scenes.neverwhere.primitives import read_primitives
 from nw_eval.scenes.neverwhere.scan import SPLATS, Scan, is_scan, read_scan
 from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.scenes.neverwhere.tree import Tree, read_tree
 from nw_eval.scenes.scene import Plane, Scene, Spawn
 from nw_eval.scenes.terrain.grid import trail_heights
-from nw_eval.scenes.terrain.options import Collision, TerrainOptions
+from nw_eval.scenes.terrain.options import TerrainOptions
+from nw_eval.words import ROBOTS, Collision, Robot
 
 PREFIX = "neverwhere:"
 """What a reference to a published scene begins with, in suites and on the command line."""
@@ -49,7 +50,7 @@ class Inspection:
 
 
 def load_published(
-    reference: str | Path, *, robot: RobotName = "go1", collision: Collision = "terrain"
+    reference: str | Path, *, robot: Robot = "go1", collision: Collision = "terrain"
 ) -> Scene:
     """Return a published scene.
 
@@ -65,7 +66,7 @@ def load_published(
 
 
 def inspect_published(
-    reference: str | Path, *, robot: RobotName = "go1", collision: Collision = "terrain"
+    reference: str | Path, *, robot: Robot = "go1", collision: Collision = "terrain"
 ) -> Inspection:
     """Read a published scene and say all that is wrong or remarkable about it; raises nothing."""
     from nw_eval.scenes.health.check import check_scene

@@ -5,14 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Literal
 
 from nw_eval.errors import SceneError
 from nw_eval.inside import OutsideError, inside, what_is
 from nw_eval.scenes.neverwhere.xml_file import Element
-
-RobotName = Literal["go1", "go2"]
-ROBOTS: tuple[RobotName, ...] = ("go1", "go2")
+from nw_eval.words import ROBOTS, Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +65,7 @@ class Places:
         raise missing
 
 
-def find_places(reference: Path, robot: RobotName = "go1") -> Places:
+def find_places(reference: Path, robot: Robot = "go1") -> Places:
     """Return the places of a scene.
 
     Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nw_eval.scenes.scene import Task
+from nw_eval.words import Task
 
 
 @dataclass(frozen=True, kw_only=True)

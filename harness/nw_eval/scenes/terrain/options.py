@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from nw_eval.scenes.terrain.solids import DEFAULT_FRICTION, Friction
-
-Collision = Literal["terrain", "triangles"]
+from nw_eval.words import Collision
 
 # Raise it with every change that changes a solid of any scene: it is part of the cache's key.
 COMPILER_VERSION = 5

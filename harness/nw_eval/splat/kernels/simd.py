@@ -134,16 +134,6 @@ def halves(_typing: Any, upper: Any, lower: Any) -> Any:
     return Float8(types.float32, types.float32), generate
 
 
-@intrinsic
-def lane_numbers(_typing: Any) -> Any:
-    """Return the Float8 (0, 1, ..., 7)."""
-
-    def generate(_context: Any, _builder: Any, _signature: Any, _args: Any) -> Any:
-        return ir.Constant(F8, [float(lane) for lane in range(LANES)])
-
-    return Float8(), generate
-
-
 # --- arithmetic --------------------------------------------------------------------------------
 
 

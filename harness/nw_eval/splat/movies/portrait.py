@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,9 @@ from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image
 from nw_eval.splat.movies.movie import save_mp4
-from nw_eval.splat.movies.turntable import Up, axes, framing_camera, orbit, save_gif, save_png
+from nw_eval.splat.movies.turntable import axes, framing_camera, orbit, save_gif, save_png
 from nw_eval.splat.store import memory_store
+from nw_eval.words import Backend, UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
@@ -42,7 +43,7 @@ class Subject:
     """
 
     gaussians: Gaussians
-    up: Up
+    up: UpAxis
     stand: Point | None = None
     circuit: Circuit | None = None
 
@@ -54,7 +55,7 @@ class Subject:
         eye: Point | None = None,
         target: Point | None = None,
         frames: int = 48,
-        backend: Literal["cpu", "cuda"] = "cpu",
+        backend: Backend = "cpu",
     ) -> None:
         """Write a still (.png), or a turn round the subject (.gif, .mp4).
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,10 @@ from nw_eval.errors import SceneError
 from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image
+from nw_eval.words import UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
-
-Up = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-"""Which way is up in the splat's frame; trainers leave it at -y, aligned scenes have +z."""
 
 _FOVY = math.radians(50.0)
 
@@ -30,7 +28,7 @@ def framing_camera(
     *,
     width: int,
     height: int,
-    up: Up = "-y",
+    up: UpAxis = "-y",
     azimuth: float = 0.6,
     elevation: float = 0.3,
     zoom: float = 1.0,
@@ -66,7 +64,7 @@ def orbit(
     frames: int = 48,
     width: int = 480,
     height: int = 360,
-    up: Up = "-y",
+    up: UpAxis = "-y",
     elevation: float = 0.3,
 ) -> Iterator[Image]:
     """Yield the frames of one turn around the bulk of the Gaussians."""
@@ -123,7 +121,7 @@ def _bulk(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
     return middle, max(float(np.percentile(distance, 98)) * 1.05, 1e-6)
 
 
-def axes(up: Up) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def axes(up: UpAxis) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(upward, and two axes of the horizontal plane)."""
     index = "xyz".index(up[1])
     upward = np.zeros(3)

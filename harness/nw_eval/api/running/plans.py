@@ -1,0 +1,133 @@
+"""What a run would be: suite, policy and scenes resolved and checked before anything runs."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import UsageError, nearest
+from nw_eval.request import Request
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.catalogue import FoundScene
+    from nw_eval.engine.forecast import Forecast
+    from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
+    from nw_eval.suite import Draft, Suite
+
+
+def plan(request: Request | Suite | str | Path | None, **changes: Any) -> Plan:
+    """Resolve a request to the trials that it means, and check all of it.
+
+    Args:
+        request: the request, or its suite: a file, the name of a shipped one, or one that was read
+            already.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError: an option cannot be used, there is no such suite, or the policy needs images of
+            a scene that has no splat.
+        SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
+        PolicyError: only the policy cannot be used, and its own files are to blame.
+    """
+    from nw_eval.suite import Suite, draft_of, draft_suite
+
+    if isinstance(request, Suite):
+        return plan_of(Request.of(None, **changes), draft_of(request))
+    request = Request.of(request, **changes)
+    if request.suite is None:
+        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+    return plan_of(request, draft_suite(request.suite))
+
+
+def plan_of(
+    request: Request,
+    draft: Draft,
+    *,
+    card: Path | None = None,
+    scenes: Sequence[str] | None = None,
+    bundle: Bundle | None = None,
+) -> Plan:
+    """Resolve what is asked of a suite, as `plan` does.
+
+    Args:
+        request: what is asked for.
+        draft: the suite, as far as it could be read.
+        card: where its policy lies, if that is known: a run that is resumed elsewhere still names
+            its policy as it was asked for, and finds it where it was.
+        scenes: globs in place of the request's.
+        bundle: a policy that is loaded already, in place of the request's.
+    """
+    from nw_eval.api.running.faults import Faults, open_policy, open_scenes, vet_policy
+    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.prepare import check_splats
+    from nw_eval.suite import expand, override
+
+    suite = None if draft.suite is None else override(draft.suite, request)
+    faults = Faults(draft)
+    found = open_scenes(draft, faults, request.collision)
+    if bundle is None:
+        bundle = open_policy(draft, faults, request, card=card)
+    else:
+        bundle = vet_policy(draft, faults, request, bundle)
+    faults.raise_any()
+    assert suite is not None, "a suite that cannot be used has faults"
+    assert bundle is not None, "a policy that cannot be used has faults"
+    chosen = _chosen(found, request.scenes if scenes is None else scenes, suite)
+    opened = [place.scene for place in chosen]
+    check_splats(bundle.card, opened)
+    return Plan(
+        request=request.from_anywhere(),
+        suite=suite,
+        bundle=bundle,
+        found=chosen,
+        trials=expand(suite, opened),
+    )
+
+
+def check(
+    request: Request | Suite | str | Path | None, *, workers: int | None = None, **changes: Any
+) -> Forecast:
+    """Return what a run would be, without running it: scenes, trials, digests, expected minutes.
+
+    Args:
+        request: as for `plan`.
+        workers: processes to reckon with; one for each core if None.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: as `plan`.
+    """
+    from nw_eval.engine.forecast import forecast
+
+    check_workers(workers)
+    return forecast(plan(request, **changes), workers=workers)
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of workers that is none.
+
+    Raises:
+        UsageError: it is less than 1.
+    """
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers}", fix="give at least 1")
+
+
+def _chosen(
+    found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
+) -> tuple[FoundScene, ...]:
+    """Return the scenes that match a glob; all of them if there are no globs to match."""
+    if globs is None:
+        return tuple(found)
+    chosen = tuple(x for x in found if any(fnmatchcase(x.scene.name, glob) for glob in globs))
+    if not chosen:
+        wanted = ", ".join(globs)
+        raise UsageError(
+            f"--scenes {wanted} matches no scene of suite {suite.name!r}",
+            fix=nearest(wanted.replace("*", ""), [place.scene.name for place in found]),
+        )
+    return chosen

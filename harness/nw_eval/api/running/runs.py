@@ -1,0 +1,102 @@
+"""Running: a suite through its trials."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.api.running.plans import check_workers, plan
+from nw_eval.api.running.reports import RunReport, report
+from nw_eval.errors import UsageError
+from nw_eval.request import Request
+from nw_eval.traceback_file import TracebackIn
+
+if TYPE_CHECKING:
+    from nw_eval.engine.listener import Listener
+    from nw_eval.results.run_folder import RunFolder
+
+
+def run(
+    request: Request | str | Path | None = None,
+    *,
+    workers: int | None = None,
+    out: Path | None = None,
+    resume: Path | None = None,
+    in_process: bool = False,
+    listener: Listener | None = None,
+    **changes: Any,
+) -> RunReport:
+    """Roll a checkpoint out through a suite, write the evidence, and judge it.
+
+    `run("hurdles", policy="stand")` is `run(Request(suite="hurdles", policy="stand"))`.
+
+    Args:
+        request: what to run, or only its suite: a file or the name of a shipped one; None only
+            with `resume`.
+        workers: processes; one for each core if None.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept. What the request
+            does not ask for is as the run was begun, but for leave to run code.
+        in_process: run trials in this very process, one after another, for a debugger or a
+            notebook: nothing confines the policy, and nothing ends it if it hangs.
+        listener: hears of progress.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError, SuiteError, SceneError, PolicyError: nothing was run.
+        IncomparableError: the run to resume was made under something else.
+        StoreError: results cannot be written; those that were written stay.
+    """
+    from nw_eval.api.running.saved_run import continued
+    from nw_eval.engine import session
+
+    check_workers(workers)
+    if resume is not None and out is not None:
+        raise UsageError("--out and --resume exclude each other", fix="drop --out")
+    request = Request.of(request, **changes)
+    if in_process:
+        _check_in_process(request, workers)
+    folder = session.run(
+        plan(request) if resume is None else continued(resume, request),
+        workers=workers,
+        out=out,
+        resume=resume,
+        command=tuple(sys.argv),
+        listener=listener,
+        in_process=in_process,
+    )
+    return judged(folder)
+
+
+def _check_in_process(request: Request, workers: int | None) -> None:
+    """Refuse what one process cannot do.
+
+    Raises:
+        UsageError: more workers than one, or a limit that nobody could hold a trial to.
+    """
+    if workers not in {None, 1}:
+        raise UsageError(
+            f"--workers {workers} with --in-process: it runs one trial after another",
+            fix="drop one of them",
+        )
+    if request.time_limit is not None:
+        raise UsageError(
+            f"--time-limit {request.time_limit:g} with --in-process: nobody could end the trial",
+            fix="drop one of them",
+        )
+
+
+def judged(folder: RunFolder) -> RunReport:
+    """Judge a run that has just ended.
+
+    Raises:
+        StoreError: its folder was removed, or the report cannot be written.
+    """
+    from nw_eval.engine.workers.presence import Presence
+
+    with TracebackIn(folder.path):
+        outcome = report(folder.path)
+    # Writing a report into a folder that was removed makes it anew.
+    Presence(folder.journal).check()
+    return outcome

@@ -1,0 +1,123 @@
+"""What a run's folder says that the run is: enough to judge it, and to go on with it elsewhere."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from glob import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import IncomparableError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.engine.plan import Plan
+    from nw_eval.request import Request
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.suite import Suite, Trial
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scene:
+    """A scene of a run, as its trials' identities need it."""
+
+    name: str
+    task: str
+    digest: str
+
+
+def continued(run: Path, request: Request) -> Plan:
+    """Return the plan that goes on with the run of a folder, from any directory.
+
+    Args:
+        run: the folder.
+        request: what is asked for now; what it leaves out is as the run was begun.
+
+    Raises:
+        StoreError: it is no run's folder, or its run.json is damaged.
+        IncomparableError: its run.json does not say what was asked for.
+        UsageError, SuiteError, PolicyError: as `plan_of`.
+    """
+    from nw_eval.api.running.plans import plan_of
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite import draft_of, draft_suite
+
+    info = read_run_info(open_run_folder(run).run_json)
+    suite = saved_suite(info)
+    if info.request is None:
+        raise IncomparableError(
+            f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
+            fix="start a new run without --resume",
+        )
+    whole = request.over(info.request)
+    if request.suite is not None:
+        card = None if whole.policy is None or request.policy is not None else _card(info)
+        return plan_of(whole, draft_suite(request.suite), card=card)
+    return plan_of(
+        whole,
+        draft_of(suite),
+        card=None if request.policy is not None else _card(info),
+        # A place that the suite's patterns match only now is none of the run's.
+        scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
+    )
+
+
+def _card(info: RunInfo) -> Path | None:
+    """Return where the card of a run's policy lies; None if it is there no more."""
+    card = Path(info.policy.card)
+    return card if info.policy.card and card.is_file() else None
+
+
+def saved_suite(info: RunInfo) -> Suite:
+    """Return the suite of a run, with what was asked of it otherwise.
+
+    Raises:
+        StoreError: run.json holds no suite, or another one than it says.
+    """
+    from pydantic import ValidationError
+
+    from nw_eval.suite import new_suite
+    from nw_eval.suite.model import Source
+
+    folder = Path(info.suite_folder) if info.suite_folder else None
+    try:
+        suite = new_suite(info.suite, Source(file=info.suite_file, folder=folder))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in ("suite", *first["loc"]))
+        raise _damaged(info, f"{place}: {first['msg'].lower()}") from None
+    if suite.digest != info.suite_digest:
+        raise _damaged(info, f"its suite is {suite.digest[:8]}, not {info.suite_digest[:8]}")
+    return suite
+
+
+def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
+    """Return the trials that a run planned, from its suite and the digests of its scenes.
+
+    Raises:
+        StoreError: run.json contradicts itself about them.
+    """
+    from nw_eval.suite import expand
+
+    scenes = [
+        _Scene(name=name, task=scene.task, digest=scene.digest)
+        for name, scene in info.scenes.items()
+    ]
+    try:
+        trials = expand(suite, scenes)
+    except UsageError as error:
+        raise _damaged(info, str(error)) from None
+    planned: dict[str, Any] = {name: count for name, count in info.planned.items() if count}
+    if Counter(trial.scene for trial in trials) != planned:
+        raise _damaged(info, "the numbers of trials of its scenes are not those of its suite")
+    return trials
+
+
+def _damaged(info: RunInfo, said: str) -> StoreError:
+    from nw_eval.clean import clean
+
+    return StoreError(
+        f"run.json of {clean(info.id, at_most=100)} is damaged: {clean(said, at_most=300)}",
+        fix="run again or restore it",
+    )

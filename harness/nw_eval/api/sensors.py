@@ -1,0 +1,75 @@
+"""Sensors: listed, and drawn as a card sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from nw_eval.sensors.gallery import SeenCard
+
+Listed = Literal["sensor", "wrapper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedSensor:
+    """A sensor or a wrapper that cards can name."""
+
+    name: str
+    kind: Listed
+    package: str | None = None
+    """The installed package that brings it along; None if it is built in."""
+
+
+def list_sensors() -> tuple[ListedSensor, ...]:
+    """Return the sensors, then the wrappers; of each, those that are built in, then plug-ins.
+
+    A plug-in that cannot be imported is told of in a `PluginWarning`, and left out.
+    """
+    from nw_eval.cards.observations import BUILT_IN_SENSORS
+    from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS
+    from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
+    from nw_eval.sensors.plugins import usable
+
+    found: list[ListedSensor] = []
+    kinds: tuple[tuple[Listed, str, tuple[str, ...]], ...] = (
+        ("sensor", SENSORS, tuple(BUILT_IN_SENSORS)),
+        ("wrapper", WRAPPERS, tuple(BUILT_IN_WRAPPERS)),
+    )
+    for kind, group, built_in in kinds:
+        found += [ListedSensor(name=name, kind=kind) for name in built_in]
+        found += [
+            ListedSensor(name=name, kind=kind, package=package)
+            for name, package in usable(group, built_in).items()
+        ]
+    return tuple(found)
+
+
+def draw_sensors(
+    policy: str | None, *, scene: str, out: Path, allow_code: bool = False
+) -> SeenCard:
+    """Draw what a card's sensors see in a scene, or one frame of every built-in sensor.
+
+    Args:
+        policy: a bundle's name, folder or card; None = every sensor that is built in, whose
+            numbers are on the picture only.
+        scene: a scene's name or folder.
+        out: the PNG; not written if no observation of the card is an image.
+        allow_code: whether Python code that the card names may be imported.
+
+    Raises:
+        SceneError: the scene cannot be used.
+        PolicyError: the policy cannot be used.
+        StoreError: the picture cannot be written.
+    """
+    from nw_eval.catalogue import get_scene
+    from nw_eval.policies import load_bundle
+    from nw_eval.sensors.gallery import SeenCard, draw_card, draw_gallery
+
+    place = get_scene(scene)
+    if policy is None:
+        draw_gallery(place, out)
+        return SeenCard(observations=(), picture=out)
+    bundle = load_bundle(policy)
+    return draw_card(bundle.card, place, out, code_from=bundle.folder if allow_code else None)

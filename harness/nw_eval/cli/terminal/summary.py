@@ -1,0 +1,33 @@
+"""The end of a run as the terminal shows it."""
+
+from __future__ import annotations
+
+import sys
+from io import StringIO
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.api import RunReport
+
+_PAGE = 120
+"""Columns of text where there is no terminal to ask."""
+
+
+def summary(judged: RunReport) -> str:
+    """Return the first tables of a judged run, its verdict and where its report lies."""
+    from rich.console import Console
+
+    from nw_eval.reporting.console import print_summary
+
+    stream = StringIO()
+    screen = Console(file=sys.stdout)
+    console = Console(
+        file=stream,
+        width=screen.width if screen.is_terminal else _PAGE,
+        force_terminal=screen.is_terminal,
+        no_color=screen.no_color,
+    )
+    folder = judged.typed_folder
+    print_summary(console, judged.info, judged.rows, judged.verdict, folder)
+    console.print(f"report: {folder / 'report.md'}", highlight=False, soft_wrap=True)
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

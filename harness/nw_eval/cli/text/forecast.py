@@ -1,0 +1,45 @@
+"""What a run would be, as lines of text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.engine.forecast import Forecast
+    from nw_eval.suite import Gate
+
+
+def forecast_page(forecast: Forecast) -> str:
+    """Return what a run would be as lines of text."""
+    from nw_eval.policies.code_digest import SCOPE
+
+    suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
+    duration, count = suite.episode.duration, f"{len(scenes)} scenes, {scenes[0].trials} in each"
+    width = max(len(scene.name) for scene in scenes)
+    panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
+    lines = [
+        f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
+        f"panel     {suite.digest[:16]}: {panel}",
+        "          suites of one panel meet the same starts in a scene",
+        f"gate      {_bar(suite.gate)}",
+        f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
+        *([f"          {SCOPE}"] if bundle.code_sha256 else []),
+        *(
+            f"{'sees' if index == 0 else '':<9} {name}: {spec.sensor} at {spec.rate} Hz"
+            for index, (name, spec) in enumerate(bundle.card.observations.items())
+        ),
+        f"trials    {forecast.trials} of {duration:g} s: {count}",
+        *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
+        f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
+    ]
+    return "\n".join(lines)
+
+
+def _bar(gate: Gate) -> str:
+    """Return what a run must show to pass, in words."""
+    if gate.success_rate is None:
+        bar = "none (gate.success_rate): the verdict will be RAN"
+    else:
+        bar = f"success of at least {gate.success_rate:g}, {100 * gate.confidence:.4g} % sure"
+    unread = "; max_drop will not be judged: there is no baseline"
+    return bar + (unread if gate.max_drop is not None else "")

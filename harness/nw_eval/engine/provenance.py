@@ -1,0 +1,115 @@
+"""What a run says of itself as it starts: run.json, and the first line of its journal."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from nw_eval.confinement import Fence, offered
+from nw_eval.engine.machine.cores import default_workers
+from nw_eval.engine.machine.cpu import cpu_kind
+from nw_eval.results.journal import JournalHeader
+from nw_eval.results.machine import code_info, library_versions, machine_info
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
+from nw_eval.rollout.confined.access import why_off
+
+if TYPE_CHECKING:
+    from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
+    from nw_eval.results.run_folder import RunFolder
+
+_CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
+"""Libraries whose versions make bits differ between runs of the same trials."""
+
+
+def now() -> str:
+    """Return the time as run.json has it: UTC in ISO 8601, to the second."""
+    return datetime.now(tz=UTC).isoformat(timespec="seconds")
+
+
+def run_info(
+    plan: Plan,
+    folder: RunFolder,
+    *,
+    workers: int | None,
+    in_process: bool,
+    command: tuple[str, ...],
+) -> RunInfo:
+    """Return a run's provenance as it starts.
+
+    Args:
+        plan: what is to be run.
+        folder: of the run, absolute.
+        workers: processes; one for each core if None.
+        in_process: whether trials run in this one.
+        command: what was typed.
+    """
+    suite = plan.suite
+    return RunInfo(
+        run=1,
+        id=folder.id,
+        started=now(),
+        request=plan.request,
+        suite_file=suite.source.file,
+        suite_folder=str(suite.base.resolve()),
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=_policy_info(plan.bundle),
+        scenes=_scene_infos(plan),
+        workers=default_workers() if workers is None else workers,
+        renderer=_renderer(plan),
+        fence=_fence(plan, in_process=in_process),
+        command=command,
+        code=code_info(),
+        machine=machine_info(),
+        versions=library_versions(),
+    )
+
+
+def journal_header(plan: Plan) -> JournalHeader:
+    """Return what the trials of a run have in common, for a resume to compare."""
+    versions = library_versions()
+    return JournalHeader(
+        suite_digest=plan.suite.digest,
+        policy_digest=plan.bundle.digest,
+        scene_digests={scene.name: scene.digest for scene in plan.scenes},
+        engine={
+            **{name: versions[name] for name in _CHANGING_BITS if name in versions},
+            "renderer": _renderer(plan),
+            "cpu": cpu_kind(),
+            "code": code_info().digest[:16],
+        },
+    )
+
+
+def _policy_info(bundle: Bundle) -> PolicyInfo:
+    return PolicyInfo(
+        name=bundle.name,
+        adapter=bundle.card.adapter,
+        card_digest=bundle.digest,
+        checkpoint_digest=bundle.checkpoint_digest,
+        card="" if bundle.card_path is None else bundle.reference,
+        origin="" if bundle.checkpoint is not None else bundle.origin,
+    )
+
+
+def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
+    return {
+        scene.name: SceneInfo(
+            digest=scene.digest,
+            task=scene.task,
+            trials=sum(trial.scene == scene.name for trial in plan.trials),
+        )
+        for scene in plan.scenes
+    }
+
+
+def _renderer(plan: Plan) -> str:
+    return f"{plan.render} gsplat-1.5"
+
+
+def _fence(plan: Plan, *, in_process: bool) -> str:
+    """Return what stands round the workers of a run."""
+    off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
+    network = "all" if plan.bundle.card.adapter == "remote" else "none"
+    return str(Fence(off=off) if off else offered(network=network))

@@ -1,0 +1,1 @@
+"""What becomes of each trial: attempts, the row of the last one, and whether there is another."""

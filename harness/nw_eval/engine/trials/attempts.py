@@ -1,0 +1,173 @@
+"""Attempts at trials: given to workers, written down as they end, and made again after an error."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
+from nw_eval.engine.trials.repeat import is_open, settled
+from nw_eval.engine.trials.rows import make_row
+from nw_eval.engine.workers.presence import Presence
+from nw_eval.rollout.result import policy_fault
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.machine.interrupts import Interrupts
+    from nw_eval.engine.workers.protocol import Finished, Hire, Workers
+    from nw_eval.results.journal import Journal
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.job import TrialJob
+
+
+class Attempts:
+    """All attempts of one run; a context manager that stops its workers.
+
+    Args:
+        journal: open.
+        folder: of the run.
+        policy: the policy's name, for rows.
+        listener: told of progress.
+        hire: gets workers.
+        workers: how many.
+    """
+
+    def __init__(
+        self,
+        *,
+        journal: Journal,
+        folder: RunFolder,
+        policy: str,
+        listener: Listener,
+        hire: Hire,
+        workers: int,
+    ) -> None:
+        self.presence = Presence(journal.path)
+        self._journal = journal
+        self._folder = folder
+        self._policy = policy
+        self._listener = listener
+        self._hire = hire
+        self._count = workers
+        self._staff: Workers | None = None  # They make first attempts, one round after the other.
+        self._cleanup = ExitStack()
+        latest = {row.trial_id: row for row in journal.rows}
+        self._errors = {name: row for name, row in latest.items() if row.status == "error"}
+        self._finished = {name for name, row in latest.items() if row.status == "ok"}
+
+    def __enter__(self) -> Self:
+        with suppress(OSError):  # Each trial says that its log cannot be written.
+            self._folder.logs.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._dismiss()
+
+    def finished_of(self, jobs: Iterable[TrialJob]) -> int:
+        """Return how many of the jobs had a result when the run began."""
+        return sum(job.trial.id in self._finished for job in jobs)
+
+    def rows_of(self, jobs: Iterable[TrialJob]) -> tuple[Row, ...]:
+        """Return the latest rows of jobs, in their order; of those that have one."""
+        latest = {row.trial_id: row for row in self._journal.rows}
+        return tuple(latest[job.trial.id] for job in jobs if job.trial.id in latest)
+
+    def settle(self, jobs: Sequence[TrialJob], interrupts: Interrupts) -> None:
+        """Run jobs that have no result until none deserves another attempt, or a signal came.
+
+        Args:
+            jobs: any.
+            interrupts: heard whenever workers say something, and some ten times a second.
+        """
+        # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
+        # process.
+        todo = [job for job in jobs if job.trial.id not in self._finished]
+        again = [job for job in todo if self._awaits_repeat(job)]
+        first = [job for job in todo if not self._awaits_repeat(job)]
+        if first and interrupts.requested is None:
+            if self._staff is None:
+                self._staff = self._cleanup.enter_context(self._hire(self._count, fresh=False))
+            again += self._work(self._staff, first, interrupts, fresh=False)
+        while again and interrupts.requested is None:
+            self._dismiss()  # What they hold in memory may be what the others lack.
+            repeated = [_with_evidence(job) for job in again]
+            with self._hire(min(self._count, len(again)), fresh=True) as workers:
+                again = self._work(workers, repeated, interrupts, fresh=True)
+
+    def _dismiss(self) -> None:
+        self._staff = None
+        self._cleanup.close()
+
+    def _awaits_repeat(self, job: TrialJob) -> bool:
+        """Whether the policy failed in a trial's latest attempt."""
+        row = self._errors.get(job.trial.id)
+        return row is not None and policy_fault(row) is not None
+
+    def _work(
+        self, workers: Workers, jobs: Sequence[TrialJob], interrupts: Interrupts, *, fresh: bool
+    ) -> list[TrialJob]:
+        """Make one attempt at each job; return those that are to run again.
+
+        Args:
+            workers: idle.
+            jobs: any.
+            interrupts: after the first of them, the rest is left.
+            fresh: these are further attempts, each in a process of its own.
+        """
+        again: list[TrialJob] = []
+        workers.submit(jobs)
+        for ended in workers.finished():
+            if ended is not None:
+                before = self._errors.get(ended.job.trial.id)
+                row = self._keep(ended, before)
+                if is_open(row, before if fresh else None):
+                    again.append(ended.job)
+                    self._announce_retry(row)
+                else:
+                    self._announce_failure(row)
+                    self._listener.trial(row)
+            self.presence.check()
+            if interrupts.requested is not None:
+                break
+        return again
+
+    def _keep(self, ended: Finished, before: Row | None) -> Row:
+        """Write an attempt down."""
+        name = ended.job.trial.id
+        row = make_row(
+            ended.job,
+            settled(ended.result, before),
+            attempt=1 if before is None else before.attempt + 1,
+            policy=self._policy,
+            folder=self._folder,
+        )
+        self._journal.append(row)
+        if row.status == "error":
+            self._errors[name] = row
+        if ended.result.mcap_error:
+            self._listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
+        return row
+
+    def _announce_retry(self, row: Row) -> None:
+        self._listener.message(
+            f"trial {row.trial_id}: {row.error_type}: {row.error_text}; it will run again "
+            f"{self._hire.again}"
+        )
+
+    def _announce_failure(self, row: Row) -> None:
+        if row.outcome == "policy_failed":
+            self._listener.message(
+                f"trial {row.trial_id}: the policy failed again ({row.end_reason}): that is its "
+                "result"
+            )
+
+
+def _with_evidence(job: TrialJob) -> TrialJob:
+    """Return a job whose log is written as it goes, and not held back until the trial's end.
+
+    If the trial kills its process again, what it did until then is on disk.
+    """
+    return replace(job, record="all") if job.record == "failures" else job

@@ -1,0 +1,66 @@
+"""What a report's numbers can tell and what they cannot, in a few sentences."""
+
+from __future__ import annotations
+
+from nw_eval.gate.verdict import Verdict
+from nw_eval.plural import plural
+from nw_eval.protocol import PROTOCOLS, STRICT
+from nw_eval.reporting.headline import confidence
+from nw_eval.results.provenance import RunInfo
+
+_PANEL = (
+    "On the starts that the suite's seed names, success is known, not estimated: the same trial "
+    "gives the same bits. Whoever picks the best of many checkpoints on one panel of starts picks "
+    "luck too: --seed draws another panel, to confirm the choice on."
+)
+_CHANCES = (
+    "The chances that more trials decide come from simulated trials, in which every waypoint of a "
+    "scene is reached with one chance; what that is, beyond what was seen, is left open."
+)
+_SAME_OFFSETS = (
+    "The protocol {protocol} gives trial number i the same start offset in every scene, so "
+    "scenes are not independent of each other, as the bounds suppose."
+)
+
+
+def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
+    """Return the sentences that apply to this run; none for one without results."""
+    if verdict.effect is None:
+        return ()
+    sentences = [_bounds(verdict), _PANEL]
+    if verdict.drop_passes is not None:
+        sentences.append(_worse(verdict, verdict.effect - verdict.drop))
+    if verdict.verdict == "INCONCLUSIVE":
+        sentences.append(_CHANCES)
+    critical = sum(item.tier == "critical" for item in verdict.per_scene)
+    if critical and verdict.bar is not None:
+        sentences.append(_alone(verdict, critical))
+    protocol = PROTOCOLS.get(str(run.suite.get("protocol")), STRICT)
+    if protocol.one_start_for_all_scenes:
+        sentences.append(_SAME_OFFSETS.format(protocol=protocol.name))
+    return tuple(sentences)
+
+
+def _bounds(verdict: Verdict) -> str:
+    return (
+        f"The bounds hold for fresh starts in these scenes, {confidence(verdict)} each, whatever "
+        "the distribution of success, and however often whole rounds (one more trial in every "
+        "scene) are added and judged again. They say nothing of other scenes."
+    )
+
+
+def _worse(verdict: Verdict, mean: float) -> str:
+    return (
+        f"{verdict.drop:.2f} worse means: in every scene the odds of reaching the next waypoint "
+        f"are lower by one factor, so that mean success is {mean:.3f}. Runs of such a policy, as "
+        "long as this one, were simulated and judged as it was."
+    )
+
+
+def _alone(verdict: Verdict, critical: int) -> str:
+    return (
+        f"{plural(critical, 'critical scene')} can convict alone, by an upper bound below the bar; "
+        "few trials show that only of a scene far below it. So a REGRESSED is wrong with a "
+        f"probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the mean, "
+        "half for the critical scenes together."
+    )

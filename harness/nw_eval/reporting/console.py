@@ -1,0 +1,82 @@
+"""The end of a run in the terminal: the report's first tables, drawn by rich."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.clean import clean
+from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.tables import Table, all_tables
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_COLOURS: dict[Word, str] = {
+    "PASS": "bold green",
+    "RAN": "bold blue",
+    "REGRESSED": "bold red",
+    "INCONCLUSIVE": "bold yellow",
+    "INFRASTRUCTURE": "bold magenta",
+    "INVALID": "bold magenta",
+}
+
+
+def print_summary(
+    console: Console, run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path
+) -> None:
+    """Print verdict, scenes, outcomes, worst trials and times; the verdict last, where eyes are.
+
+    Args:
+        console: where to; its width is respected, and colours if it has any.
+        run: the run's provenance.
+        rows: one for each trial, in any order.
+        verdict: what the gate says of them.
+        folder: the run's folder as a reader would type it.
+    """
+    for table in all_tables(run, rows, verdict, folder, brief=True):
+        _draw(console, table)
+    console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
+    console.print(blind_spot(verdict, run), markup=False, highlight=False)
+    for reason in verdict.reasons:
+        console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
+
+
+def _draw(console: Console, table: Table) -> None:
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    drawn = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    shown = [name for name in table.columns if name not in table.code]
+    for name in shown:
+        drawn.add_column(
+            name,
+            justify="right" if name in table.numbers else "left",
+            overflow="fold",  # A name that is cut short names nothing.
+            no_wrap=name == table.columns[0],
+        )
+    for row in table.rows:
+        cells = dict(zip(table.columns, row, strict=True))
+        drawn.add_row(*(Text(_foldable(cells[name])) for name in shown))
+    console.print(drawn)
+    # Something to type must stay on one line, uncut: beneath the table, not in a column.
+    for name in table.columns:
+        if name in table.code:
+            for row in table.rows:
+                if command := dict(zip(table.columns, row, strict=True))[name]:
+                    console.print(command, markup=False, highlight=False, soft_wrap=True)
+            console.print()
+
+
+def _foldable(text: str) -> str:
+    """Return a cleaned text that may be folded anywhere: no part of it is an order to a CI runner.
+
+    `::error::` is one at the start of a line, and a folded line starts in the middle of the text.
+    """
+    return re.sub(r"::(?=[A-Za-z-]+\b.*::)", r"\\x3a:", text)

@@ -1,0 +1,50 @@
+"""What a report says, as tables of text that Markdown and the console draw in their own ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.tables.run import provenance_table, throughput_table
+from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
+from nw_eval.reporting.tables.table import WORST, Table
+from nw_eval.reporting.tables.trials import (
+    contacts_table,
+    coverage_table,
+    errors_table,
+    failures_table,
+    worst_table,
+)
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+
+__all__ = ["Table", "all_tables"]
+
+
+def all_tables(
+    run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path, *, brief: bool = False
+) -> tuple[Table, ...]:
+    """Return every table that has rows, in the order of a report.
+
+    Args:
+        run: the run's provenance.
+        rows: one for each trial, in any order.
+        verdict: what the gate says of them.
+        folder: the run's folder as a reader would type it; replay commands start with it.
+        brief: for a terminal: fewer of the worst trials, no perturbations and no provenance.
+    """
+    ordered = sorted(rows, key=lambda row: row.trial_id)
+    tables = (
+        scenes_table(verdict),
+        *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
+        outcomes_table(ordered),
+        contacts_table(ordered, run),
+        failures_table(ordered),
+        errors_table(ordered),
+        worst_table(ordered, folder, most=3 if brief else WORST),
+        throughput_table(ordered, run),
+        coverage_table(ordered),
+        *(() if brief else (provenance_table(run),)),
+    )
+    return tuple(table for table in tables if table.rows)

@@ -1,0 +1,63 @@
+"""Tables of the run as a whole: where its time went, and what ran on what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import Table
+from nw_eval.reporting.throughput import throughput
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+from nw_eval.suite.digest import digest_of
+
+
+def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
+    """Return where the time went."""
+    spent = throughput(rows)
+    # A run that was resumed knows the time of its last part only.
+    wall = max(run.wall_s, sum(row.wall_s for row in rows if not row.cached) / run.workers)
+    rate = 60.0 * len(rows) / wall if wall > 0 else 0.0
+    return Table(
+        title="Where the time went",
+        columns=("stage", "seconds", "ms per control step", "share"),
+        rows=tuple(
+            (
+                stage.name,
+                f"{stage.seconds:.1f}",
+                f"{stage.ms_per_step:.2f}",
+                f"{100 * stage.share:.0f} %",
+            )
+            for stage in spent.stages
+        ),
+        numbers=frozenset({"seconds", "ms per control step", "share"}),
+        note=f"{rate:.1f} trials per minute on {plural(run.workers, 'worker')}; "
+        f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker.",
+    )
+
+
+def provenance_table(run: RunInfo) -> Table:
+    """Return what ran on what."""
+    weights = f"checkpoint {run.policy.checkpoint_digest[:12]}"
+    commit = f", commit {run.code.commit[:12]}{' with changes' if run.code.dirty else ''}"
+    facts = {
+        "run": run.id,
+        "started": run.started,
+        "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
+        "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
+        "perturbations: same starts)",
+        "policy": f"{run.policy.name}, {run.policy.origin or weights}",
+        "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
+        "renderer": run.renderer or "none",
+        "fence": run.fence,
+        "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
+        "code": run.code.digest[:12],
+        "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
+        "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
+        "rows": run.rows_digest[:12],
+    }
+    return Table(
+        title="Provenance",
+        columns=("what", "value"),
+        rows=tuple((name, value) for name, value in facts.items() if value),
+    )

@@ -1,0 +1,95 @@
+"""Tables of what was reached: by scene, by outcome, by perturbation."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.tables.table import Table, mean, span
+from nw_eval.results.row import Row
+from nw_eval.stats import mean_of_scenes
+from nw_eval.words import OUTCOMES
+
+
+def scenes_table(verdict: Verdict) -> Table:
+    """Return success by scene, the lowest first."""
+    scores = sorted(verdict.per_scene, key=lambda item: (item.mean is not None, item.mean))
+    tiers = any(item.tier != "supporting" for item in scores)
+    percent = f"{100 * verdict.confidence:.4g} %"
+    return Table(
+        title="Success by scene",
+        columns=(
+            "scene",
+            *(("tier",) if tiers else ()),
+            "trials",
+            "success",
+            f"{percent} each alone",
+            "completed",
+            f"{percent} of completed",
+        ),
+        rows=tuple(
+            (
+                item.scene,
+                *((item.tier,) if tiers else ()),
+                str(item.n) if item.n == item.planned else f"{item.n} of {item.planned}",
+                "none" if item.mean is None else f"{item.mean:.3f}",
+                "" if item.mean is None else span(item.interval),
+                f"{item.completed} of {item.n}",
+                span(item.completion) if item.n else "",
+            )
+            for item in scores
+        ),
+        numbers=frozenset({"trials", "success"}),
+        note="Success is the share of the trail's waypoints reached, completed the share of trials "
+        "that reached all. Each interval is for its scene alone: of many, some miss. That of "
+        "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
+        "neither, but bounds that hold for any distribution.",
+    )
+
+
+def outcomes_table(rows: Sequence[Row]) -> Table:
+    """Return how the trials ended."""
+    counts = Counter(row.outcome for row in rows)
+    order = sorted(counts, key=lambda name: (name not in OUTCOMES, -counts[name], name))
+    return Table(
+        title="Outcomes",
+        columns=("outcome", "trials", "share", "mean success", "most often by"),
+        rows=tuple(
+            (
+                name if name in OUTCOMES else f"{name} (error)",
+                str(counts[name]),
+                f"{100 * counts[name] / len(rows):.0f} %",
+                mean([row.success for row in rows if row.outcome == name]),
+                Counter(row.end_reason for row in rows if row.outcome == name).most_common(1)[0][0],
+            )
+            for name in order
+        ),
+        numbers=frozenset({"trials", "share", "mean success"}),
+    )
+
+
+def perturbations_table(rows: Sequence[Row], confidence: float) -> Table:
+    """Return success in every cell of the perturbation grid, over all scenes; none without one."""
+    cells = sorted({row.perturbation for row in rows} - {()})
+    lines: list[tuple[str, ...]] = []
+    for cell in cells:
+        scenes: dict[str, list[float]] = {}
+        for row in rows:
+            if row.perturbation == cell and row.success is not None:
+                scenes.setdefault(row.scene, []).append(row.success)
+        name = ", ".join(f"{axis} {value:g}" for axis, value in cell)
+        if scenes:
+            groups = [np.array(values) for _, values in sorted(scenes.items())]
+            found = mean_of_scenes(groups, confidence)
+            lines.append((name, str(found.n), f"{found.mean:.3f}", span(found.interval)))
+        else:
+            lines.append((name, "0", "none", ""))
+    return Table(
+        title="Success by perturbation",
+        columns=("perturbation", "trials", "success", f"{100 * confidence:.4g} % interval"),
+        rows=tuple(lines),
+        numbers=frozenset({"trials", "success"}),
+    )

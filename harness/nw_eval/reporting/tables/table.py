@@ -1,0 +1,58 @@
+"""A table of a report, and how its cells are written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nw_eval.clean import clean
+from nw_eval.stats import Interval
+
+WORST = 8
+"""Trials that a table of the worst ones names."""
+
+_SHOWN, _TYPED = 500, 4000  # characters of a cell, and of one to type
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A titled table. `code` names the columns that hold something to type.
+
+    Rows and run.json may be a stranger's: what they say is cleaned here, for every page.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numbers: frozenset[str] = frozenset()  # Columns to align on the right.
+    code: frozenset[str] = frozenset()
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        longest = [_TYPED if name in self.code else _SHOWN for name in self.columns]
+        rows = tuple(
+            tuple(clean(cell, at_most=most) for cell, most in zip(row, longest, strict=True))
+            for row in self.rows
+        )
+        object.__setattr__(self, "rows", rows)
+
+
+def span(interval: Interval) -> str:
+    """Return an interval as a cell."""
+    return f"{interval.low:.2f} to {interval.high:.2f}"
+
+
+def mean(values: Sequence[float | None]) -> str:
+    """Return the mean of the values that are known; empty without any."""
+    known = [value for value in values if value is not None]
+    return f"{sum(known) / len(known):.3f}" if known else ""
+
+
+def share(value: float | None) -> str:
+    """Return a share as a cell; empty where there is none."""
+    return "" if value is None else f"{value:.2f}"
+
+
+def more(total: int, most: int = WORST) -> str:
+    """Return a sentence on trials that a table does not name; empty where it names all."""
+    return f"{total - most} more are in trials.parquet. " if total > most else ""

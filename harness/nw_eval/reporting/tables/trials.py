@@ -1,0 +1,112 @@
+"""Tables of single trials: those that failed, went worst, or are to be doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+
+from nw_eval.inside import OutsideError, checked
+from nw_eval.reporting.tables.table import WORST, Table, mean, more, share
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+
+COVERED = 0.5
+"""Mean alpha of a frame below which the camera looked mostly at what was never captured."""
+
+
+def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
+    """Return how often head or trunk collided where that ends no trial; none where it does."""
+    shown: list[tuple[str, ...]] = []
+    if not run.suite.get("episode", {}).get("contact_termination", True):
+        for scene in sorted({row.scene for row in rows}):
+            seconds = [row.contact_s for row in rows if row.scene == scene]
+            hit = [value for value in seconds if value > 0.0]
+            shown.append((scene, f"{len(hit)} of {len(seconds)}", f"{sum(seconds):.2f} s"))
+    return Table(
+        title="Contacts of head and trunk",
+        columns=("scene", "trials", "in contact"),
+        rows=tuple(shown),
+        numbers=frozenset({"in contact"}),
+        note="The suite lets trials go on after a contact of more than 10 N.",
+    )
+
+
+def failures_table(rows: Sequence[Row]) -> Table:
+    """Return the trials in which the policy itself failed, twice in the same way."""
+    failed = [row for row in rows if row.outcome == "policy_failed"]
+    return Table(
+        title="Policy failures",
+        columns=("trial", "kind", "success", "what happened"),
+        rows=tuple(
+            (row.trial_id, row.end_reason, mean([row.success]), row.error_text)
+            for row in failed[:WORST]
+        ),
+        numbers=frozenset({"success"}),
+        note=more(len(failed)) + "The policy failed in a fresh process again: these trials are "
+        "results, and count with the waypoints reached until then.",
+    )
+
+
+def errors_table(rows: Sequence[Row]) -> Table:
+    """Return the trials without a result: faults of the machine, not of the policy."""
+    failed = [row for row in rows if row.status == "error"]
+    return Table(
+        title="Errors",
+        columns=("trial", "kind", "attempts", "what happened"),
+        rows=tuple(
+            (row.trial_id, row.outcome, str(row.attempt), row.error_text or row.error_type)
+            for row in failed[:WORST]
+        ),
+        numbers=frozenset({"attempts"}),
+        note=more(len(failed)) + "An error is not a failure of the policy; it is counted apart.",
+    )
+
+
+def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
+    """Return the trials that went worst, each with the command that shows it again."""
+    failed = [row for row in rows if row.success is not None and not row.completed]
+    failed.sort(key=lambda row: (row.success, row.sim_s, row.trial_id))
+    return Table(
+        title="Worst trials",
+        columns=("trial", "success", "outcome", "at", "replay"),
+        rows=tuple(
+            (
+                row.trial_id,
+                f"{row.waypoints_reached}/{row.waypoints_total}",
+                f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome,
+                f"{row.sim_s:.2f} s",
+                replay_command(row, folder),
+            )
+            for row in failed[:most]
+        ),
+        numbers=frozenset({"at"}),
+        code=frozenset({"replay"}),
+        note=more(len(failed), most),
+    )
+
+
+def replay_command(row: Row, folder: Path) -> str:
+    """Return the command that replays a trial; empty if it has no log in the folder."""
+    try:
+        checked(row.mcap_path)
+    except OutsideError:
+        return ""
+    return f"nw-eval replay {quote(str(folder / row.mcap_path))}"
+
+
+def coverage_table(rows: Sequence[Row]) -> Table:
+    """Return trials whose camera saw too little of the splat for images to mean much."""
+    low = [row for row in rows if row.coverage_min is not None and row.coverage_min < COVERED]
+    low.sort(key=lambda row: (row.coverage_min or 0.0, row.trial_id))
+    return Table(
+        title="Out of the captured volume",
+        columns=("trial", "least coverage", "mean coverage", "outcome"),
+        rows=tuple(
+            (row.trial_id, share(row.coverage_min), share(row.coverage_mean), row.outcome)
+            for row in low[:WORST]
+        ),
+        numbers=frozenset({"least coverage", "mean coverage"}),
+        note=more(len(low)) + f"In some frame less than {COVERED:g} of the image was covered by "
+        "the splat; such images do not show the place: doubt the result.",
+    )

@@ -1,0 +1,87 @@
+"""What is asked of a run: one value, from the door that takes it to the run.json that keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from nw_eval.errors import UsageError
+from nw_eval.words import Backend, Collision, Record
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is asked of a run. None is not asked for: the suite, or a default, decides."""
+
+    # These docstrings are the help of the command line, too.
+    suite: str | Path | None = None
+    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them).
+    Only --resume can do without."""
+    robot: str | None = None
+    """go1 or go2; the suite's own when absent."""
+    policy: str | None = None
+    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    checkpoint: Path | None = None
+    """Weights to use with the card, when they lie elsewhere than it says."""
+    trials: int | None = None
+    """Trials per scene; the suite's own number when absent."""
+    scenes: tuple[str, ...] | None = None
+    """Only scenes that match one of these globs."""
+    seed: int | None = None
+    """Another panel of starts than the suite's own: other trials in the same scenes."""
+    record: Record | None = None
+    """Camera images in MCAP for which trials; the suite's own choice when absent."""
+    time_limit: float | None = None
+    """Seconds of wall time after which a trial counts as hung; a generous default when absent."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent. There is no silent fallback."""
+    collision: Collision | None = None
+    """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles.
+    The suite's own choice when absent, which is terrain where it makes none."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+
+    @classmethod
+    def of(cls, request: Request | str | Path | None, **changes: Any) -> Request:
+        """Return a request, or one for a suite, with some fields changed.
+
+        Args:
+            request: the request, or its suite.
+            changes: values of fields by name; a list does for a tuple, a text for a path.
+
+        Raises:
+            UsageError: a value is of no use for its field.
+            TypeError: there is no such field.
+        """
+        from pydantic import TypeAdapter, ValidationError
+
+        request = request if isinstance(request, Request) else cls(suite=request)
+        values = vars(replace(request, **changes))
+        try:
+            checked = TypeAdapter(Request).validate_python(values)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise _unusable(str(first["loc"][0]), values, first["msg"].lower()) from None
+        if checked.time_limit is not None and not checked.time_limit > 0.0:
+            raise _unusable("time_limit", values, "give seconds, more than 0")
+        return checked
+
+    def over(self, earlier: Request) -> Request:
+        """Return an earlier request with all that this one asks for in its place.
+
+        Whether code is allowed is always this one's word: no file can give it.
+        """
+        return replace(
+            earlier, **{k: value for k, value in vars(self).items() if value is not None}
+        )
+
+    def from_anywhere(self) -> Request:
+        """Return the request with a checkpoint's path that means the same in every folder."""
+        absolute = None if self.checkpoint is None else self.checkpoint.resolve()
+        return replace(self, checkpoint=absolute)
+
+
+def _unusable(name: str, values: Mapping[str, Any], why: str) -> UsageError:
+    return UsageError(f"--{name.replace('_', '-')} {values[name]!r}: {why}")

@@ -1,0 +1,94 @@
+"""What is wrong with a row: types, words, bounds, and what contradicts itself."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.clean import LONGEST, clean
+from nw_eval.results.row.column import Column, Numbers, Settings
+from nw_eval.words import FAULTS, OUTCOMES
+
+if TYPE_CHECKING:
+    from nw_eval.results.row.row import Row
+
+_MARK = 60  # characters at most with which `clean` says what it cut
+
+
+def mistyped(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
+    """Return which column holds a value of the wrong type, or a word that is none, or None."""
+    for name, column in columns.items():
+        value = values[name]
+        is_other = isinstance(value, bool) and column.types is not bool
+        if is_other or not isinstance(value, column.types):
+            return f"{name} is {clean(repr(value), at_most=60)}"
+        if column.words and value not in column.words:
+            return f"{name} {clean(repr(value), at_most=60)} is {_none_of(column.words)}"
+    return None
+
+
+def as_kept(values: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[str, Any]:
+    """Return texts and lists as files keep them: harmless and short, and in single precision.
+
+    Raises:
+        struct.error, OverflowError: a list holds something that is no such number.
+    """
+    kept: dict[str, Any] = {}
+    for name, column in columns.items():
+        if column.types is str:
+            kept[name] = _harmless(values[name])
+        elif column.types is tuple and column.kind == Numbers:
+            form = f"{len(values[name])}f"
+            kept[name] = struct.unpack(form, struct.pack(form, *values[name]))
+    return kept
+
+
+def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
+    """Return which number no file of rows can hold, or None."""
+    for name, column in columns.items():
+        value = values[name]
+        if column.kind is int and not 0 <= value < 2**column.bits:
+            shown = clean(value, at_most=30)
+            return f"{name} is {shown}, which does not fit {column.bits} bits without a sign"
+        if column.is_real or column.types is tuple:
+            for of, number in _numbers(name, value, column):
+                if number is not None and not math.isfinite(number):
+                    return f"{clean(of, at_most=60)} is not finite"
+    return None
+
+
+def contradiction(row: Row) -> str | None:
+    """Return what contradicts itself in a row, or None."""
+    known = OUTCOMES if row.status == "ok" else FAULTS
+    if row.outcome not in known:
+        return f"outcome {row.outcome!r} does not go with status {row.status!r}"
+    if not 0 <= row.waypoints_reached <= row.waypoints_total:
+        return f"{row.waypoints_reached} of {row.waypoints_total} waypoints reached"
+    if row.status == "error":
+        return None if row.success is None else f"an error has a success ({row.success})"
+    if row.success is None or not 0.0 <= row.success <= 1.0:
+        return f"success {row.success} is not between 0 and 1"
+    if row.completed != (row.success == 1.0):
+        return f"completed is {row.completed} at success {row.success}"
+    return None
+
+
+def _harmless(text: str) -> str:
+    """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
+    is_plain = text.isprintable() and not text.startswith("::") and "##[" not in text
+    return text if is_plain and len(text) <= LONGEST + _MARK else clean(text)
+
+
+def _none_of(words: tuple[str, ...]) -> str:
+    return (
+        f"neither {words[0]} nor {words[1]}" if len(words) == 2 else f"none of {', '.join(words)}"
+    )
+
+
+def _numbers(name: str, value: Any, column: Column) -> Iterable[tuple[str, float | None]]:
+    """Return the real numbers of a value, each with what it is called."""
+    if column.kind == Settings:
+        return value
+    return [(name, value)] if column.is_real else [(name, number) for number in value]

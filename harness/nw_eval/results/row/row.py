@@ -1,0 +1,192 @@
+"""One trial's result: what a run is made of, and all that gate and report read."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Annotated, Any
+
+from nw_eval.clean import clean
+from nw_eval.results.row.check import as_kept, contradiction, mistyped, out_of_bounds
+from nw_eval.results.row.column import Column, Numbers, Settings, columns_of
+from nw_eval.words import Arm, Fault, Outcome, Status, Tier
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """The result of one trial: digests are hex sha256, and each field says what it holds.
+
+    The order is that of the file. A column that is added comes last, with `added=True`; nothing but
+    what measures it need know. Texts may be a policy's or a file's: every one is made harmless and
+    short (`clean.clean`).
+
+    Raises:
+        ValueError: a value is of the wrong type, too large, or contradicts another one.
+    """
+
+    trial_id: Annotated[str, Column("the trial's name: scene, index and perturbation")]
+    suite: Annotated[str, Column("the suite's name", repeats=True)]
+    scene: Annotated[str, Column("the scene's name", repeats=True)]
+    task: Annotated[
+        str, Column("what the scene asks for: hurdles, gaps, ramps, stairs, flat", repeats=True)
+    ]
+    seed_index: Annotated[int, Column("number of the start in its scene, from 0")]
+    seed: Annotated[int, Column("the trial's seed; the same for every policy", bits=64)]
+    policy: Annotated[str, Column("the policy's name", repeats=True)]
+    arm: Annotated[
+        Arm,
+        Column(
+            "`candidate`: the policy that is judged, and so far every row; `baseline` is kept "
+            "for one that it is compared with"
+        ),
+    ] = "candidate"
+    attempt: Annotated[
+        int, Column("which attempt this is: 1, or more after an error", measured=True)
+    ] = 1
+    perturbation: Annotated[
+        Settings,
+        Column("what was changed, by the name of the axis (`friction`), and to which value"),
+    ] = ()
+    status: Annotated[Status, Column("`ok`: a result, counted; `error`: none, and counted apart")]
+    outcome: Annotated[Outcome | Fault, Column("how the trial ended; see *Outcomes* and *Errors*")]
+    end_reason: Annotated[
+        str,
+        Column(
+            "what decided the outcome, such as `roll` or `contact face`; of a policy that "
+            "failed, how; `error` for the machine's faults",
+            repeats=True,
+        ),
+    ]
+    completed: Annotated[bool, Column("whether all waypoints were reached")]
+    success: Annotated[
+        float | None,
+        Column(
+            "share of the trail's waypoints reached, 0 to 1: what is averaged and judged; none "
+            "for an error, so that nobody averages it in"
+        ),
+    ]
+    waypoints_reached: Annotated[int, Column("number of waypoints reached, in their order")]
+    waypoints_total: Annotated[int, Column("number of waypoints of the trail")]
+    waypoint_times: Annotated[Numbers, Column("when each was reached, simulated s")] = ()
+    steps: Annotated[int, Column("control steps done, 50 in a simulated second")]
+    sim_s: Annotated[float, Column("simulated s")]
+    physics_s: Annotated[float, Column("wall s spent on physics", measured=True)]
+    render_s: Annotated[
+        float, Column("wall s spent on camera images, for the policy or the log", measured=True)
+    ]
+    policy_s: Annotated[float, Column("wall s spent on the policy", measured=True)]
+    log_s: Annotated[float, Column("wall s spent on the log, but for rendering", measured=True)]
+    wall_s: Annotated[
+        float, Column("wall s of all of the trial, sensors and set-up included", measured=True)
+    ]
+    coverage_min: Annotated[
+        float | None,
+        Column(
+            "smallest share, 0 to 1, of a camera image of the policy's that the splat covers: "
+            "far below 1, the robot looked where nothing was captured; none without such "
+            "images"
+        ),
+    ] = None
+    coverage_mean: Annotated[
+        float | None, Column("mean share over all those images; none without them")
+    ] = None
+    state_digest: Annotated[
+        str, Column("SHA-256 over all states: equal ones are equal trajectories, bit for bit")
+    ] = ""
+    action_digest: Annotated[str, Column("SHA-256 over all applied actions, likewise")] = ""
+    checkpoint_digest: Annotated[str, Column("SHA-256 of the checkpoint, or of the policy's code")]
+    scene_digest: Annotated[str, Column("SHA-256 of what the scene is made of")]
+    cached: Annotated[
+        bool,
+        Column(
+            "whether the row was taken over from another run, so that its times are none of "
+            "this run's; so far never",
+            measured=True,
+        ),
+    ] = False
+    host: Annotated[str, Column("the machine's name", repeats=True, measured=True)] = ""
+    mcap_path: Annotated[
+        str, Column("the log within the run's folder; empty without one", measured=True)
+    ] = ""
+    mcap_bytes: Annotated[int, Column("size of the log, bytes", bits=63, measured=True)] = 0
+    error_type: Annotated[
+        str, Column("kind of the error, also of a policy that failed; or empty", repeats=True)
+    ] = ""
+    error_text: Annotated[str, Column("what went wrong, in one line; or empty")] = ""
+    contact_s: Annotated[
+        float,
+        Column("simulated s with head or trunk in contact", added=True),
+    ] = 0.0
+    robot: Annotated[str, Column("which robot: go1, go2", repeats=True, of_the_plan=True)]
+    tier: Annotated[
+        Tier,
+        Column("how much the scene counts: critical, supporting, informational", of_the_plan=True),
+    ] = "supporting"
+    setup_s: Annotated[
+        float,
+        Column("wall s before the first step: scene, world and policy", measured=True, added=True),
+    ] = 0.0
+    sense_s: Annotated[
+        float, Column("wall s spent on observations that are no images", measured=True, added=True)
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        fault = mistyped(vars(self), COLUMNS)
+        if fault is None:
+            for name, value in as_kept(vars(self), COLUMNS).items():
+                object.__setattr__(self, name, value)
+            fault = contradiction(self) or out_of_bounds(vars(self), COLUMNS)
+        if fault is not None:
+            raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 of the result: all columns but the measured ones and the plan's.
+
+        What a policy said as it failed is no part of it: that may name a process, a path or the
+        time. How it failed, where and after which actions, is. Nor is a column that came later,
+        where it has its default.
+        """
+        values = to_dict(self)
+        kept = {name: value for name, value in values.items() if COLUMNS[name].in_digest(value)}
+        kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
+        kept["contact_s"] = self.contact_s  # It came before later ones were left out.
+        if self.outcome == "policy_failed":
+            kept["error_text"] = ""
+        text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return sha256(text.encode()).hexdigest()
+
+
+COLUMNS = columns_of(Row)
+"""What each field says, in the order of the file."""
+
+MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
+OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
+
+
+def to_dict(row: Row) -> dict[str, Any]:
+    """Return a row as plain JSON values."""
+    return {name: getattr(row, name) for name in COLUMNS}
+
+
+def from_dict(values: dict[str, Any]) -> Row:
+    """Make a row of plain values, such as `to_dict`'s after a journey through JSON or Arrow.
+
+    Raises:
+        ValueError: the values are no row.
+    """
+    if unknown := sorted(set(values) - set(COLUMNS)):
+        raise ValueError(f"unknown columns {clean(', '.join(map(str, unknown)), at_most=200)}")
+    try:
+        return Row(**{name: COLUMNS[name].of_plain(value) for name, value in values.items()})
+    except (TypeError, OverflowError, struct.error) as error:
+        raise ValueError(clean(error)) from error
+
+
+def rows_digest(rows: Iterable[Row]) -> str:
+    """Return one hex sha256 for a set of rows, whatever their order and wall times."""
+    parts = sorted((row.trial_id, row.arm, row.digest) for row in rows)
+    return sha256(json.dumps(parts).encode()).hexdigest()

@@ -1,0 +1,86 @@
+"""What `import nw_eval` gives: every public name, at once in an editor, and late in a process."""
+
+import ast
+import dataclasses
+import inspect
+import re
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import nw_eval
+from nw_eval import api
+
+STUB = Path(nw_eval.__file__).with_suffix(".pyi")
+VERBS = {name: each for name in api.__all__ if inspect.isfunction(each := getattr(api, name))}
+PLAIN = {"Any", "DataFrame", "Generator", "Path", "dict", "pd", "str", "tuple"}
+
+
+def test_importing_it_loads_nothing_but_itself():
+    code = "import sys; before = {*sys.modules}; import nw_eval; print(*({*sys.modules} - before))"
+    bare = [sys.executable, "-c", code]
+    loaded = subprocess.run(bare, capture_output=True, text=True, check=True).stdout.split()
+    assert {name.partition(".")[0] for name in loaded} <= {
+        "__future__",
+        "importlib",
+        "nw_eval",
+        "types",
+        "warnings",
+    }
+    assert "nw_eval.api" not in loaded
+
+
+def test_a_name_is_imported_when_it_is_first_used_and_its_room_costs_no_more_than_it_must():
+    code = "import sys, nw_eval; nw_eval.run, nw_eval.evaluate, nw_eval.PolicyError; "
+    heavy = "print({'numpy', 'torch', 'mujoco', 'pandas', 'pydantic'} & {*sys.modules})"
+    bare = [sys.executable, "-c", code + heavy]
+    assert subprocess.run(bare, capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+def test_editors_are_shown_the_names_that_there_are():
+    tree = ast.parse(STUB.read_text(encoding="utf-8"))
+    shown = {
+        node.module.removeprefix("nw_eval."): {alias.name for alias in node.names}
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+    }
+    assert shown == {room: set(names) for room, names in nw_eval._ROOMS.items()}
+    (listed,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    assert set(ast.literal_eval(listed)) == set(nw_eval.__all__)
+
+
+@pytest.mark.parametrize("name", nw_eval.__all__)
+def test_each_name_is_there_and_is_no_module_with_a_docstring(name):
+    value = getattr(nw_eval, name)
+    # A room of the same name would take its place as soon as it was imported.
+    assert not isinstance(value, types.ModuleType)
+    assert not (STUB.parent / name).exists()
+    assert not (STUB.parent / f"{name}.py").exists()
+    assert name == "__version__" or value.__doc__
+    assert name in dir(nw_eval)
+
+
+def test_every_verb_is_public_and_a_name_that_is_not_is_an_attribute_error():
+    assert set(api.__all__) - {"Message"} <= set(nw_eval.__all__)
+    with pytest.raises(AttributeError, match="'nw_eval' has no attribute 'rnu'"):
+        nw_eval.rnu  # noqa: B018
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_no_verb_returns_words(verb):
+    """A value has numbers, paths, findings. What is a document stands in a field of its own.
+
+    `schema` gives a JSON Schema as a dict; `CardDraft.text` is the card that was written.
+    """
+    returned = str(inspect.signature(VERBS[verb]).return_annotation)
+    assert not re.match(r"(str|int|bool|None|list)\b|(tuple|Generator)\[str", returned), returned
+    for name in set(re.findall(r"\w+", returned)) - PLAIN:
+        assert name in nw_eval.__all__, f"{verb} returns a {name}, which is not public"
+        value = getattr(nw_eval, name)
+        assert dataclasses.is_dataclass(value)
+        assert value.__dataclass_params__.frozen
+        fields = inspect.signature(value).parameters.values()
+        assert {field.kind for field in fields} == {inspect.Parameter.KEYWORD_ONLY}

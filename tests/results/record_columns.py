@@ -1,0 +1,52 @@
+"""The columns that have been published, and the page that says what each one holds.
+
+`python tests/results/record_columns.py` records those that were added: at the end of
+row_schema.jsonl, and in the table of docs/results.md. It refuses while a published one has changed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from itertools import zip_longest
+from pathlib import Path
+
+from nw_eval.results.columns import SCHEMA, columns_table
+
+RECORD = Path(__file__).with_name("row_schema.jsonl")
+PAGE = Path(__file__).parents[2] / "docs" / "results.md"
+
+
+def schema_text() -> str:
+    """Return the schema as JSON lines of name and type."""
+    return "".join(
+        json.dumps({"name": field.name, "type": str(field.type), "nullable": field.nullable}) + "\n"
+        for field in SCHEMA
+    )
+
+
+def with_table(page: str, table: str) -> str:
+    """Return a page with another table of columns."""
+    told = re.compile(r"^\| column \| type \| what \|\n(?:\|.*\n)+", re.MULTILINE)
+    return told.sub(lambda _: table, page)
+
+
+def recorded(published: str, now: str) -> str:
+    """Return the record once columns were added.
+
+    Raises:
+        ValueError: a published column has changed, moved or gone.
+    """
+    for old, new in zip_longest(published.splitlines(), now.splitlines()):
+        if old is not None and old != new:
+            raise ValueError(f"published as {old}, now {new or 'gone'}: readers rely on it")
+    return now
+
+
+if __name__ == "__main__":
+    try:
+        RECORD.write_text(recorded(RECORD.read_text("utf-8"), schema_text()), "utf-8")
+    except ValueError as error:
+        sys.exit(str(error))
+    PAGE.write_text(with_table(PAGE.read_text("utf-8"), columns_table()), "utf-8")
