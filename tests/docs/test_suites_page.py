@@ -20,9 +20,9 @@ from nw_eval.sim import Limits
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
 from nw_eval.suite import Suite, load_suite
-from nw_eval.suite.model import MAX_CELLS, Episode, Gate, Perturb, Protocol, Tier
+from nw_eval.suite.model import MAX_CELLS, Episode, Gate, Perturb
 from nw_eval.suite.trials import MAX_TRIALS
-from nw_eval.words import OUTCOMES
+from nw_eval.words import OUTCOMES, Protocol, Tier
 
 PAGE = Path(__file__).parents[2] / "docs" / "suites.md"
 TEXT = PAGE.read_text(encoding="utf-8")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault, Status
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
+    from nw_eval.rollout.episode import Episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,23 @@ class TrialResult:
     cpu: StageSeconds = StageSeconds()  # of the trial's own thread
     mcap_bytes: int = 0  # 0 = no log was kept
     mcap_error: str = ""  # why there is no log, although one was asked for
+
+    @classmethod
+    def so_far(cls, episode: Episode) -> Self:
+        """Return what an episode has come to, with status `error` until it has an outcome."""
+        return cls(
+            status="error",
+            waypoints_reached=episode.progress.reached,
+            waypoints_total=episode.progress.total,
+            waypoint_times=episode.progress.times,
+            steps=episode.step,
+            sim_seconds=episode.world.time,
+            contact_s=episode.contact_seconds,
+            coverage_min=episode.coverage.smallest,
+            coverage_mean=episode.coverage.mean,
+            state_digest=episode.state_digest.hex,
+            action_digest=episode.action_digest.hex,
+        )
 
     @property
     def success(self) -> float:

@@ -58,7 +58,7 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
     except BaseException as error:
         if is_interrupt(error):
             raise
-        result = failed(so_far(trial), error)
+        result = failed(TrialResult.so_far(trial.episode), error)
     try:
         with clock("log"):
             recorder.end(result)
@@ -72,8 +72,8 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
 
 def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
     """Return the result of a trial that ran to an outcome."""
-    reason = trial.episode.end_reason(outcome)
-    return replace(so_far(trial), status="ok", outcome=outcome, end_reason=reason)
+    result, reason = TrialResult.so_far(trial.episode), trial.episode.end_reason(outcome)
+    return replace(result, status="ok", outcome=outcome, end_reason=reason)
 
 
 def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
@@ -86,22 +86,4 @@ def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
         kind = "physics_error"
     return replace(
         so_far, status="error", end_reason=fault or "", error_type=kind, error_text=one_line(error)
-    )
-
-
-def so_far(trial: OpenTrial) -> TrialResult:
-    """Return what a trial has come to, with status `error` until it has an outcome."""
-    episode = trial.episode
-    return TrialResult(
-        status="error",
-        waypoints_reached=episode.progress.reached,
-        waypoints_total=episode.progress.total,
-        waypoint_times=episode.progress.times,
-        steps=episode.step,
-        sim_seconds=episode.world.time,
-        contact_s=episode.contact_seconds,
-        coverage_min=episode.coverage.smallest,
-        coverage_mean=episode.coverage.mean,
-        state_digest=episode.state_digest.hex,
-        action_digest=episode.action_digest.hex,
     )

@@ -16,13 +16,13 @@ from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
 from nw_eval.rollout.replaying.report import Difference, ReplayReport
-from nw_eval.rollout.trial import ended, failed, so_far
+from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.trial import ended, failed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.result import TrialResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def run_on(trial: OpenTrial) -> TrialResult:
     except BaseException as error:
         if is_interrupt(error):
             raise
-        return failed(so_far(trial), error)  # As in a run, it is the result.
+        return failed(TrialResult.so_far(trial.episode), error)  # As in a run, it is the result.
     return ended(trial, outcome)
 
 
