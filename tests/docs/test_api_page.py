@@ -45,7 +45,8 @@ def test_a_checkpoint_is_evaluated_in_five_lines(printed):
 @pytest.mark.slow
 def test_an_object_runs_without_a_file_and_its_rows_say_what_its_caller_calls_it(printed):
     lines = printed[1].splitlines()
-    assert [line.split()[0] for line in lines] == ["hurdles/one_low_carpet", "hurdles/three_low"]
+    scenes = [line.split()[0] for line in lines]
+    assert sorted(scenes) == sorted(2 * ["hurdles/one_low_carpet", "hurdles/three_low"])
     assert all(line.endswith(" step 1000") for line in lines)
 
 
@@ -54,7 +55,7 @@ def test_rows_are_a_table_and_two_runs_pair_start_by_start(printed):
     assert "hurdles-one_low_carpet-000" in printed[2]
     assert "run-a RAN" in printed[3]
     assert "run-b RAN" in printed[3]
-    assert re.search(r"^hurdles/three_low .* 1$", printed[3], re.MULTILINE)
+    assert re.search(r"^hurdles/three_low .* 2$", printed[3], re.MULTILINE)
 
 
 def test_every_function_has_its_line_and_what_it_returns_is_public():

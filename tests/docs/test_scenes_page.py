@@ -31,7 +31,7 @@ def table(heading: str) -> list[list[str]]:
 
 
 def schema(kind: Any, part: str = "") -> dict[str, Any]:
-    whole = json.loads(api.schema(kind))
+    whole = api.schema(kind)
     return whole["$defs"][part] if part else whole
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from nw_eval import api
-from nw_eval.api import reports
+from nw_eval.api.running import reports
 from nw_eval.errors import StoreError
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import MEASURED, rows_digest, to_dict

@@ -48,8 +48,7 @@ def replay_apart(
     job = logged.job
     bundle = library.bundle(job.policy, job.checkpoint)
     scene = library.scene(job.scene, job.collision)
-    sees = bool(bundle.card.splat_images)
-    renders = (sees or picture is not None) and scene.splat is not None
+    renders = (bool(bundle.card.splat_images) or picture is not None) and scene.splat is not None
     if renders and job.render == "cuda" and not allow_code:
         # A log's word may not take the fence away, and the driver needs more than it lets through.
         raise UsageError(
