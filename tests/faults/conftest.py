@@ -15,6 +15,7 @@ from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.run import run_trials
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
+from nw_eval.protocol import STRICT
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
@@ -169,7 +170,7 @@ def suite_with_both_sides(scene, settings):
         starts = [
             draw_start(
                 trial,
-                protocol="strict",
+                protocol=STRICT,
                 spawn=(*scene.spawn.position[:2], scene.spawn.yaw),
                 jitter=(scene.spawn.x_jitter, scene.spawn.y_jitter, scene.spawn.yaw_jitter),
                 trail=scene.trail,
