@@ -105,7 +105,7 @@ def test_no_damage_is_more_than_a_sentence(log):
 def test_a_file_of_hardly_anything_is_no_log(tmp_path, data):
     path = tmp_path / "tiny.mcap"
     path.write_bytes(data)
-    with pytest.raises(StoreError, match=r"tiny\.mcap is damaged or no log of nw-eval"):
+    with pytest.raises(StoreError, match=r"tiny\.mcap is damaged, or not a log of nw-eval"):
         read_logged_trial(path)
 
 

@@ -240,7 +240,7 @@ def test_the_memory_of_a_wrapper_goes_along_with_the_state(packages, world, card
     [
         ({"sensor": "dpth"}, "'dpth' is not known; did you mean 'depth'?"),
         (DEPTH | {"wrap": ["grayscal"]}, "'grayscal' is not known; did you mean 'grayscale'?"),
-        (DEPTH | {"wrap": ["my pkg:X"]}, "'my pkg:X' is no class; write package.module:Class"),
+        (DEPTH | {"wrap": ["my pkg:X"]}, "'my pkg:X' is not a class; write package.module:Class"),
         (DEPTH | {"wrap": [{"wrapper": "crop", "topp": 1}]}, "Extra inputs"),
         (DEPTH | {"noise": {"dropout": 2}}, "less than or equal to 1"),
     ],

@@ -37,7 +37,7 @@ def seen(sensor, steps):
     return [int(sensor.read(SimpleNamespace(step=step))[0]) for step in steps]
 
 
-def test_a_slow_sensor_holds_its_sample_and_measures_no_oftener():
+def test_a_slow_sensor_holds_its_sample_and_measures_no_more_often():
     steps = Steps()
     sensor = Sampled("s", steps, rate=10)
     assert seen(sensor, range(12)) == [0, 0, 0, 0, 0, 5, 5, 5, 5, 5, 10, 10]

@@ -77,7 +77,7 @@ def test_blocks_are_averaged_with_halves_up():
     assert average_blocks(image)[0, :, 0].tolist() == [1, 255]
 
 
-def test_a_slow_camera_renders_no_oftener_than_its_rate(look, world, moment_of):
+def test_a_slow_camera_renders_no_more_often_than_its_rate(look, world, moment_of):
     sensor, painter = look(rate=10)
     for step in range(11):
         sensor.read(moment_of(world, step=step))

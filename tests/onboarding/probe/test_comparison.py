@@ -81,7 +81,7 @@ def test_a_policy_that_follows_weakly_is_told_a_better_scale_and_no_fault(compar
 
     _, findings, rig = compared(walk)
     assert [kind for kind, _ in findings] == ["note"]
-    assert findings[0][1].startswith("it follows better with the scale of the hips halved; if so")
+    assert findings[0][1].startswith("it follows better with the scale of the hips halved; if")
     assert rig.asked < 20
     _, findings, _ = compared(lambda card, _: obeys(card, (0.7, 1.0, 0.7)))
     assert findings == []

@@ -44,7 +44,7 @@ def known_or_raise(name: str, group: str, built_in: Collection[str]) -> None:
     if is_code(name):
         module, _, cls = name.partition(":")
         if not (all(part.isidentifier() for part in module.split(".")) and cls.isidentifier()):
-            message = f"{name!r} is no class; write package.module:Class"
+            message = f"{name!r} is not a class; write package.module:Class"
             raise ValueError(message)
     elif name not in installed(group):
         message = f"{name!r} is not known; {nearest(name, {*built_in, *installed(group)})}"
