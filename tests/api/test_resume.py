@@ -12,10 +12,10 @@ import pytest
 from nw_eval import api
 from nw_eval.cli.terminal.summary import summary
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.files.shipped import shipped
 from nw_eval.results.journal import Journal, read_journal
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
-from nw_eval.shipped import shipped
 
 SUITE = """\
 nw-eval: 1

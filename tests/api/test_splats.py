@@ -9,9 +9,9 @@ from PIL import Image as Picture
 
 from nw_eval import api, cli
 from nw_eval.built_in.splits import EVALUATION
-from nw_eval.cache import cache_dir
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
+from nw_eval.files.cache import cache_dir
 from nw_eval.scenes.circuit import circuit
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store, open_store, read_splat

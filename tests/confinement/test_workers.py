@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.cache import cache_dir
 from nw_eval.catalogue import FoundScene, get_scene
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.machine.output import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.run import run_trials
+from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers.local import LocalProcesses
+from nw_eval.files.cache import cache_dir
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader

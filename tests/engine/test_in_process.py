@@ -13,7 +13,7 @@ from nw_eval.cards.card import Card
 from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.run import run_trials
+from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers.in_process import InProcess
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import PolicyError
@@ -152,7 +152,7 @@ def session_of(tmp_path):
     """Return what runs a bundle's trials as `nw-eval run` does, in this process."""
 
     def run(bundle, *, trials, enough=None):
-        return session.run(
+        return session.carry_out(
             plan_of(bundle, trials=trials),
             workers=None,
             out=tmp_path / "run",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from nw_eval.engine.order import in_order
-from nw_eval.engine.run import run_trials
+from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers.protocol import Finished
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder

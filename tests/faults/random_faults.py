@@ -22,8 +22,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nw_eval.cache import cache_dir
 from nw_eval.errors import NwEvalError
+from nw_eval.files.cache import cache_dir
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import rows_digest
 

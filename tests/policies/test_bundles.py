@@ -3,9 +3,9 @@ import hashlib
 import pytest
 
 from nw_eval.errors import PolicyError
+from nw_eval.files.shipped import available
 from nw_eval.policies import bundle as bundles
 from nw_eval.policies import load_bundle
-from nw_eval.shipped import available
 
 CARD = """\
 nw-policy: 1

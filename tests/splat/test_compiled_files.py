@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from splat_rooms import cloud
 
-from nw_eval.cache import read_sealed, sealed_path
 from nw_eval.errors import SceneError
+from nw_eval.files.cache import read_sealed, sealed_path
 from nw_eval.splat import CpuRenderer, compile_store, framing_camera, memory_store, read_splat
 
 

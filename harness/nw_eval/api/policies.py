@@ -117,8 +117,8 @@ def init_policy(
         UsageError: there is a card already.
         StoreError: the card cannot be written.
     """
-    from nw_eval.cache import atomic_path
     from nw_eval.cards.file.load import CARD_FILE
+    from nw_eval.files.cache import atomic_path
     from nw_eval.onboarding.drafting.draft import draft_of
     from nw_eval.onboarding.reading.beside import files_beside
     from nw_eval.rollout.confined.access import inspecting_rules

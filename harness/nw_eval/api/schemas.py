@@ -19,7 +19,7 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     Raises:
         StoreError: it cannot be written.
     """
-    from nw_eval.cache import atomic_path
+    from nw_eval.files.cache import atomic_path
 
     described = _schema(kind)
     if out is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import SceneError, UsageError, nearest
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 
 if TYPE_CHECKING:
     from nw_eval.splat.describe import SplatFigures

@@ -29,7 +29,7 @@ class ListedSuite:
 
 def list_suites() -> tuple[ListedSuite, ...]:
     """Return the shipped suites and those of the project in the working directory, by name."""
-    from nw_eval.shipped import available
+    from nw_eval.files.shipped import available
 
     return tuple(_listed(name, path) for name, path in available("suites").items())
 

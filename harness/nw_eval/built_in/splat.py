@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.cache import cache_dir
 from nw_eval.errors import SceneError
+from nw_eval.files.cache import cache_dir
 from nw_eval.scenes.digest import digest
 
 if TYPE_CHECKING:

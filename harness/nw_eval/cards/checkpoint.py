@@ -9,7 +9,7 @@ from pydantic import AfterValidator
 
 from nw_eval.cards.model import CardModel, Line
 from nw_eval.errors import nearest
-from nw_eval.inside import OutsideError, checked
+from nw_eval.files.inside import OutsideError, checked
 
 NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 """What runs a file that may also be a network which feeds another."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from nw_eval.built_in.entries import ENTRIES
 from nw_eval.built_in.splits import SPLITS, Split, split_of
 from nw_eval.errors import SceneError, nearest
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, load_published, reference_path
 from nw_eval.scenes.scene import Scene

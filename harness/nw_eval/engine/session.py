@@ -6,31 +6,31 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.cache import atomic_path
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
-from nw_eval.engine.run import RunOutcome, run_trials
+from nw_eval.engine.rounds import RunOutcome, run_trials
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, has_begun
 from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
-from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
-    from nw_eval.engine.run import Enough
+    from nw_eval.engine.rounds import Enough
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
 
 _REPORTS = "reports"
 
 
-def run(
+def carry_out(
     plan: Plan,
     *,
     workers: int | None,

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-from nw_eval.cache import DamagedError, check_private, private_dir, read_sealed, sealed_path
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import DamagedError, check_private, private_dir, read_sealed, sealed_path
 
 if TYPE_CHECKING:
     from collections.abc import Generator

@@ -15,9 +15,9 @@ from nw_eval.cards.checkpoint import Checkpoint
 from nw_eval.cards.file.load import CARD_FILE, load_card
 from nw_eval.cards.observations.plugins import is_code
 from nw_eval.errors import PolicyError, nearest
-from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_eval.files.shipped import available, shipped
 from nw_eval.policies.code_digest import code_digest
-from nw_eval.shipped import available, shipped
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
+from nw_eval.files.cache import atomic_path
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.certainty import how_sure
 from nw_eval.reporting.headline import blind_spot, headline

@@ -19,9 +19,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any, Self
 
-from nw_eval.cache import sync_folder
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.files.cache import sync_folder
 from nw_eval.results.row import Row, from_dict, to_dict
 from nw_eval.results.seal import seal, unseal
 

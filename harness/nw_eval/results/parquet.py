@@ -16,9 +16,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.row import COLUMNS, Row, from_dict, rows_digest, to_dict

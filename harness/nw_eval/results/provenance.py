@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nw_eval.cache import atomic_path
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
 from nw_eval.request import Request
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.files.inside import OutsideError, inside, what_is
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
-from nw_eval.inside import OutsideError, inside, what_is
-from nw_eval.json_schema import json_schema_of
+from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_eval.files.json_schema import json_schema_of
+from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 from nw_eval.scenes import limits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
@@ -23,7 +24,6 @@ from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
 from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.scenes.terrain.options import TerrainOptions
 from nw_eval.words import Collision, Task
-from nw_eval.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 
 SCENE_FILE = "scene.yaml"
 _GROUND_REACH = 60.0

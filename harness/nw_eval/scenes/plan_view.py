@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.cache import atomic_path
+from nw_eval.files.cache import atomic_path
 from nw_eval.scenes.scene import Scene
 
 _MARGIN = 1.6  # m around trail and spawn

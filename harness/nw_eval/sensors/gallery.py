@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cache import atomic_path
 from nw_eval.cards import Card
+from nw_eval.files.cache import atomic_path
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
 from nw_eval.sensors.build import build_sensors

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.cache import DamagedError, cache_dir, read_sealed, sealed_path
 from nw_eval.errors import SceneError
+from nw_eval.files.cache import DamagedError, cache_dir, read_sealed, sealed_path
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.layout import Layout, arrange
 

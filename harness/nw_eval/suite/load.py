@@ -10,10 +10,10 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from nw_eval.errors import Problem, SuiteError, UsageError, nearest
-from nw_eval.inside import what_is
-from nw_eval.shipped import available
+from nw_eval.files.inside import what_is
+from nw_eval.files.shipped import available
+from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
-from nw_eval.yaml_file import YamlProblems, read_yaml, validation_problems
 
 
 @dataclass(frozen=True, kw_only=True)

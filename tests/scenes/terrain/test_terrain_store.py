@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from nw_eval.cache import sealed_path
+from nw_eval.files.cache import sealed_path
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.scenes.terrain import store

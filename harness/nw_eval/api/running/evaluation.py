@@ -86,7 +86,7 @@ def evaluate(
         )
     bundle = _bundle(policy, suite, card, version)
     request = Request.of(suite, policy=bundle.name, **changes)
-    folder = session.run(
+    folder = session.carry_out(
         plan_of(request, draft_suite(suite), bundle=bundle),
         workers=1,
         out=out,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from nw_eval.api.running.plans import check_workers, plan
 from nw_eval.api.running.reports import RunReport, report
 from nw_eval.errors import UsageError
+from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.request import Request
-from nw_eval.traceback_file import TracebackIn
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
@@ -57,7 +57,7 @@ def run(
     request = Request.of(request, **changes)
     if in_process:
         _check_in_process(request, workers)
-    folder = session.run(
+    folder = session.carry_out(
         plan(request) if resume is None else continued(resume, request),
         workers=workers,
         out=out,

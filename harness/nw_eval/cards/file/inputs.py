@@ -13,7 +13,7 @@ from nw_eval.errors import Problem, nearest
 if TYPE_CHECKING:
     from nw_eval.cards.card import Card
     from nw_eval.cards.networks import Inputs
-    from nw_eval.yaml_file import Location, YamlFile
+    from nw_eval.files.yaml_file import Location, YamlFile
 
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
 

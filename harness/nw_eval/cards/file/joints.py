@@ -11,8 +11,8 @@ from nw_eval.robots import get_robot, robot_names
 
 if TYPE_CHECKING:
     from nw_eval.cards.card import Card
+    from nw_eval.files.yaml_file import Location, YamlFile
     from nw_eval.robots import RobotSpec
-    from nw_eval.yaml_file import Location, YamlFile
 
 _NEVER_NEGATIVE = ("kp", "kd", "torque_limits", "armature", "friction_loss")
 _PER_JOINT = ("scale", "default_pose", *_NEVER_NEGATIVE)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nw_eval.cards.file.load import CARD_FILE, load_card
 from nw_eval.errors import PolicyError
-from nw_eval.shipped import available, shipped
+from nw_eval.files.shipped import available, shipped
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from nw_eval.cards.file.inputs import input_problems
 from nw_eval.cards.file.joints import joint_problems
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.yaml_file import Location, YamlFile, YamlProblems, read_yaml, validation_problems
+from nw_eval.files.yaml_file import Location, YamlFile, YamlProblems, read_yaml, validation_problems
 
 CARD_FILE = "policy.yaml"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nw_eval.cards.card import Card
-from nw_eval.json_schema import json_schema_of
+from nw_eval.files.json_schema import json_schema_of
 
 
 def json_schema() -> dict[str, Any]:

@@ -7,7 +7,7 @@ import traceback
 from pathlib import Path
 
 from nw_eval.clean import clean
-from nw_eval.traceback_file import keep_traceback
+from nw_eval.files.traceback_file import keep_traceback
 
 
 def tell(line: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 from nw_eval.onboarding.reading.text import key, plain, quoted
 from nw_eval.policies.bundle import SIZE_LIMIT
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, UsageError
-from nw_eval.inside import OutsideError, inside
+from nw_eval.files.inside import OutsideError, inside
 from nw_eval.policies.safety import FileLimits, check_onnx
 from nw_eval.policies.safety.onnx.fields import ONNX
 from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, encoded

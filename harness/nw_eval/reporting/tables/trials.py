@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from nw_eval.inside import OutsideError, checked
+from nw_eval.files.inside import OutsideError, checked
 from nw_eval.reporting.tables.table import WORST, Table, mean, more, share
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row

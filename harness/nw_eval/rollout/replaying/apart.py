@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from nw_eval.cache import atomic_path
 from nw_eval.errors import PolicyError, UsageError
+from nw_eval.files.cache import atomic_path
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library

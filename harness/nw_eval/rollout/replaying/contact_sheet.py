@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nw_eval.cache import atomic_path
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library

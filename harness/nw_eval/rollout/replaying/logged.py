@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 from nw_eval.policies.instance import was_instance
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library

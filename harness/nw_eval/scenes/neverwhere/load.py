@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.health.finding import SceneFinding, unreadable
 from nw_eval.scenes.limits import REACH, SOLIDS, WAYPOINTS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import SceneError
-from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.scenes.neverwhere.xml_file import Element
 from nw_eval.words import ROBOTS, Robot
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
-from nw_eval.inside import OutsideError, inside, what_is
+from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.scenes.limits import MESH_REACH, SCALES
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.neverwhere.places import Places

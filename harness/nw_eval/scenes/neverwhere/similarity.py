@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.inside import what_is
+from nw_eval.files.inside import what_is
 from nw_eval.scenes.limits import MESH_REACH, SCALES
 
 Matrix = NDArray[np.float64]

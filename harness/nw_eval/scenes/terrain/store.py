@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cache import cache_dir, read_sealed, sealed_path
+from nw_eval.files.cache import cache_dir, read_sealed, sealed_path
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nw_eval.cache import atomic_path
 from nw_eval.errors import SceneError, UsageError, nearest
+from nw_eval.files.cache import atomic_path
 from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
 from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
-from nw_eval.cache import atomic_path
 from nw_eval.errors import PrerequisiteError, SceneError
+from nw_eval.files.cache import atomic_path
 from nw_eval.splat.image import Image
 
 

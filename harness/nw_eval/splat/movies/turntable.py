@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cache import atomic_path
 from nw_eval.errors import SceneError
+from nw_eval.files.cache import atomic_path
 from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image

@@ -19,7 +19,7 @@ def shipped(kind: Kind) -> Path:
     packed = Path(str(files("nw_eval"))) / "data" / kind
     if packed.is_dir():
         return packed
-    return Path(__file__).resolve().parents[2] / kind
+    return Path(__file__).resolve().parents[3] / kind
 
 
 def available(kind: Kind, search: Path | None = None) -> dict[str, Path]:

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval import cache
-from nw_eval.cache import (
+from nw_eval.errors import StoreError
+from nw_eval.files import cache
+from nw_eval.files.cache import (
     DamagedError,
     atomic_path,
     cache_dir,
@@ -20,7 +21,6 @@ from nw_eval.cache import (
     read_sealed,
     sealed_path,
 )
-from nw_eval.errors import StoreError
 
 CONTENT = bytes(range(256)) * 20
 
@@ -70,7 +70,7 @@ def test_no_bit_of_it_may_change_and_no_end_be_missing(sealed):
 
 def test_a_file_that_rots_between_two_processes_is_seen(sealed):
     code = (
-        "import sys; from pathlib import Path; from nw_eval.cache import read_sealed;"
+        "import sys; from pathlib import Path; from nw_eval.files.cache import read_sealed;"
         "print(len(read_sealed(Path(sys.argv[1]))))"
     )
 
@@ -195,7 +195,8 @@ def test_a_folder_that_everybody_may_exchange_is_refused(own):
 
 def test_two_processes_may_write_the_same_file_at_once(own):
     code = (
-        "import sys; from pathlib import Path; from nw_eval.cache import read_sealed, sealed_path\n"
+        "import sys; from pathlib import Path\n"
+        "from nw_eval.files.cache import read_sealed, sealed_path\n"
         "file, content = Path(sys.argv[1]), sys.argv[2].encode() * 99999\n"
         "for _ in range(40):\n"
         "    with sealed_path(file) as path: path.write_bytes(content)\n"
