@@ -5,9 +5,15 @@ by `HYPOTHESIS_PROFILE=explore make test`.
 """
 
 import os
+import signal
 
 from hypothesis import settings
 
 settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
+
+# Whoever starts the tests in the background of a script has them ignore Ctrl-C, which some of them
+# are about.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -107,7 +107,7 @@ sys.path.insert(0, sys.argv[1])
 import confined_functions
 from pathlib import Path
 from nw_eval.confinement import Rules
-from nw_eval.rollout.isolated import call_isolated
+from nw_eval.rollout.confined.isolated import call_isolated
 
 if __name__ == "__main__":
     function = getattr(confined_functions, sys.argv[2])

@@ -38,7 +38,7 @@ def printed(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_checkpoint_is_evaluated_in_five_lines(printed):
-    assert len(BLOCKS[0].splitlines()) == 5
+    assert len([line for line in BLOCKS[0].splitlines() if line]) == 5
     assert re.fullmatch(r"RAN [01]\.\d+\n", printed[0])
 
 
@@ -53,8 +53,8 @@ def test_an_object_runs_without_a_file_and_its_rows_say_what_its_caller_calls_it
 @pytest.mark.slow
 def test_rows_are_a_table_and_two_runs_pair_start_by_start(printed):
     assert "hurdles-one_low_carpet-000" in printed[2]
-    assert "run-a RAN" in printed[3]
-    assert "run-b RAN" in printed[3]
+    assert "a RAN" in printed[3]
+    assert "b RAN" in printed[3]
     assert re.search(r"^hurdles/three_low .* 2$", printed[3], re.MULTILINE)
 
 

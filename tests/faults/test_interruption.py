@@ -16,7 +16,7 @@ from nw_eval.results.row import rows_digest
 SCRIPT = """
 import pickle, sys
 from pathlib import Path
-from nw_eval.engine.run import run_trials
+from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.results.journal import Journal
 

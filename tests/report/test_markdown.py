@@ -115,7 +115,7 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
 def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:
     first, _, second = render([], {"a": 3}).splitlines()[:3]
     assert first == "# INFRASTRUCTURE · 0 of 3 trials in 0 scenes · 60 s on 2 workers"
-    assert "no trial has a result" in second
+    assert "No trial has a result" in second
 
 
 def test_scenes_are_listed_worst_first_with_intervals_around_their_means(

@@ -6,9 +6,9 @@ import time
 import pytest
 import torch
 
-from nw_eval import sensors
 from nw_eval.errors import PolicyError, SceneError
 from nw_eval.policies import load_bundle
+from nw_eval.rollout import check_bundle
 from nw_eval.rollout.confined import vetting
 from nw_eval.rollout.confined.isolated import call_isolated
 
@@ -81,7 +81,7 @@ def test_a_script_is_vetted_without_being_loaded_here(tmp_path, monkeypatch):
 
     monkeypatch.setattr(torch.jit, "load", refuse)
     monkeypatch.setattr(vetting, "check_bundle", refuse)
-    assert sensors.check_bundle is not refuse
+    assert check_bundle.check_bundle is not refuse
     (tmp_path / "policy.yaml").write_text(CARD % "joint_vel")
     vetting.vet_bundle(load_bundle(tmp_path, checkpoint=tmp_path / "policy.pt"), "go1")
     (tmp_path / "policy.yaml").write_text(CARD % "gravity")

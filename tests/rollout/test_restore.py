@@ -91,7 +91,7 @@ def test_another_checkpoint_or_scene_is_refused(recorded, library):
 def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path):
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"not an mcap file at all" * 10)
-    with pytest.raises(StoreError, match="damaged or no log") as caught:
+    with pytest.raises(StoreError, match="damaged, or not a log") as caught:
         replay(bad)
     assert "\n" not in str(caught.value)
     with pytest.raises(StoreError, match="cannot read"):

@@ -17,7 +17,7 @@ def test_digests_of_scenes_differ_from_each_other():
 
 
 def test_a_digest_is_the_same_in_another_process():
-    code = "from nw_eval.scenes import get_scene; print(get_scene('hurdles/three_low').digest)"
+    code = "from nw_eval.catalogue import get_scene; print(get_scene('hurdles/three_low').digest)"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

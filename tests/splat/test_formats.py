@@ -354,7 +354,7 @@ BAD = {
     "broken.spz": (b"\x1f\x8b" + b"\1" * 40, "gzip"),
     "v4.spz": (b"NGSP" + struct.pack("<II", 4, 4) + b"\0" * 30, "streams listed"),
     "a.pt": (b"PK\x03\x04" + b"\0" * 60, "archive"),
-    "picture.jpg": (b"\xff\xd8\xff\xe0", "no splat format"),
+    "picture.jpg": (b"\xff\xd8\xff\xe0", "not a splat format"),
 }
 
 

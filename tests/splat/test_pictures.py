@@ -111,7 +111,7 @@ def test_a_camera_from_a_view_angle_has_the_published_focal_length():
         ({"fx": float("nan")}, "camera fx is nan"),
         ({"near": 0.0}, "near=0.0"),
         ({"T_world_camera": np.eye(3)}, "finite 4x4"),
-        ({"T_world_camera": np.diag([1.0, 2, 1, 1])}, "no rotation times a scale"),
+        ({"T_world_camera": np.diag([1.0, 2, 1, 1])}, "not a rotation times a scale"),
     ],
 )
 def test_a_camera_that_makes_no_sense_names_the_field(change, message):
