@@ -186,7 +186,7 @@ class FileSplat:
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store in the cache."""
-        from nw_eval.splat.store import compiled_store
+        from nw_eval.splat.compiled import compiled_store
 
         if progress is not None:
             progress("read", 0.0)

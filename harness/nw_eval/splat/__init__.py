@@ -15,13 +15,14 @@ from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.splat.cameras.camera_model import CameraModel
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.cameras.presets import PRESETS, Preset, PresetName
+from nw_eval.splat.compiled import compiled_store
 from nw_eval.splat.composite import composite, paste
 from nw_eval.splat.describe import SplatFigures, describe
 from nw_eval.splat.files import RestOrder, read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.splat.image import Image
 from nw_eval.splat.movies.turntable import framing_camera, orbit, save_gif, save_png
-from nw_eval.splat.store import Store, compile_store, compiled_store, memory_store, open_store
+from nw_eval.splat.store import Store, compile_store, memory_store, open_store
 from nw_eval.splat.transform import transformed
 from nw_eval.splat.warmup import warmup
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import SceneError
-from nw_eval.files.cache import DamagedError, cache_dir, read_sealed, sealed_path
+from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.layout import Layout, arrange
 
@@ -180,47 +180,3 @@ def digest(gaussians: Gaussians) -> str:
         total.update(f"{name}{array.shape}".encode())
         total.update(array.data)
     return total.hexdigest()
-
-
-def compiled_store(source: Path | Gaussians, key: str | None = None) -> Path:
-    """Return the path of a compiled store in the user's cache, compiling on first use.
-
-    Args:
-        source: a splat file, or Gaussians.
-        key: what identifies the content; by default a hash of it. With a key of one's own, a file
-            is read and hashed only when the cache has nothing for it.
-
-    Returns:
-        A path for `open_store`. A damaged or foreign file there has been replaced.
-
-    Raises:
-        SceneError: when the source cannot be read or has nothing to see.
-        StoreError: when the cache cannot be written.
-    """
-    if key is None:
-        if isinstance(source, Gaussians):
-            key = digest(source)
-        else:
-            try:
-                with source.open("rb") as file:
-                    key = hashlib.file_digest(file, "sha256").hexdigest()
-            except OSError as error:
-                raise SceneError(f"{source}: {error.strerror or error}") from error
-    full_key = f"{FORMAT}:{key}"
-    name = hashlib.sha256(full_key.encode()).hexdigest()[:32]
-    path = cache_dir("splats") / f"{name}{SUFFIX}"
-    if path.exists():
-        try:
-            open_store(path, key=full_key)
-        except SceneError:
-            pass
-        else:
-            return path
-    if isinstance(source, Gaussians):
-        gaussians = source
-    else:
-        from nw_eval.splat.files import read_splat
-
-        gaussians = read_splat(source)
-    compile_store(gaussians, path, key=full_key)
-    return path
