@@ -19,9 +19,9 @@ import onnx
 from onnx import TensorProto, helper
 
 from nw_eval.files.shipped import shipped
+from nw_eval.rollout.clock import StageSeconds
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.result import StageSeconds
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.store import open_store
 from nw_eval.suite.trials import Trial

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from time import perf_counter, thread_time
 from typing import Literal, Self, get_args
 
-from nw_eval.rollout.result import StageSeconds
-
 Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageSeconds:
+    """Seconds that a trial spent in each stage, by one clock."""
+
+    setup: float = 0.0  # scene, robot, renderer and policy, before the first step
+    physics: float = 0.0
+    render: float = 0.0  # camera images, the policy's and the log's
+    sense: float = 0.0  # every observation that is not an image
+    policy: float = 0.0
+    log: float = 0.0
 
 
 class StageClock:

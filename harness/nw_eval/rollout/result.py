@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.rollout.clock import StageSeconds
 from nw_eval.words import POLICY_FAULTS, Fault, Outcome, PolicyFault, Status
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row
     from nw_eval.rollout.episode import Episode
-
-
-@dataclass(frozen=True, kw_only=True)
-class StageSeconds:
-    """Seconds that a trial spent in each stage, by one clock."""
-
-    setup: float = 0.0  # scene, robot, renderer and policy, before the first step
-    physics: float = 0.0
-    render: float = 0.0  # camera images, the policy's and the log's
-    sense: float = 0.0  # every observation that is not an image
-    policy: float = 0.0
-    log: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +43,8 @@ class TrialResult:
     action_digest: str = ""  # hex
 
     wall_seconds: float = 0.0  # all of the trial
-    wall: StageSeconds = StageSeconds()
-    cpu: StageSeconds = StageSeconds()  # of the trial's own thread
+    wall: StageSeconds = field(default_factory=StageSeconds)
+    cpu: StageSeconds = field(default_factory=StageSeconds)  # of the trial's own thread
     mcap_bytes: int = 0  # 0 = no log was kept
     mcap_error: str = ""  # why there is no log, although one was asked for
 

@@ -1,18 +1,14 @@
-"""What is wrong with a row: types, words, bounds, and what contradicts itself."""
+"""What is wrong with a row: types, words and bounds."""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nw_eval.clean import LONGEST, clean
 from nw_eval.results.row.column import Column, Numbers, Settings
-from nw_eval.words import FAULTS, OUTCOMES
-
-if TYPE_CHECKING:
-    from nw_eval.results.row.row import Row
 
 _MARK = 60  # characters at most with which `clean` says what it cut
 
@@ -56,22 +52,6 @@ def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> s
             for of, number in _numbers(name, value, column):
                 if number is not None and not math.isfinite(number):
                     return f"{clean(of, at_most=60)} is not finite"
-    return None
-
-
-def contradiction(row: Row) -> str | None:
-    """Return what contradicts itself in a row, or None."""
-    known = OUTCOMES if row.status == "ok" else FAULTS
-    if row.outcome not in known:
-        return f"outcome {row.outcome!r} does not go with status {row.status!r}"
-    if not 0 <= row.waypoints_reached <= row.waypoints_total:
-        return f"{row.waypoints_reached} of {row.waypoints_total} waypoints reached"
-    if row.status == "error":
-        return None if row.success is None else f"an error has a success ({row.success})"
-    if row.success is None or not 0.0 <= row.success <= 1.0:
-        return f"success {row.success} is not between 0 and 1"
-    if row.completed != (row.success == 1.0):
-        return f"completed is {row.completed} at success {row.success}"
     return None
 
 

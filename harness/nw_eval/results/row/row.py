@@ -10,9 +10,9 @@ from hashlib import sha256
 from typing import Annotated, Any
 
 from nw_eval.clean import clean
-from nw_eval.results.row.check import as_kept, contradiction, mistyped, out_of_bounds
+from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
 from nw_eval.results.row.column import Column, Numbers, Settings, columns_of
-from nw_eval.words import Arm, Fault, Outcome, Status, Tier
+from nw_eval.words import FAULTS, OUTCOMES, Arm, Fault, Outcome, Status, Tier
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +138,7 @@ class Row:
         if fault is None:
             for name, value in as_kept(vars(self), COLUMNS).items():
                 object.__setattr__(self, name, value)
-            fault = contradiction(self) or out_of_bounds(vars(self), COLUMNS)
+            fault = _contradiction(self) or out_of_bounds(vars(self), COLUMNS)
         if fault is not None:
             raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
 
@@ -158,6 +158,22 @@ class Row:
             kept["error_text"] = ""
         text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return sha256(text.encode()).hexdigest()
+
+
+def _contradiction(row: Row) -> str | None:
+    """Return what contradicts itself in a row, or None."""
+    known = OUTCOMES if row.status == "ok" else FAULTS
+    if row.outcome not in known:
+        return f"outcome {row.outcome!r} does not go with status {row.status!r}"
+    if not 0 <= row.waypoints_reached <= row.waypoints_total:
+        return f"{row.waypoints_reached} of {row.waypoints_total} waypoints reached"
+    if row.status == "error":
+        return None if row.success is None else f"an error has a success ({row.success})"
+    if row.success is None or not 0.0 <= row.success <= 1.0:
+        return f"success {row.success} is not between 0 and 1"
+    if row.completed != (row.success == 1.0):
+        return f"completed is {row.completed} at success {row.success}"
+    return None
 
 
 COLUMNS = columns_of(Row)
