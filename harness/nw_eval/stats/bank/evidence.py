@@ -74,7 +74,11 @@ class Evidence:
 
     @classmethod
     def before(cls, bank: Bank, margins: Margins) -> Evidence:
-        """Return the evidence before the first round."""
+        """Return the evidence before the first round.
+
+        A baseline that nowhere scores max_drop cannot be undercut by so much: E_pass is infinite
+        from the start, and says nothing of the candidate.
+        """
         highest, lowest = bank.mean - margins.max_drop, bank.mean - margins.tolerate
         nulls_up = [highest - bank.least(beta) for beta in _BETAS]
         nulls_down = [bank.most(beta) - lowest for beta in _BETAS]
