@@ -1,0 +1,19 @@
+"""Whether a candidate is worse than a baseline whose every trial is known: tests by betting."""
+
+from __future__ import annotations
+
+from nw_eval.stats.bank.decide import Ruling, decide
+from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
+from nw_eval.stats.bank.order import order_of_starts
+from nw_eval.stats.bank.panel import Bank
+
+__all__ = [
+    "Bank",
+    "Evidence",
+    "Margins",
+    "Ruling",
+    "Values",
+    "decide",
+    "order_of_starts",
+    "over_rounds",
+]

@@ -1,0 +1,162 @@
+"""Evidence for PASS, for REGRESSED and against single scenes, round by round.
+
+Three nulls are bet against, each by the wealth of `wealth` on numbers y >= 0. With z, z_min and
+z_max of `panel`:
+
+    PASS       "the drop is at least max_drop"       y = z - z_min   n = B - max_drop - z_min
+    REGRESSED  "the drop is at most tolerate"        y = z_max - z   n = z_max - (B - tolerate)
+    scene s    "its drop is at most scene_drop"      y = 1 - c       n = 1 - (B_s - scene_drop)
+
+so that a factor is 1 + k (z - m_r) / (m_r - z_min), or 1 + k (m_r - z) / (z_max - m_r), where m_r
+is the mean of z that the null leaves for the rest. The first two are means over beta in {0, 1/2}
+and bet on all scenes at once; a scene's bets on its own trials. A mean of such processes is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from nw_eval.stats.bank.panel import Bank, Floats, check_successes
+from nw_eval.stats.bank.wealth import Bets, Wealth
+
+_BETAS = (0.0, 0.5)
+_UP = Bets(shares=(0.4, 0.6, 0.8, 0.95), weights=(0.2, 0.2, 0.4, 0.2))
+_DOWN = Bets(shares=(0.05, 0.1, 0.2, 0.4, 0.8), weights=(0.2, 0.2, 0.2, 0.2, 0.2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Drops of mean success, the baseline's less the candidate's.
+
+    Raises:
+        ValueError: not 0 <= tolerate <= max_drop < 1, or not 0 <= scene_drop < 1.
+    """
+
+    max_drop: float = 0.10
+    """A drop as large as this must not pass."""
+    tolerate: float = 0.02
+    """A drop as small as this must not be convicted; between the two either may happen."""
+    scene_drop: float = 0.10
+    """A drop in one scene as small as this must not be held against that scene."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.tolerate <= self.max_drop < 1.0:
+            raise ValueError(f"drops {self.tolerate} to {self.max_drop} are not within 0 to 1")
+        if not 0.0 <= self.scene_drop < 1.0:
+            raise ValueError(f"drop {self.scene_drop} of a scene is not within 0 to 1")
+
+
+class Values(NamedTuple):
+    """E-values after one round."""
+
+    passed: Floats
+    """E_pass, shape ()."""
+    regressed: Floats
+    """E_regr, shape ()."""
+    scenes: Floats
+    """E_s, shape (S,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """All that is remembered of the rounds so far. Leading axes are panels apart."""
+
+    bank: Bank
+    passed: tuple[Wealth, ...]
+    """Against "the drop is at least max_drop", one for each beta."""
+    regressed: tuple[Wealth, ...]
+    """Against "the drop is at most tolerate", one for each beta."""
+    scenes: Wealth
+    """Against "the drop in this scene is at most scene_drop"."""
+
+    @classmethod
+    def before(cls, bank: Bank, margins: Margins) -> Evidence:
+        """Return the evidence before the first round.
+
+        A baseline that nowhere scores max_drop cannot be undercut by so much: E_pass is infinite
+        from the start, and says nothing of the candidate.
+        """
+        highest, lowest = bank.mean - margins.max_drop, bank.mean - margins.tolerate
+        nulls_up = [highest - bank.least(beta) for beta in _BETAS]
+        nulls_down = [bank.most(beta) - lowest for beta in _BETAS]
+        floors = 1.0 - (bank.means - margins.scene_drop)
+        return cls(
+            bank=bank,
+            passed=tuple(Wealth.before(null[..., 0], bank.starts, _UP) for null in nulls_up),
+            regressed=tuple(Wealth.before(null[..., 0], bank.starts, _DOWN) for null in nulls_down),
+            scenes=Wealth.before(floors, bank.starts, _DOWN),
+        )
+
+    def after(self, candidate: Floats, baseline: Floats) -> Evidence:
+        """Return the evidence after one more round: one more start in every scene.
+
+        Starts must come in random order, each once, independently between scenes
+        (`order_of_starts`), and the order must not depend on what came of them.
+
+        Args:
+            candidate: c, shape (S,). NaN is a trial that has no result: it counts as 0 in E_pass
+                and as 1 in E_regr and E_s, so that no verdict gains by what is missing.
+            baseline: b of the same starts, from the bank, shape (S,).
+
+        Raises:
+            ValueError: a success is not between 0 and 1, a baseline's is missing, shapes are not
+                the bank's, or all its starts have been drawn.
+        """
+        # One layout of memory, so that sums run in one order whatever array a round is cut from.
+        candidate = np.array(candidate, dtype=np.float64, order="C")
+        baseline = np.array(baseline, dtype=np.float64, order="C")
+        scenes = self.bank.means.shape[-1:]
+        if candidate.shape != baseline.shape or candidate.shape[-1:] != scenes:
+            shapes = f"{candidate.shape} against {baseline.shape}"
+            raise ValueError(f"a round of shapes {shapes}, with {scenes[0]} scenes in the bank")
+        missing = np.isnan(candidate)
+        worst, best = np.where(missing, 0.0, candidate), np.where(missing, 1.0, candidate)
+        check_successes(best)
+        check_successes(baseline)
+
+        bank, passed, regressed = self.bank, self.passed, self.regressed
+        above = [bank.adjusted(worst, baseline, beta) - bank.least(beta) for beta in _BETAS]
+        below = [bank.most(beta) - bank.adjusted(best, baseline, beta) for beta in _BETAS]
+        return replace(
+            self,
+            passed=tuple(wealth.after(y) for wealth, y in zip(passed, above, strict=True)),
+            regressed=tuple(wealth.after(y) for wealth, y in zip(regressed, below, strict=True)),
+            scenes=self.scenes.after((1.0 - best)[..., None]),
+        )
+
+    @property
+    def values(self) -> Values:
+        """The e-values by now."""
+        return Values(
+            passed=_mean([wealth.evidence for wealth in self.passed]),
+            regressed=_mean([wealth.evidence for wealth in self.regressed]),
+            scenes=self.scenes.evidence,
+        )
+
+
+def over_rounds(bank: Bank, candidate: Floats, baseline: Floats, margins: Margins) -> list[Values]:
+    """Return the e-values after each of R rounds, by one `Evidence.after` for each.
+
+    Args:
+        bank: of the baseline.
+        candidate: c in the order drawn, shape (R, S); NaN as in `Evidence.after`.
+        baseline: b of the same starts, shape (R, S).
+        margins: drops that the nulls allow.
+
+    Raises:
+        ValueError: as `Evidence.after`, or the shapes differ.
+    """
+    if candidate.shape != baseline.shape:
+        raise ValueError(f"scores of shapes {candidate.shape} against {baseline.shape}")
+    evidence, found = Evidence.before(bank, margins), list[Values]()
+    for r in range(candidate.shape[-2]):
+        evidence = evidence.after(candidate[..., r, :], baseline[..., r, :])
+        found.append(evidence.values)
+    return found
+
+
+def _mean(values: list[Floats]) -> Floats:
+    return np.mean(values, axis=0)

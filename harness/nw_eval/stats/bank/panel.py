@@ -1,0 +1,76 @@
+"""The bank: what the baseline scores from every start, known because simulation repeats its bits.
+
+There are S scenes with M starts each. b_si is the baseline's success from start i of scene s, B_s
+its mean over the starts of scene s, and B the mean of all B_s; c_si is the candidate's success.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bank:
+    """What must be known of the whole panel before the first round.
+
+    Raises:
+        ValueError: a mean is not between 0 and 1, there is no scene, or not one start.
+    """
+
+    means: Floats
+    """B_s, shape (S,); leading axes, if any, are panels that know nothing of each other."""
+    starts: float = inf
+    """M; infinite where starts are drawn afresh, so that no draw leaves less for the rest."""
+
+    def __post_init__(self) -> None:
+        if self.means.ndim < 1 or not self.means.shape[-1]:
+            raise ValueError("a bank needs the mean of one scene at least")
+        check_successes(self.means)
+        if not self.starts >= 1:
+            raise ValueError(f"{self.starts} starts in each scene; a bank needs one at least")
+
+    @classmethod
+    def of(cls, scores: Floats) -> Bank:
+        """Return the bank of the baseline's successes b_si on the whole panel, shape (S, M)."""
+        check_successes(scores)
+        return cls(means=scores.mean(axis=-1), starts=scores.shape[-1])
+
+    @property
+    def mean(self) -> Floats:
+        """B, scenes weighted equally."""
+        return self.means.mean(axis=-1, keepdims=True)
+
+    def adjusted(self, candidate: Floats, baseline: Floats, beta: float) -> Floats:
+        """Return successes of the candidate less what is known of the starts' difficulty.
+
+        z_si = c_si - g_si + B with g_si = B_s + beta (b_si - B_s). Over the panel the mean of g is
+        B, so that z has the candidate's mean whatever beta is; within a scene z varies less than c
+        as far as the two policies find the same starts hard.
+
+        Args:
+            candidate: c of one round, shape (S,).
+            baseline: b of the same starts, shape (S,).
+            beta: how much of a start's own difficulty is used, from 0 to 1.
+        """
+        return candidate - (self.means + beta * (baseline - self.means)) + self.mean
+
+    def least(self, beta: float) -> Floats:
+        """Return z_min = B - max_s ((1 - beta) B_s + beta), the least that z can be."""
+        return self.mean - ((1.0 - beta) * self.means + beta).max(axis=-1, keepdims=True)
+
+    def most(self, beta: float) -> Floats:
+        """Return z_max = B + 1 - min_s ((1 - beta) B_s), the most that z can be."""
+        return self.mean + 1.0 - ((1.0 - beta) * self.means).min(axis=-1, keepdims=True)
+
+
+def check_successes(values: Floats) -> None:
+    """Raise ValueError for a success that is not between 0 and 1, NaN among them."""
+    inside = (values >= 0.0) & (values <= 1.0)
+    if not inside.all():
+        raise ValueError(f"success {values[~inside][0]} is not between 0 and 1")
