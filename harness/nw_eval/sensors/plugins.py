@@ -7,16 +7,15 @@ anything. Built-in names always win.
 from __future__ import annotations
 
 import importlib
-import sys
 import warnings
-from collections.abc import Collection, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 from nw_eval.cards.observations.plugins import distribution, installed, is_code
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
+from nw_eval.files.importable import importable
 
 
 class PluginWarning(UserWarning):
@@ -134,20 +133,5 @@ def _warn(text: str) -> None:
 
 def _from_folder(name: str, folder: Path | None) -> Any:
     module, _, cls = name.partition(":")
-    with _importable(folder):
+    with importable(folder):
         return getattr(importlib.import_module(module), cls)
-
-
-@contextmanager
-def _importable(folder: Path | None) -> Generator[None]:
-    """Let modules beside the card be imported."""
-    if folder is None:
-        yield
-        return
-    path = str(folder.resolve())
-    sys.path.insert(0, path)
-    try:
-        importlib.invalidate_caches()
-        yield
-    finally:
-        sys.path.remove(path)

@@ -13,15 +13,12 @@ A caller in this process may hand in the object itself, or a function in place o
 from __future__ import annotations
 
 import importlib
-import sys
-from collections.abc import Generator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
+from nw_eval.files.importable import importable
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Observation, checked_action
 
@@ -121,7 +118,7 @@ def _make(bundle: Bundle, *, allow_code: bool) -> Any:
         )
     module, _, name = bundle.card.adapter.removeprefix("python:").partition(":")
     try:
-        with _importable(bundle.folder):
+        with importable(bundle.folder):
             cls = getattr(importlib.import_module(module), name)
         return cls(bundle)
     except NwEvalError:
@@ -133,13 +130,3 @@ def _make(bundle: Bundle, *, allow_code: bool) -> Any:
             fix=f"the module must lie in {bundle.folder} or be installed, and the class take the "
             "bundle",
         ) from None
-
-
-@contextmanager
-def _importable(folder: Path) -> Generator[None]:
-    """Let modules beside the card be imported."""
-    sys.path.insert(0, str(folder.resolve()))
-    try:
-        yield
-    finally:
-        sys.path.remove(str(folder.resolve()))
