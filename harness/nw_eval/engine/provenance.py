@@ -63,23 +63,29 @@ def run_info(
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),
+        engine=_engine(plan),
     )
 
 
 def journal_header(plan: Plan) -> JournalHeader:
     """Return what the trials of a run have in common, for a resume to compare."""
-    versions = library_versions()
     return JournalHeader(
         suite_digest=plan.suite.digest,
         policy_digest=plan.bundle.digest,
         scene_digests={scene.name: scene.digest for scene in plan.scenes},
-        engine={
-            **{name: versions[name] for name in _CHANGING_BITS if name in versions},
-            "renderer": _renderer(plan),
-            "cpu": cpu_kind(),
-            "code": code_info().digest[:16],
-        },
+        engine=_engine(plan),
     )
+
+
+def _engine(plan: Plan) -> dict[str, str]:
+    """Return what makes bits differ between runs of the same trials."""
+    versions = library_versions()
+    return {
+        **{name: versions[name] for name in _CHANGING_BITS if name in versions},
+        "renderer": _renderer(plan),
+        "cpu": cpu_kind(),
+        "code": code_info().digest[:16],
+    }
 
 
 def _policy_info(bundle: Bundle) -> PolicyInfo:

@@ -84,6 +84,7 @@ class RunInfo(_Saved):
     code: CodeInfo
     machine: MachineInfo
     versions: dict[str, str] = {}
+    engine: dict[str, str] = {}  # What makes bits differ: `JournalHeader.engine`.
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
 

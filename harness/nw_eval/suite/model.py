@@ -105,20 +105,53 @@ class Gate(_Strict):
         description="Absolute bar: the lower confidence bound of mean success must reach it. "
         "Without one nothing is judged, and the verdict is RAN.",
     )
+    baseline: str | None = Field(
+        None,
+        min_length=1,
+        description="Bank to compare with, `reports/baselines/<suite>/<this>.parquet`, or a path. "
+        "--baseline overrides.",
+    )
     max_drop: float | None = Field(
         None,
         gt=0.0,
         lt=1.0,
-        description="Largest drop against a baseline that may pass. There is no baseline yet: "
-        "reports say that the drop was not judged, and how often a policy so much worse would "
-        "pass the absolute bar.",
+        description="Drop of mean success against the baseline that must not pass; 0.10 where a "
+        "baseline is named and this is not.",
+    )
+    tolerate: float = Field(
+        0.02,
+        ge=0.0,
+        lt=1.0,
+        description="Drop against the baseline that must not be convicted. Between it and max_drop "
+        "either verdict is legitimate.",
+    )
+    scene_drop: float = Field(
+        0.10,
+        ge=0.0,
+        lt=1.0,
+        description="Drop in one scene that is not held against it; a scene that fell further is "
+        "named, and a critical one convicts alone.",
+    )
+    rounds: int = Field(
+        20,
+        ge=1,
+        le=10_000,
+        description="Most rounds against a baseline: a round is one more start in every scene. "
+        "The run ends as soon as the verdict is settled.",
+    )
+    false_alarm: float = Field(
+        0.01,
+        gt=0.0,
+        le=0.5,
+        description="Largest probability that a drop of `tolerate` or less is convicted.",
     )
     confidence: float = Field(
         0.95,
         ge=0.5,
         le=0.9999,
-        description="Confidence of each one-sided bound. A wrong PASS has at most probability "
-        "1 - confidence, a wrong REGRESSED too, or twice that with critical scenes.",
+        description="Confidence of each one-sided bound of the bar. A wrong PASS has at most "
+        "probability 1 - confidence, a wrong REGRESSED too, or twice that with critical scenes. "
+        "Against a baseline a drop of max_drop passes with at most 1 - confidence.",
     )
     tiers: dict[Pattern, Tier] = Field(
         {},
@@ -126,6 +159,13 @@ class Gate(_Strict):
         "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
         "informational: is only reported.",
     )
+
+    @model_validator(mode="after")
+    def _ordered_drops(self) -> Self:
+        most = 0.10 if self.max_drop is None else self.max_drop
+        if self.tolerate > most:
+            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop {most:g}; lower it")
+        return self
 
     def tier(self, scene: str) -> Tier:
         """Return the tier of a scene; its exact name wins over globs, then the first glob."""

@@ -1,0 +1,74 @@
+"""What a run shows against a baseline: one frozen value that every report renders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from nw_eval.results.row.column import Settings
+from nw_eval.stats import Interval
+from nw_eval.words import Tier
+
+Basis = Literal["same", "panel", "sample", "fresh"]
+"""What the bank is to the candidate's trials. same: the policy is the baseline, nothing to test.
+panel: the baseline's result from every start is known exactly on this class of machine. sample: on
+this class of machine the starts are the same and the bits are not; the bank is a sample of what the
+baseline does. fresh: the candidate met other starts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneDrop:
+    """How the candidate did in one scene (and cell of perturbations) against the baseline."""
+
+    scene: str
+    perturbation: Settings = ()
+    tier: Tier
+    baseline: float
+    """B_s, mean success over all starts of the bank."""
+    candidate: float | None
+    """Mean success over the rounds judged; None without any."""
+    trials: int
+    evidence: float
+    """E_s; 1 for an informational scene, which is not judged."""
+    named: bool
+    """Whether it fell, beyond doubt."""
+    waypoint: int | None = None
+    """The first waypoint, from 1, at which the two part, for a scene that is named or suspect."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """What the rounds so far show of the candidate's drop against a baseline.
+
+    Drops are the baseline's mean success less the candidate's, scenes weighted equally.
+    """
+
+    word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
+    bank: str
+    """The bank's name."""
+    policy: str
+    """The baseline's policy."""
+    basis: Basis
+    rounds: int
+    """Rounds that were judged: up to the one that settled it."""
+    budget: int
+    """Most rounds that were to be run."""
+    starts: int
+    """M."""
+    baseline: float
+    """B."""
+    drop: float | None
+    """Estimate of the drop; None without rounds."""
+    interval: Interval | None
+    """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass."""
+    max_drop: float
+    tolerate: float
+    alpha_pass: float
+    alpha_regr: float
+    scenes: tuple[SceneDrop, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def settled(self) -> bool:
+        """Whether further rounds would change nothing."""
+        return self.word != "INCONCLUSIVE"
