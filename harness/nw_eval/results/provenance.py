@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -77,6 +77,8 @@ class RunInfo(_Saved):
     suite_digest: str
     policy: PolicyInfo
     scenes: dict[str, SceneInfo]
+    panel: Literal["pinned", "fresh"] = "pinned"  # Fresh: of a seed that no bank was made with.
+    drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
