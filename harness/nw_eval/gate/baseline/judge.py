@@ -17,7 +17,7 @@ from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
 from nw_eval.gate.baseline.match import check_match
 from nw_eval.gate.baseline.reasons import in_words
-from nw_eval.gate.baseline.rounds import Rounds, planned_rounds, scores_of, whole_rounds
+from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds
 from nw_eval.results.bank import Panel, SavedBank, Stratum
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -56,7 +56,7 @@ def compare(
             "no scene counts against the baseline: all are informational",
             fix="make one supporting or critical",
         )
-    budget = planned_rounds(run, strata)
+    budget = budget_of(run)
     claim = claim_of(run, bank, basis, budget)
     rounds = whole_rounds(rows, run, strata)
     finding = find(rounds, judged, panel, basis, gate)

@@ -56,10 +56,9 @@ def scores_of(panel: Panel, stratum: Stratum) -> Floats:
     return np.array([score(start) for start in panel.by_stratum[stratum]], dtype=np.float64)
 
 
-def planned_rounds(run: RunInfo, strata: Iterable[Stratum]) -> int:
-    """Return how many rounds a run planned: trials of a scene in each of its cells."""
-    cells = len({cell for _, cell in strata})
-    return max(run.planned.values(), default=0) // max(1, cells)
+def budget_of(run: RunInfo) -> int:
+    """Return the most rounds that a run was to have: trials of each scene in each of its cells."""
+    return int(run.suite["trials"])
 
 
 def whole_rounds(rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum]) -> Rounds:
@@ -77,7 +76,7 @@ def whole_rounds(rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum]) -
     Raises:
         StoreError: a row is not of this run, or appears twice.
     """
-    planned = planned_rounds(run, strata)
+    planned = budget_of(run)
     found = _by_start(rows, run, strata)
     order = _order(run, strata, planned)
     met = [sum((stratum, order[stratum][r]) in found for stratum in strata) for r in range(planned)]
