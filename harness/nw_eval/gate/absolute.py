@@ -26,7 +26,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
+from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.plural import plural
@@ -70,7 +70,7 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
     elif word == "INCONCLUSIVE" and gate.success_rate is not None:
         reasons.append(advice(counted, seen, gate, gate.success_rate))
-    drop = gate.max_drop or DROP
+    drop = gate.most_drop
     return Verdict(
         verdict=word,
         effect=effect,

@@ -116,9 +116,9 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     ]
     starts = None
     if info.drawn_from is not None:
-        if not suite.trials <= info.drawn_from <= MAX_TRIALS:
-            raise _damaged(info, f"{suite.trials} rounds of {info.drawn_from} starts")
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
+        if not suite.trials <= info.drawn_from <= MAX_TRIALS // max(1, len(strata)):
+            raise _damaged(info, f"{suite.trials} rounds of {info.drawn_from} starts")
         starts = draw_starts(
             strata, info.drawn_from, candidate=info.policy, suite_digest=suite.digest
         )

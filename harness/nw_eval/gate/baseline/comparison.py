@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row.column import Settings
 from nw_eval.stats import Interval
 from nw_eval.words import Tier
@@ -14,6 +15,14 @@ Basis = Literal["same", "panel", "sample", "fresh"]
 panel: the baseline's result from every start is known exactly on this class of machine. sample: on
 this class of machine the starts are the same and the bits are not; the bank is a sample of what the
 baseline does. fresh: the candidate met other starts."""
+
+Checked = Literal["bits", "scores"]
+"""What trials of the baseline have shown on a class of machine that the bank was not made on: that
+they repeat the bits of its first panel, or else scores in line with it."""
+
+Claim = Literal["panel and fresh", "panel", "fresh"]
+"""Of which starts a comparison speaks: of those of the bank's panel, of fresh ones in the same
+scenes, or of both."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +44,26 @@ class SceneDrop:
     waypoint: int | None = None
     """The first waypoint, from 1, at which the two part, for a scene that is named or suspect."""
 
+    @property
+    def stratum(self) -> Stratum:
+        """The scene and what was changed there."""
+        return (self.scene, self.perturbation)
+
+    @property
+    def counts(self) -> bool:
+        """Whether it counts for the verdict."""
+        return self.tier != "informational"
+
+    @property
+    def drop(self) -> float | None:
+        """How much less the candidate scored; None without a trial."""
+        return None if self.candidate is None else self.baseline - self.candidate
+
+    @property
+    def name(self) -> str:
+        """The scene, with what was changed there."""
+        return " ".join([self.scene, *(f"{axis} {value:g}" for axis, value in self.perturbation)])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
@@ -49,6 +78,7 @@ class Comparison:
     policy: str
     """The baseline's policy."""
     basis: Basis
+    claim: Claim
     rounds: int
     """Rounds that were judged: up to the one that settled it."""
     budget: int

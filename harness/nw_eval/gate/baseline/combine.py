@@ -1,0 +1,47 @@
+"""The bar and the baseline in one verdict: both must pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.verdict import Verdict, Word
+
+
+def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
+    """Return the verdict on a run that was judged by its suite's bar and against a baseline.
+
+    A run with holes stays INFRASTRUCTURE, but for one of the baseline's own policy of which nothing
+    ran, since nothing had to.
+
+    Args:
+        verdict: by the bar; RAN where the suite has none.
+        comparison: of the same rows with the baseline.
+    """
+    needs_no_trial = comparison.basis == "same" and not verdict.n and not verdict.errors
+    if needs_no_trial:
+        word, reasons = comparison.word, comparison.reasons
+    else:
+        word = _word(verdict.verdict, comparison.word)
+        reasons = (*comparison.reasons, *verdict.reasons)
+        if verdict.verdict == word != comparison.word:
+            reasons = (*verdict.reasons, *comparison.reasons)
+    return replace(verdict, verdict=word, reasons=reasons, against=comparison)
+
+
+def settled(verdict: Verdict, comparison: Comparison) -> bool:
+    """Return whether more rounds would not change the word: one convicts, or both pass.
+
+    Args:
+        verdict: by the bar, of the rounds so far as if no more had been planned.
+        comparison: of the same rounds.
+    """
+    words = {verdict.verdict, comparison.word}
+    return "REGRESSED" in words or words <= {"PASS", "RAN"}
+
+
+def _word(bar: Word, baseline: Word) -> Word:
+    if bar in {"INFRASTRUCTURE", "INVALID"}:
+        return bar
+    both = {bar, baseline}
+    return next((word for word in ("REGRESSED", "INCONCLUSIVE") if word in both), "PASS")
