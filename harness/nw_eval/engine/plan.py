@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.order import in_order
@@ -15,11 +15,13 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.provenance import BaselineInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import Trial
-    from nw_eval.words import Backend
+    from nw_eval.words import Arm, Backend, PanelKind
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
@@ -28,19 +30,49 @@ _SECONDS_MORE = 90.0
 
 
 @dataclass(frozen=True, kw_only=True)
+class Against:
+    """The bank that a run is compared with."""
+
+    info: BaselineInfo
+    bank: SavedBank
+    content: bytes
+    """Of its file, of which the run's folder gets a copy."""
+
+    def of_run(self, info: BaselineInfo) -> Against:
+        """Return the bank as a run knows it, that was begun with it somewhere else."""
+        return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
     request: Request
-    suite: Suite  # with what was asked of it otherwise
+    suite: Suite  # with what was asked of it otherwise; against a bank `trials` is the most rounds
     bundle: Bundle
     found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]
+    against: Against | None = None
+    is_baseline: bool = False
+    """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
+    arm: Arm = "candidate"
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
         """The scenes of its trials."""
         return tuple(found.scene for found in self.found)
+
+    @property
+    def panel(self) -> PanelKind:
+        """Which starts the policy meets."""
+        return self.request.panel or "pinned"
+
+    @property
+    def drawn_from(self) -> int | None:
+        """Starts of the bank that drew the order of the trials; None if none did."""
+        if self.against is None or self.panel == "fresh":
+            return None
+        return self.against.bank.manifest.starts
 
     @property
     def render(self) -> Backend:
@@ -50,7 +82,7 @@ class Plan:
     @property
     def renders(self) -> bool:
         """Whether any trial may render."""
-        return needs_splats(self.bundle.card, self.suite.record)
+        return not self.is_baseline and needs_splats(self.bundle.card, self.suite.record)
 
     @property
     def time_limit(self) -> float:
