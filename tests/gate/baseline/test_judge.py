@@ -14,7 +14,7 @@ from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from nw_eval.results.bank import SavedBank
     from nw_eval.results.provenance import RunInfo
@@ -31,7 +31,7 @@ MEANS = [.525, .9, .9333, .9333, .9333, .95, .95, .95, .9667, .9667, 1, 1, 1, 1,
 
 @pytest.fixture
 def figures(make_run: Make, make_bank: Make) -> tuple[RunInfo, SavedBank]:
-    """The bank of the figures: ones in the starts that are drawn first, as many as give the mean."""
+    """The bank of the figures, with ones in the starts that are drawn first."""
     names = [f"hurdles/{number:02d}" for number in range(16)]
     run = make_run(names, 20, drawn_from=60)
     order = draw_starts(
@@ -136,12 +136,11 @@ def test_what_is_changed_in_a_scene_makes_strata_of_their_own(
     assert found.baseline == 0.875
     assert [item.name for item in found.scenes] == ["a friction 0.6", "a friction 1.25"]
     assert found.scenes[0].drop == 0.75
-    assert found.scenes[0].evidence > 20 > 1 > found.scenes[1].evidence
+    assert found.scenes[0].evidence > 20
+    assert found.scenes[1].evidence < 1
 
 
-def test_the_policy_of_the_baseline_passes_without_a_trial(
-    make_run: Make, make_bank: Make, run_rows: Make
-) -> None:
+def test_the_policy_of_the_baseline_passes_without_a_trial(make_run: Make, make_bank: Make) -> None:
     run = make_run(["a"], 10, policy=PolicyInfo(
         name="renamed", card_digest="b1" * 32, checkpoint_digest="bb" * 32
     ))  # fmt: skip
@@ -232,7 +231,7 @@ def test_neither_the_order_of_rows_nor_rows_beyond_whole_rounds_change_anything(
     rounds = data.draw(st.integers(0, 19))
     rows = drawn_rows(run, {name: values[:rounds] for name, values in scores.items()})
     found = compare(rows, run, bank, GATE)
-    beyond = drawn_rows(run, {"a": scores["a"][:rounds + 1], "b": scores["b"][:rounds]})
+    beyond = drawn_rows(run, {"a": scores["a"][: rounds + 1], "b": scores["b"][:rounds]})
     shuffled = data.draw(st.permutations(beyond))
     again = compare(shuffled, run, bank, GATE)
     assert again.reasons == (*found.reasons, "1 trial beyond whole rounds not compared")
@@ -257,9 +256,7 @@ def test_the_first_starts_of_a_panel_speak_of_fresh_starts_only_and_say_so(
     assert (early.word, early.rounds, early.scenes[0].candidate) == ("REGRESSED", 1, 0.0)
 
 
-def test_a_bank_with_too_few_starts_says_how_many_to_save(
-    make_run: Make, make_bank: Make
-) -> None:
+def test_a_bank_with_too_few_starts_says_how_many_to_save(make_run: Make, make_bank: Make) -> None:
     def fails(bank: SavedBank, run: RunInfo, words: str, starts: int) -> None:
         with pytest.raises(IncomparableError, match=words) as caught:
             compare([], run, bank, GATE)
@@ -271,7 +268,7 @@ def test_a_bank_with_too_few_starts_says_how_many_to_save(
     bank = make_bank(drawn, {"a": [1.0] * 10})
     fails(bank, drawn, "has 10 starts in each scene; 20 rounds need 20", 20)
     few = make_bank(drawn, {"a": [1.0] * 40})
-    found = compare([], drawn, few, GATE)
+    found = compare([], make_run(["a"], 20, drawn_from=40), few, GATE)
     assert found.claim == "panel"
     assert "this speaks of the bank's 40 starts only" in found.reasons[-1]
     fails(few, make_run(["a"], 20), "20 rounds need 60 .3 for each", 60)

@@ -6,11 +6,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.errors import IncomparableError
+from nw_eval.request import Request
 
 if TYPE_CHECKING:
-    from nw_eval.engine.plan import Against
-    from nw_eval.request import Request
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
@@ -54,6 +54,27 @@ def kept_bank(folder: RunFolder, info: RunInfo) -> Against | None:
     )
 
 
+def judging_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
+) -> Against | None:
+    """Return the bank to judge the rows of a run against; None if there is to be none.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        reference: the bank that is asked for; if None, that which the run was begun against, or
+            else the one that the suite names.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`.
+    """
+    if reference is None and info.baseline is not None:
+        return kept_bank(folder, info)
+    return wanted_bank(Request(baseline=reference), suite)
+
+
 def resumed_bank(folder: RunFolder, info: RunInfo, request: Request) -> Against | None:
     """Return the bank to go on with in a run: the one that it was begun with.
 
@@ -92,14 +113,12 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
 
 
 def _opened(path: Path) -> Against:
-    from nw_eval.engine.plan import Against
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.bank.file import read_bank
     from nw_eval.results.provenance import BaselineInfo
 
     bank, content = read_bank(path), path.read_bytes()
-    info = BaselineInfo(
-        name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content)
-    )
+    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
     return Against(info=info, bank=bank, content=content)
 
 

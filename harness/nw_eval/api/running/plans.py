@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from nw_eval.catalogue import FoundScene
     from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import Against, Plan
+    from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import PolicyInfo
     from nw_eval.scenes import Scene
     from nw_eval.suite import Draft, Suite
@@ -108,9 +109,7 @@ def plan_of(
     return resolved if against is None else _matched(resolved, against)
 
 
-def _on_panel(
-    request: Request, suite: Suite, policy: PolicyInfo, against: Against | None
-) -> Suite:
+def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
     """Return a suite with the seed of the panel that is met, and the rounds that may be run."""
     from nw_eval.gate.baseline.draw import fresh_seed
     from nw_eval.suite import override

@@ -58,8 +58,8 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, budget: int) -> Claim:
     """
     if basis == "same":
         return "panel and fresh"
-    is_drawn = basis == "panel" and run.drawn_from is not None
     has, enough = bank.manifest.starts, TIMES * budget
+    is_drawn = basis == "panel" and run.drawn_from == has
     if has >= max(enough, run.drawn_from or 0):
         return "panel and fresh" if is_drawn else "fresh"
     if is_drawn and has >= max(budget, run.drawn_from or 0):
