@@ -6,7 +6,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.errors import IncomparableError
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Against
@@ -97,9 +97,7 @@ def _opened(path: Path) -> Against:
     from nw_eval.results.provenance import BaselineInfo
 
     bank, content = read_bank(path), path.read_bytes()
-    info = BaselineInfo(
-        name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content)
-    )
+    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
     return Against(info=info, bank=bank, content=content)
 
 
