@@ -53,10 +53,10 @@ def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
         yield f"its seed is {ours.seed}, the bank's {theirs.seed}"
     if ours.protocol != theirs.protocol:
         yield f"its protocol is {ours.protocol}, the bank's {theirs.protocol}"
+    if ours.seed == theirs.seed and run.panel == "fresh":
+        yield f"its seed {ours.seed} is the bank's, so its starts are not fresh"
     if ours.suite_digest == theirs.suite_digest:
         return
-    if run.panel == "fresh" and ours.seed == theirs.seed:
-        yield f"its seed {ours.seed} is the bank's, so its starts are not fresh"
     # Whatever differs besides seed and protocol is in the digest alone.
     alike = new_suite({**run.suite, "seed": theirs.seed, "protocol": theirs.protocol})
     if alike.digest != theirs.suite_digest:

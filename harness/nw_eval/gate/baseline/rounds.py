@@ -80,9 +80,9 @@ def whole_rounds(
     Raises:
         StoreError: a row is not of this run, or appears twice.
     """
-    planned = budget_of(run)
     found = _by_start(rows, run, strata, arm)
-    order = _order(run, strata, planned)
+    order = _order(run, strata, budget_of(run))
+    planned = min(len(starts) for starts in order.values())
     met = [sum((stratum, order[stratum][r]) in found for stratum in strata) for r in range(planned)]
     count = max((r + 1 for r in range(planned) if met[r] == len(strata)), default=0)
     return Rounds(

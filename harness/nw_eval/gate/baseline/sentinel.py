@@ -25,6 +25,7 @@ from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats.bank import Bank, Ruling, decide, over_rounds
 from nw_eval.suite.model import Gate
+from nw_eval.words import Tier
 
 _NAMED = 3  # scenes that a sentence names before it says "and more"
 
@@ -93,9 +94,10 @@ def _ruling(scores: Floats, baseline: Floats, whole: Floats, gate: Gate) -> Ruli
         whole: the bank's, of all starts, shape (S, M).
         gate: margins and errors.
     """
+    tiers: list[Tier] = ["critical"] * len(whole)
     return decide(
         over_rounds(Bank.of(whole), scores, baseline, margins_of(gate)),
-        ["critical"] * len(whole),
+        tiers,
         alpha_pass=1.0 - gate.confidence,
         alpha_regr=gate.false_alarm,
     )
