@@ -109,6 +109,38 @@ def plan_of(
     return resolved if against is None else _matched(resolved, against)
 
 
+def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
+    """Return the plan of a bank's own policy from the bank's starts, in the scenes of another plan.
+
+    Args:
+        plan: the candidate's.
+        against: the bank.
+        bundle: the bank's policy.
+
+    Raises:
+        UsageError: it needs images of a scene that has no splat.
+    """
+    from nw_eval.engine.prepare import check_splats
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.suite import expand, override
+
+    check_splats(bundle.card, plan.scenes)
+    request = replace(
+        plan.request, policy=bundle.reference, checkpoint=None, panel="pinned", record="none"
+    )
+    suite = override(plan.suite, Request(seed=against.bank.manifest.key.seed, record="none"))
+    drawn = _drawn(request, suite, plan.scenes, policy_info(bundle), against)
+    return replace(
+        plan,
+        request=request,
+        suite=suite,
+        bundle=bundle,
+        trials=expand(suite, plan.scenes, drawn),
+        is_baseline=False,
+        arm="baseline",
+    )
+
+
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
     """Return a suite with the seed of the panel that is met, and the rounds that may be run."""
     from nw_eval.gate.baseline.draw import fresh_seed

@@ -14,6 +14,7 @@ from nw_eval.gate.baseline.draw import draw_starts
 from nw_eval.results.bank import Panel, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
+from nw_eval.words import Arm
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +62,9 @@ def budget_of(run: RunInfo) -> int:
     return int(run.suite["trials"])
 
 
-def whole_rounds(rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum]) -> Rounds:
+def whole_rounds(
+    rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum], arm: Arm = "candidate"
+) -> Rounds:
     """Return the rounds up to the last one of which every trial has a row.
 
     A round's trial is the next start of its stratum in the order of the draw (`draw_starts`): of
@@ -72,11 +75,12 @@ def whole_rounds(rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum]) -
         rows: in any order.
         run: what they are of.
         strata: scenes, and what was changed there, of the bank that are in the run.
+        arm: whose rows they are.
 
     Raises:
         StoreError: a row is not of this run, or appears twice.
     """
-    found = _by_start(rows, run, strata)
+    found = _by_start(rows, run, strata, arm)
     order = _order(run, strata, budget_of(run))
     planned = min(len(starts) for starts in order.values())
     met = [sum((stratum, order[stratum][r]) in found for stratum in strata) for r in range(planned)]
@@ -101,7 +105,7 @@ def _order(run: RunInfo, strata: Sequence[Stratum], planned: int) -> Mapping[Str
 
 
 def _by_start(
-    rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum]
+    rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum], arm: Arm
 ) -> dict[tuple[Stratum, int], Row]:
     known = set(strata)
     found: dict[tuple[Stratum, int], Row] = {}
@@ -112,8 +116,8 @@ def _by_start(
             raise _foreign(row, f"the run has no {place}")
         if row.checkpoint_digest != whose:
             raise _foreign(row, f"its checkpoint is {row.checkpoint_digest[:8]}, not {whose[:8]}")
-        if row.arm != "candidate":
-            raise _foreign(row, "it is the baseline's")
+        if row.arm != arm:
+            raise _foreign(row, f"it is the {row.arm}'s")
         if (stratum, row.seed_index) in found:
             raise StoreError(
                 f"trial {row.trial_id} appears twice among the rows", fix="keep one row of a trial"
