@@ -66,6 +66,10 @@ def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     if not 0.0 < mean < 1.0:
         raise ValueError(f"mean success {mean} is not between 0 and 1")
     odds = np.array([passed / failed for passed, failed in _weights(courses)])
+    waypoints = np.array([len(course.counts) - 1 for course in courses])
+    steps = np.arange(1, waypoints.max() + 1)
+    # Mean success is the mean over waypoints of the probability to reach each: p, p^2, ..., p^k.
+    shares = (steps <= waypoints[:, None]) / waypoints[:, None]
 
     def at(power: float) -> Floats:
         raised = odds * np.exp(power)
@@ -74,11 +78,8 @@ def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     low, high = -60.0, 60.0
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        found = [
-            float(ends(chance, len(course.counts) - 1) @ course.values)
-            for course, chance in zip(courses, at(middle), strict=True)
-        ]
-        low, high = (middle, high) if np.mean(found) < mean else (low, middle)
+        found = (shares * at(middle)[:, None] ** steps).sum() / len(courses)
+        low, high = (middle, high) if found < mean else (low, middle)
     return at(high)
 
 

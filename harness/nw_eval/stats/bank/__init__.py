@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from nw_eval.stats.bank.decide import Ruling, decide
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
+from nw_eval.stats.bank.interval import drop_interval
 from nw_eval.stats.bank.order import order_of_starts
 from nw_eval.stats.bank.panel import Bank
 
@@ -14,6 +15,7 @@ __all__ = [
     "Ruling",
     "Values",
     "decide",
+    "drop_interval",
     "order_of_starts",
     "over_rounds",
 ]
