@@ -6,15 +6,11 @@ import re
 from hashlib import sha256
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.comparison import Basis, Checked, Claim
+from nw_eval.gate.baseline.comparison import TIMES, Basis, Checked, Claim
 from nw_eval.gate.baseline.match import renewing
 from nw_eval.results.bank import Panel, SavedBank
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import PolicyInfo, RunInfo
-
-TIMES = 3
-"""Starts in a bank for each round, at least, for a claim about fresh starts: with fewer a drop at
-the margin passes or is convicted too often (simulated: 24 to 31 % at M = 20, nominal 5 %)."""
 
 _NOTHING = sha256(b"").hexdigest()
 

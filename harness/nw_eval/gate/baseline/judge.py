@@ -16,6 +16,7 @@ from nw_eval.gate.baseline.basis import basis_of, claim_of
 from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
 from nw_eval.gate.baseline.match import check_match
+from nw_eval.gate.baseline.parting import waypoints
 from nw_eval.gate.baseline.reasons import in_words
 from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds
 from nw_eval.results.bank import Panel, SavedBank, Stratum
@@ -61,10 +62,9 @@ def compare(
     rounds = whole_rounds(rows, run, strata)
     finding = find(rounds, judged, panel, basis, gate)
     used = rounds.first(finding.rounds)
-    evidence = dict(zip(judged, finding.evidence, strict=True))
+    parting = waypoints(finding.doubtful, used, panel)
     scenes = [
-        _scene(stratum, used, panel, gate, evidence.get(stratum, 1.0), finding)
-        for stratum in strata
+        _scene(stratum, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
     comparison = Comparison(
@@ -78,19 +78,25 @@ def compare(
         starts=bank.manifest.starts,
         baseline=_mean([item.baseline for item in scenes if item.counts]),
         drop=_drop(scenes),
-        interval=None,
+        interval=finding.interval,
         max_drop=margins.max_drop,
         tolerate=margins.tolerate,
         alpha_pass=1.0 - gate.confidence,
         alpha_regr=gate.false_alarm,
         scenes=tuple(scenes),
         reasons=(),
+        left_aside=len({scene for scene, _ in panel.by_stratum} - set(run.scenes)),
     )
     return replace(comparison, reasons=in_words(comparison, finding, rounds.left_out))
 
 
 def _scene(
-    stratum: Stratum, rounds: Rounds, panel: Panel, gate: Gate, evidence: float, finding: Finding
+    stratum: Stratum,
+    rounds: Rounds,
+    panel: Panel,
+    gate: Gate,
+    finding: Finding,
+    waypoint: int | None,
 ) -> SceneDrop:
     scores = rounds.scores([stratum])
     known = scores[~np.isnan(scores)]
@@ -101,8 +107,9 @@ def _scene(
         baseline=float(scores_of(panel, stratum).mean()),
         candidate=float(known.mean()) if known.size else None,
         trials=known.size,
-        evidence=evidence,
+        evidence=finding.evidence.get(stratum, 1.0),
         named=stratum in finding.named,
+        waypoint=waypoint,
     )
 
 

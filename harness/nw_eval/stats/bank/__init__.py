@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from nw_eval.stats.bank.decide import Ruling, decide
+from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
 from nw_eval.stats.bank.interval import drop_interval
 from nw_eval.stats.bank.order import order_of_starts
 from nw_eval.stats.bank.panel import Bank
 
 __all__ = [
+    "SUSPECT",
     "Bank",
     "Evidence",
     "Margins",

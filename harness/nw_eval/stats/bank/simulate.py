@@ -140,7 +140,9 @@ def judge_all(drawn: Drawn, chances: Floats, rules: Rules) -> Endings:
         going, named, evidence = going[stay], seen.named[stay], evidence.only(stay)
         if not going.size:
             break
-    return Endings(passed=passed, convicted=convicted, named=count, budget=min(budget, rules.rounds))
+    return Endings(
+        passed=passed, convicted=convicted, named=count, budget=min(budget, rules.rounds)
+    )
 
 
 def success_of(seen: Sequence[SceneCounts]) -> float:
