@@ -19,6 +19,7 @@ from nw_eval.api import (
     evaluate,
     fold_policy,
     init_policy,
+    judge,
     list_policies,
     list_scenes,
     list_sensors,
@@ -54,6 +55,7 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
+from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
@@ -73,6 +75,7 @@ __all__ = [
     "CardSummary",
     "CheckedScene",
     "CodeError",
+    "Comparison",
     "FoldedGraph",
     "Forecast",
     "IncomparableError",
@@ -109,6 +112,7 @@ __all__ = [
     "evaluate",
     "fold_policy",
     "init_policy",
+    "judge",
     "list_policies",
     "list_scenes",
     "list_sensors",

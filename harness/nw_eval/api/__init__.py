@@ -30,7 +30,7 @@ from nw_eval.api.policies import (
 from nw_eval.api.replays import replay
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
-from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
 from nw_eval.api.schemas import schema
@@ -59,6 +59,7 @@ __all__ = [
     "evaluate",
     "fold_policy",
     "init_policy",
+    "judge",
     "list_policies",
     "list_scenes",
     "list_sensors",

@@ -39,9 +39,13 @@ class RunReport:
 
     @property
     def typed_folder(self) -> Path:
-        """The folder as one would type it here: relative where it lies below."""
-        resolved, here = self.folder.resolve(), Path.cwd()
-        return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+        """The folder as one would type it here."""
+        return _typed(self.folder)
+
+    @property
+    def typed_page(self) -> Path | None:
+        """The page as one would type it here."""
+        return None if self.page is None else _typed(self.page)
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
@@ -64,7 +68,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     return _written(judged, out or folder.report_md)
 
 
-def gate(
+def judge(
     run: str | Path,
     *,
     baseline: str | None = None,
@@ -119,3 +123,9 @@ def _written(judged: RunReport, path: Path) -> RunReport:
     page = render_markdown(judged.info, judged.rows, judged.verdict, judged.typed_folder)
     write_report(path, page)
     return replace(judged, page=path)
+
+
+def _typed(path: Path) -> Path:
+    """Return a path as one would type it here: relative where it lies below."""
+    resolved, here = path.resolve(), Path.cwd()
+    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved

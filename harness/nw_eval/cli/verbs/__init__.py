@@ -9,6 +9,7 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.verbs.check import Check
+from nw_eval.cli.verbs.gate import GateRun
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
@@ -24,6 +25,7 @@ Verb = (
     Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Suites, tyro.conf.subcommand("suites")]
+    | Annotated[GateRun, tyro.conf.subcommand("gate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]

@@ -97,6 +97,7 @@ class Comparison:
     """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass."""
     max_drop: float
     tolerate: float
+    scene_drop: float
     alpha_pass: float
     alpha_regr: float
     scenes: tuple[SceneDrop, ...]

@@ -81,6 +81,7 @@ def compare(
         interval=finding.interval,
         max_drop=margins.max_drop,
         tolerate=margins.tolerate,
+        scene_drop=margins.scene_drop,
         alpha_pass=1.0 - gate.confidence,
         alpha_regr=gate.false_alarm,
         scenes=tuple(scenes),
