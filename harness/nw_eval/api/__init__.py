@@ -33,6 +33,7 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
@@ -50,6 +51,7 @@ __all__ = [
     "Request",
     "RunReport",
     "ServedPolicy",
+    "TrialPlan",
     "WarmUp",
     "WrittenSplat",
     "check",
@@ -65,6 +67,7 @@ __all__ = [
     "list_sensors",
     "list_suites",
     "plan",
+    "plan_trials",
     "read_rows",
     "render_scenes",
     "replay",

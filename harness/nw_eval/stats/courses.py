@@ -9,6 +9,7 @@ p / (1 - p) of every scene multiplied by one factor, as in Rasch's model of test
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,14 @@ class SceneCounts:
     """Trials that ended with 0, 1, ..., k waypoints reached, shape (k + 1,) with k at least 1."""
     alone: bool = False
     """Whether the scene is also judged by itself."""
+
+    @classmethod
+    def of(
+        cls, reached: Sequence[int], waypoints: Sequence[int], *, alone: bool = False
+    ) -> SceneCounts:
+        """Count trials by the waypoints that they reached, out of those that there were."""
+        length = max(1, *waypoints) + 1
+        return cls(counts=np.bincount(reached, minlength=length).astype(np.int64), alone=alone)
 
     @property
     def trials(self) -> int:

@@ -25,7 +25,7 @@ from nw_eval.words import Tier
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
+class GateRules:
     """By what a gate decides."""
 
     tiers: tuple[Tier, ...]
@@ -82,6 +82,16 @@ class Drawn:
         return _reached(luck, p, self.waypoints) / self.waypoints
 
 
+@dataclass(frozen=True, kw_only=True)
+class Before:
+    """Rounds that were really run, before those that are simulated."""
+
+    evidence: Evidence
+    """After them, once for each repetition."""
+    named: tuple[int, ...]
+    """Scenes that fell."""
+
+
 def draw(
     seen: Sequence[SceneCounts], *, starts: int | None, rounds: int, repetitions: int
 ) -> Drawn:
@@ -121,18 +131,31 @@ def draw(
     )
 
 
-def judge_all(drawn: Drawn, chances: Floats, rules: Rules) -> Endings:
-    """Return how repetitions end for a policy of these chances, shape (S,)."""
-    repetitions, budget = drawn.luck.shape[:2]
-    going, evidence = np.arange(repetitions), Evidence.before(drawn.bank, rules.margins)
-    passed, convicted, count = np.zeros((3, repetitions), dtype=np.intp)
+def judge_all(drawn: Drawn, chances: Floats, rules: GateRules, before: Before | None = None) -> Endings:
+    """Return how repetitions end for a policy of these chances.
+
+    Args:
+        drawn: the repetitions.
+        chances: shape (S,), or (repetitions, S) for a policy of each.
+        rules: by which they are judged.
+        before: what is known when they begin; None if they begin with the first round.
+    """
+    repetitions, budget = drawn.luck.shape[0], min(drawn.luck.shape[1], rules.rounds)
+    evidence = before.evidence if before else Evidence.before(drawn.bank, rules.margins)
     named = np.zeros((repetitions, len(rules.tiers)), dtype=bool)
-    alphas = {"alpha_pass": rules.alpha_pass, "alpha_regr": rules.alpha_regr}
-    for number in range(min(budget, rules.rounds)):
-        evidence = evidence.after(
-            drawn.scores(chances, number, going), drawn.baseline[going, number]
+    named[:, before.named if before else []] = True
+    going = np.arange(repetitions)
+    passed, convicted, count = np.zeros((3, repetitions), dtype=np.intp)
+    for number in range(budget):
+        scores = drawn.scores(chances, number, going)
+        evidence = evidence.after(scores, drawn.baseline[going, number])
+        seen = look(
+            evidence.values,
+            named,
+            rules.tiers,
+            alpha_pass=rules.alpha_pass,
+            alpha_regr=rules.alpha_regr,
         )
-        seen = look(evidence.values, named, rules.tiers, **alphas)
         passed[going[seen.passes]] = number + 1
         convicted[going[seen.convicts]] = number + 1
         count[going] = seen.named.sum(axis=-1)
@@ -140,9 +163,7 @@ def judge_all(drawn: Drawn, chances: Floats, rules: Rules) -> Endings:
         going, named, evidence = going[stay], seen.named[stay], evidence.only(stay)
         if not going.size:
             break
-    return Endings(
-        passed=passed, convicted=convicted, named=count, budget=min(budget, rules.rounds)
-    )
+    return Endings(passed=passed, convicted=convicted, named=count, budget=budget)
 
 
 def success_of(seen: Sequence[SceneCounts]) -> float:
