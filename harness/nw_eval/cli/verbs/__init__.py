@@ -9,11 +9,8 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.verbs.check import Check
-<<<<<<< HEAD
 from nw_eval.cli.verbs.gate import GateRun
-=======
 from nw_eval.cli.verbs.plan import PlanTrials
->>>>>>> e05a9d7
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
-from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
-=======
 from nw_eval.stats.bank.curve import (
     CurvePoint,
     Progress,
@@ -12,8 +9,7 @@ from nw_eval.stats.bank.curve import (
     progress_at,
     rounds_for,
 )
-from nw_eval.stats.bank.decide import Ruling, decide
->>>>>>> e05a9d7
+from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
 from nw_eval.stats.bank.interval import drop_interval
 from nw_eval.stats.bank.order import order_of_starts
