@@ -14,7 +14,7 @@ _PAGE = 120
 
 
 def summary(judged: RunReport) -> str:
-    """Return the first tables of a judged run, its verdict and where its report lies, if one was written."""
+    """Return the first tables of a judged run, its verdict and where its report lies."""
     from rich.console import Console
 
     from nw_eval.reporting.console import print_summary

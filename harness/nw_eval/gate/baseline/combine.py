@@ -37,7 +37,8 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     if begun is not None and begun.moved:
         return replace(verdict, verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
-    return combined(verdict, compare(rows, run, against.bank, gate, checked=checked))
+    found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
+    return combined(verdict, found)
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:

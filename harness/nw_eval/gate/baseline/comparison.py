@@ -8,6 +8,7 @@ from typing import Literal
 from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row.column import Settings
 from nw_eval.stats import Interval
+from nw_eval.stats.bank import CurvePoint
 from nw_eval.words import Tier
 
 Basis = Literal["same", "panel", "sample", "fresh"]
@@ -104,6 +105,9 @@ class Comparison:
     reasons: tuple[str, ...]
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
+    curve: tuple[CurvePoint, ...] = ()
+    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
+    simulated, where that was asked for."""
 
     @property
     def mean_convicts(self) -> bool:

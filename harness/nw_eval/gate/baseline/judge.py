@@ -15,6 +15,7 @@ from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.basis import basis_of, claim_of
 from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
+from nw_eval.gate.baseline.further import foresight
 from nw_eval.gate.baseline.match import check_match
 from nw_eval.gate.baseline.parting import waypoints
 from nw_eval.gate.baseline.reasons import in_words
@@ -32,6 +33,7 @@ def compare(
     gate: Gate,
     *,
     checked: Checked | None = None,
+    foresee: bool = False,
 ) -> Comparison:
     """Compare the whole rounds that a run has so far with a bank.
 
@@ -42,6 +44,8 @@ def compare(
         gate: margins, errors and tiers.
         checked: what trials of the baseline have shown on this class of machine, where the bank
             has no panel of it.
+        foresee: also simulate what this gate would show of other policies, and of this one after
+            more rounds: for a report, and too slow to be asked after each round.
 
     Raises:
         IncomparableError: the bank does not hold for the run, has too few starts for its rounds, or
@@ -50,7 +54,9 @@ def compare(
     """
     check_match(run, bank)
     basis, panel = basis_of(run, bank, checked)
-    strata = [stratum for stratum in panel.by_stratum if stratum[0] in run.scenes]
+    left_aside = {start.scene for start in panel.starts} - set(run.scenes)
+    panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
+    strata = list(panel.by_stratum)
     judged = [stratum for stratum in strata if gate.tier(stratum[0]) != "informational"]
     if not judged:
         raise IncomparableError(
@@ -86,9 +92,16 @@ def compare(
         alpha_regr=gate.false_alarm,
         scenes=tuple(scenes),
         reasons=(),
-        left_aside=len({scene for scene, _ in panel.by_stratum} - set(run.scenes)),
+        left_aside=len(left_aside),
     )
-    return replace(comparison, reasons=in_words(comparison, finding, rounds.left_out))
+    simulated = None
+    if foresee and basis != "same":
+        simulated = foresight(comparison, finding, used, panel, run, gate)
+    return replace(
+        comparison,
+        reasons=in_words(comparison, finding, rounds.left_out, simulated and simulated.more),
+        curve=simulated.curve if simulated else (),
+    )
 
 
 def _scene(

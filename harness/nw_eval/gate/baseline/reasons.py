@@ -11,13 +11,16 @@ from nw_eval.plural import plural
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
-def in_words(found: Comparison, finding: Finding, left_out: int) -> tuple[str, ...]:
+def in_words(
+    found: Comparison, finding: Finding, left_out: int, more: str | None
+) -> tuple[str, ...]:
     """Return why a comparison says what it says, and of what it speaks: the main reason first.
 
     Args:
         found: the comparison.
         finding: what it rests on.
         left_out: rows beyond whole rounds.
+        more: about how many more rounds would settle it, where that was simulated.
     """
     if found.basis == "same":
         return (f"the same policy as the baseline {found.policy}: nothing to test",)
@@ -26,6 +29,7 @@ def in_words(found: Comparison, finding: Finding, left_out: int) -> tuple[str, .
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
         *_waiting(found, finding),
+        *((more,) if more else ()),
         *_limits(found, left_out),
     )
 
