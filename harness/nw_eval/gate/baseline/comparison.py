@@ -105,7 +105,7 @@ class Comparison:
     reasons: tuple[str, ...]
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
-    curve: tuple[CurvePoint, ...] = ()
+    curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
     """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
     simulated, where that was asked for."""
 

@@ -22,7 +22,7 @@ from nw_eval.suite.model import Gate
 class Foresight:
     """What was simulated."""
 
-    curve: tuple[CurvePoint, ...]
+    curve: tuple[CurvePoint, CurvePoint, CurvePoint]
     """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it."""
     more: str | None
     """About how many more rounds would settle it; None where it is settled."""

@@ -100,7 +100,7 @@ def compare(
     return replace(
         comparison,
         reasons=in_words(comparison, finding, rounds.left_out, simulated and simulated.more),
-        curve=simulated.curve if simulated else (),
+        curve=simulated.curve if simulated else None,
     )
 
 

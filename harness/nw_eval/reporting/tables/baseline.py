@@ -29,9 +29,7 @@ def baseline_table(found: Comparison | None) -> Table:
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers) for item in items),
-        numbers=frozenset(
-            {"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}
-        ),
+        numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
         note="" if found is None else _note(found),
     )
 
