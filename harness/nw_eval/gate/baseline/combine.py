@@ -32,13 +32,12 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     if against is None:
         return judge(rows, gate, run.planned)
-    verdict = judge(rows, gate, run.planned, compared=True)
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
     if begun is not None and begun.moved:
-        return replace(verdict, verdict="INVALID", reasons=begun.moved)
+        return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
     found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
-    return combined(verdict, found)
+    return combined(judge(rows, gate, run.planned, against=found), found)
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
