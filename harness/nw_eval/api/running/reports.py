@@ -29,7 +29,7 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors left or trials missing."""
+        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors or trials missing, 5 INVALID."""
         return self.verdict.exit_code
 
     @property
@@ -48,7 +48,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
-    from nw_eval.gate.absolute import judge
+    from nw_eval.api.running.verdicts import verdict_on
     from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
@@ -58,7 +58,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)
     found = read_trials(folder, info, saved_trials(info, suite))
-    verdict = judge(found.rows, suite.gate, info.planned)
+    verdict = verdict_on(folder, info, suite, found.rows)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     judged = RunReport(folder=folder.path, info=info, verdict=verdict, rows=found.rows)
     page = render_markdown(info, judged.rows, verdict, judged.typed_folder)
