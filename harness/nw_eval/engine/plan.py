@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.order import in_order
@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
-    from nw_eval.results.bank import SavedBank
-    from nw_eval.results.provenance import BaselineInfo
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
@@ -27,20 +26,6 @@ if TYPE_CHECKING:
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
 _SECONDS_PER_SECOND = 20.0
 _SECONDS_MORE = 90.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Against:
-    """The bank that a run is compared with."""
-
-    info: BaselineInfo
-    bank: SavedBank
-    content: bytes
-    """Of its file, of which the run's folder gets a copy."""
-
-    def of_run(self, info: BaselineInfo) -> Against:
-        """Return the bank as a run knows it, that was begun with it somewhere else."""
-        return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,7 @@ def make_bank() -> Callable[..., SavedBank]:
             "panels": (
                 PanelInfo(
                     machine=machine_of(run),
-                    made="2026-11-20T09:00:00Z",
+                    saved="2026-11-20T09:00:00Z",
                     by="ci",
                     rows_digest="ff" * 32,
                 ),

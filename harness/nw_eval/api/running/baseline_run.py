@@ -20,8 +20,9 @@ from nw_eval.results.provenance import read_run_info
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
-    from nw_eval.engine.plan import Against, Plan
+    from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder

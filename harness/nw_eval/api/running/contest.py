@@ -13,8 +13,9 @@ from nw_eval.results.bank.manifest import machine_of
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
-    from nw_eval.engine.plan import Against, Plan
+    from nw_eval.engine.plan import Plan
     from nw_eval.gate.baseline.comparison import Checked, Comparison
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -89,7 +90,8 @@ class Contest:
         run = self._run
         assert run is not None, "a run begins before its first round ends"
         assert run.baseline is not None, "a run against a bank says so"
-        bar = judge(rows, self._plan.suite.gate, Counter(row.scene for row in rows))
+        planned = Counter(row.scene for row in rows)
+        bar = judge(rows, self._plan.suite.gate, planned, compared=True)
         return settled(bar, self._compare(rows, run, run.baseline.checked))
 
     def _is_seen(self, run: RunInfo) -> bool:

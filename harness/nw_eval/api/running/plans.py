@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.api.running.banks import check_rounds, wanted_bank
+from nw_eval.api.running.baselines import check_rounds, wanted_bank
 from nw_eval.errors import UsageError, nearest
 from nw_eval.request import Request
 
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from nw_eval.catalogue import FoundScene
     from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import Against, Plan
+    from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import PolicyInfo
     from nw_eval.scenes import Scene
     from nw_eval.suite import Draft, Suite

@@ -6,15 +6,11 @@ import re
 from hashlib import sha256
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.comparison import Basis, Checked, Claim
+from nw_eval.gate.baseline.comparison import TIMES, Basis, Checked, Claim
 from nw_eval.gate.baseline.match import renewing
 from nw_eval.results.bank import Panel, SavedBank
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import PolicyInfo, RunInfo
-
-TIMES = 3
-"""Starts in a bank for each round, at least, for a claim about fresh starts: with fewer a drop at
-the margin passes or is convicted too often (simulated: 24 to 31 % at M = 20, nominal 5 %)."""
 
 _NOTHING = sha256(b"").hexdigest()
 
@@ -58,8 +54,8 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, budget: int) -> Claim:
     """
     if basis == "same":
         return "panel and fresh"
-    is_drawn = basis == "panel" and run.drawn_from is not None
     has, enough = bank.manifest.starts, TIMES * budget
+    is_drawn = basis == "panel" and run.drawn_from == has
     if has >= max(enough, run.drawn_from or 0):
         return "panel and fresh" if is_drawn else "fresh"
     if is_drawn and has >= max(budget, run.drawn_from or 0):

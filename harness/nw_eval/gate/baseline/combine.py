@@ -2,10 +2,49 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.known import known_rows
 from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.results.bank.against import Against
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+from nw_eval.suite.model import Gate
+
+
+def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+    """Judge the rows of a run by the bar, and against a bank if there is one.
+
+    Where the bank's own policy did other than the bank says on the machine of the run, the verdict
+    is INVALID: nothing is charged to the candidate.
+
+    Args:
+        rows: of the run's plan.
+        run: what they are of.
+        gate: the settings to judge by.
+        against: the bank.
+
+    Raises:
+        IncomparableError, StoreError: as `compare`.
+    """
+    if against is None:
+        return judge(rows, gate, run.planned)
+    verdict = judge(rows, gate, run.planned, compared=True)
+    begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
+    if begun is not None and begun.moved:
+        return replace(verdict, verdict="INVALID", reasons=begun.moved)
+    checked = None if begun is None else begun.checked
+    found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
+    if found.basis == "same" and run.stopped_after == 0:
+        # Nothing had to run: what the policy scores from these starts is in the bank.
+        known = known_rows(run, against.bank)
+        verdict = judge(known, gate, Counter(row.scene for row in known), compared=True)
+    return combined(verdict, found)
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:

@@ -6,7 +6,7 @@ informational are not in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +16,8 @@ from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.comparison import Basis
 from nw_eval.gate.baseline.rounds import Rounds, scores_of
 from nw_eval.results.bank import Panel, Stratum
-from nw_eval.stats.bank import Bank, Margins, decide, over_rounds
+from nw_eval.stats import Interval
+from nw_eval.stats.bank import SUSPECT, Bank, Margins, decide, drop_interval, over_rounds
 from nw_eval.suite.model import Gate
 
 
@@ -27,12 +28,20 @@ class Finding:
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
     rounds: int
     """After how many; all that there are where nothing is."""
-    evidence: tuple[float, ...]
-    """E_s of the strata that are judged."""
+    evidence: Mapping[Stratum, float]
+    """E_s of each that counts."""
     named: tuple[Stratum, ...]
     """Those that fell, beyond doubt."""
     waits_for: tuple[Stratum, ...] = ()
     """Those that alone hold back a PASS."""
+    interval: Interval | None = None
+    """Drops that are not ruled out; None where nothing was tested."""
+
+    @property
+    def doubtful(self) -> tuple[Stratum, ...]:
+        """Those that fell, or may have."""
+        suspect = {stratum for stratum, value in self.evidence.items() if value >= SUSPECT}
+        return tuple(stratum for stratum in self.evidence if stratum in suspect.union(self.named))
 
 
 def margins_of(gate: Gate) -> Margins:
@@ -57,7 +66,9 @@ def find(
             and all would pass.
     """
     if basis == "same":
-        return Finding(word="PASS", rounds=rounds.count, evidence=(1.0,) * len(judged), named=())
+        return Finding(
+            word="PASS", rounds=rounds.count, evidence=dict.fromkeys(judged, 1.0), named=()
+        )
     scores, margins = np.array([scores_of(panel, stratum) for stratum in judged]), margins_of(gate)
     if not scores.mean() > margins.max_drop:
         raise IncomparableError(
@@ -69,18 +80,17 @@ def find(
     if basis == "fresh":  # Nothing is known of these starts but the scene.
         bank = Bank(means=bank.means)
         known = np.broadcast_to(bank.means, known.shape)
-    values = over_rounds(bank, rounds.scores(judged), known, margins)
-    ruling = decide(
-        values,
-        [gate.tier(scene) for scene, _ in judged],
-        alpha_pass=1.0 - gate.confidence,
-        alpha_regr=gate.false_alarm,
-    )
-    last = values[ruling.rounds - 1].scenes if ruling.rounds else np.ones(len(judged))
+    candidate = rounds.scores(judged)
+    alphas = {"alpha_pass": 1.0 - gate.confidence, "alpha_regr": gate.false_alarm}
+    values = over_rounds(bank, candidate, known, margins)
+    ruling = decide(values, [gate.tier(scene) for scene, _ in judged], **alphas)
+    count = ruling.rounds
+    last = values[count - 1].scenes if count else np.ones(len(judged))
     return Finding(
         word="INCONCLUSIVE" if ruling.word == "undecided" else ruling.word,
-        rounds=ruling.rounds,
-        evidence=tuple(last.tolist()),
+        rounds=count,
+        evidence=dict(zip(judged, last.tolist(), strict=True)),
         named=tuple(judged[index] for index in ruling.named),
         waits_for=tuple(judged[index] for index in ruling.waits_for),
+        interval=drop_interval(bank, candidate[:count], known[:count], **alphas),
     )

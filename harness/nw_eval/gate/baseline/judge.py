@@ -15,7 +15,9 @@ from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.basis import basis_of, claim_of
 from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
+from nw_eval.gate.baseline.further import foresight
 from nw_eval.gate.baseline.match import check_match
+from nw_eval.gate.baseline.parting import waypoints
 from nw_eval.gate.baseline.reasons import in_words
 from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds
 from nw_eval.results.bank import Panel, SavedBank, Stratum
@@ -31,6 +33,7 @@ def compare(
     gate: Gate,
     *,
     checked: Checked | None = None,
+    foresee: bool = False,
 ) -> Comparison:
     """Compare the whole rounds that a run has so far with a bank.
 
@@ -41,6 +44,8 @@ def compare(
         gate: margins, errors and tiers.
         checked: what trials of the baseline have shown on this class of machine, where the bank
             has no panel of it.
+        foresee: also simulate what this gate would show of other policies, and of this one after
+            more rounds: for a report, and too slow to be asked after each round.
 
     Raises:
         IncomparableError: the bank does not hold for the run, has too few starts for its rounds, or
@@ -49,7 +54,9 @@ def compare(
     """
     check_match(run, bank)
     basis, panel = basis_of(run, bank, checked)
-    strata = [stratum for stratum in panel.by_stratum if stratum[0] in run.scenes]
+    left_aside = {start.scene for start in panel.starts} - set(run.scenes)
+    panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
+    strata = list(panel.by_stratum)
     judged = [stratum for stratum in strata if gate.tier(stratum[0]) != "informational"]
     if not judged:
         raise IncomparableError(
@@ -61,10 +68,9 @@ def compare(
     rounds = whole_rounds(rows, run, strata)
     finding = find(rounds, judged, panel, basis, gate)
     used = rounds.first(finding.rounds)
-    evidence = dict(zip(judged, finding.evidence, strict=True))
+    parting = waypoints(finding.doubtful, used, panel)
     scenes = [
-        _scene(stratum, used, panel, gate, evidence.get(stratum, 1.0), finding)
-        for stratum in strata
+        _scene(stratum, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
     comparison = Comparison(
@@ -78,19 +84,33 @@ def compare(
         starts=bank.manifest.starts,
         baseline=_mean([item.baseline for item in scenes if item.counts]),
         drop=_drop(scenes),
-        interval=None,
+        interval=finding.interval,
         max_drop=margins.max_drop,
         tolerate=margins.tolerate,
+        scene_drop=margins.scene_drop,
         alpha_pass=1.0 - gate.confidence,
         alpha_regr=gate.false_alarm,
         scenes=tuple(scenes),
         reasons=(),
+        left_aside=len(left_aside),
     )
-    return replace(comparison, reasons=in_words(comparison, finding, rounds.left_out))
+    simulated = None
+    if foresee and basis != "same":
+        simulated = foresight(comparison, finding, used, panel, run, gate)
+    return replace(
+        comparison,
+        reasons=in_words(comparison, finding, rounds.left_out, simulated and simulated.more),
+        curve=simulated.curve if simulated else None,
+    )
 
 
 def _scene(
-    stratum: Stratum, rounds: Rounds, panel: Panel, gate: Gate, evidence: float, finding: Finding
+    stratum: Stratum,
+    rounds: Rounds,
+    panel: Panel,
+    gate: Gate,
+    finding: Finding,
+    waypoint: int | None,
 ) -> SceneDrop:
     scores = rounds.scores([stratum])
     known = scores[~np.isnan(scores)]
@@ -101,8 +121,9 @@ def _scene(
         baseline=float(scores_of(panel, stratum).mean()),
         candidate=float(known.mean()) if known.size else None,
         trials=known.size,
-        evidence=evidence,
+        evidence=finding.evidence.get(stratum, 1.0),
         named=stratum in finding.named,
+        waypoint=waypoint,
     )
 
 

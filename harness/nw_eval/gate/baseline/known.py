@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
 
-from nw_eval.results.bank import Panel
+from nw_eval.results.bank import SavedBank
+from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
-from nw_eval.suite import Trial
+from nw_eval.suite.model import new_suite
+from nw_eval.suite.trials import expand
 
 _FROM_START = (
     *("success", "completed", "outcome", "end_reason"),
@@ -16,20 +18,31 @@ _FROM_START = (
 _NO_TIMES = dict.fromkeys(("physics_s", "render_s", "policy_s", "log_s", "wall_s"), 0.0)
 
 
-def known_rows(panel: Panel, run: RunInfo, trials: Iterable[Trial]) -> tuple[Row, ...]:
-    """Return a panel's results as rows, taken over (`Row.cached`): they cost this run no time.
+@dataclass(frozen=True, kw_only=True)
+class _Place:
+    """A scene, as its trials' identities need it."""
+
+    name: str
+    task: str
+    digest: str
+
+
+def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
+    """Return a bank's results as rows, taken over (`Row.cached`): they cost this run no time.
 
     They are for judging only. What a bank does not hold of a trial, its steps and digests, they do
     not hold either.
 
     Args:
-        panel: of a bank.
         run: of the bank's own policy.
-        trials: of all the panel's starts in scenes that the run has.
+        bank: which holds for the run: the panel of its class of machine, or else the first.
     """
+    panel = bank.panel_of(machine_of(run)) or bank.panels[0]
     starts = {(*start.stratum, start.seed_index): start for start in panel.starts}
+    suite = new_suite({**run.suite, "trials": bank.manifest.starts})
+    scenes = [_Place(name=name, task=s.task, digest=s.digest) for name, s in run.scenes.items()]
     rows: list[Row] = []
-    for trial in trials:
+    for trial in expand(suite, scenes):
         start = starts[trial.scene, trial.perturbation, trial.index]
         known = {
             "trial_id": trial.id,

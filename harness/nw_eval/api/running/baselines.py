@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError
+from nw_eval.request import Request
 
 if TYPE_CHECKING:
-    from nw_eval.engine.plan import Against
-    from nw_eval.request import Request
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
@@ -54,6 +54,27 @@ def kept_bank(folder: RunFolder, info: RunInfo) -> Against | None:
     )
 
 
+def judging_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
+) -> Against | None:
+    """Return the bank to judge the rows of a run against; None if there is to be none.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        reference: the bank that is asked for; if None, that which the run was begun against, or
+            else the one that the suite names.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`.
+    """
+    if reference is None and info.baseline is not None:
+        return kept_bank(folder, info)
+    return wanted_bank(Request(baseline=reference), suite)
+
+
 def resumed_bank(folder: RunFolder, info: RunInfo, request: Request) -> Against | None:
     """Return the bank to go on with in a run: the one that it was begun with.
 
@@ -92,7 +113,7 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
 
 
 def _opened(path: Path) -> Against:
-    from nw_eval.engine.plan import Against
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.bank.file import read_bank
     from nw_eval.results.provenance import BaselineInfo
 
