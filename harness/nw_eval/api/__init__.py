@@ -6,6 +6,15 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+from nw_eval.api.baselines.checked import CheckedBaseline, check_baseline
+from nw_eval.api.baselines.listed import (
+    ListedBaseline,
+    ShownBaseline,
+    diff_baselines,
+    list_baselines,
+    show_baseline,
+)
+from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -42,23 +51,30 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "CardDraft",
+    "CheckedBaseline",
     "CheckedScene",
     "FoldedGraph",
+    "ListedBaseline",
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
     "Request",
     "RunReport",
+    "SavedBaseline",
     "ServedPolicy",
+    "ShownBaseline",
     "WarmUp",
     "WrittenSplat",
     "check",
+    "check_baseline",
     "check_policy",
     "check_scenes",
+    "diff_baselines",
     "draw_sensors",
     "evaluate",
     "fold_policy",
     "init_policy",
+    "list_baselines",
     "list_policies",
     "list_scenes",
     "list_sensors",
@@ -69,8 +85,10 @@ __all__ = [
     "replay",
     "report",
     "run",
+    "save_baseline",
     "schema",
     "serve_policy",
+    "show_baseline",
     "show_policy",
     "show_scene",
     "splat_convert",

@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.baseline import Baseline
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
@@ -24,6 +25,7 @@ Verb = (
     Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Suites, tyro.conf.subcommand("suites")]
+    | Annotated[Baseline, tyro.conf.subcommand("baseline")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
