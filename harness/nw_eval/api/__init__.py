@@ -39,9 +39,10 @@ from nw_eval.api.policies import (
 from nw_eval.api.replays import replay
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
-from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
@@ -63,6 +64,7 @@ __all__ = [
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "TrialPlan",
     "WarmUp",
     "WrittenSplat",
     "check",
@@ -74,12 +76,14 @@ __all__ = [
     "evaluate",
     "fold_policy",
     "init_policy",
+    "judge",
     "list_baselines",
     "list_policies",
     "list_scenes",
     "list_sensors",
     "list_suites",
     "plan",
+    "plan_trials",
     "read_rows",
     "render_scenes",
     "replay",
