@@ -90,7 +90,8 @@ class Contest:
         run = self._run
         assert run is not None, "a run begins before its first round ends"
         assert run.baseline is not None, "a run against a bank says so"
-        bar = judge(rows, self._plan.suite.gate, Counter(row.scene for row in rows))
+        planned = Counter(row.scene for row in rows)
+        bar = judge(rows, self._plan.suite.gate, planned, compared=True)
         return settled(bar, self._compare(rows, run, run.baseline.checked))
 
     def _is_seen(self, run: RunInfo) -> bool:

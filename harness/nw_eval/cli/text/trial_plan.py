@@ -38,9 +38,7 @@ def trial_plan_page(planned: TrialPlan) -> str:
 
 
 def _detection(planned: TrialPlan) -> str:
-    return _rounds(
-        planned, planned.dropped.regressed, f"a drop of {planned.detect:g} is convicted"
-    )
+    return _rounds(planned, planned.dropped.regressed, f"a drop of {planned.detect:g} is convicted")
 
 
 def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
