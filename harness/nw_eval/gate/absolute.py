@@ -71,7 +71,7 @@ def judge(
     bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores)
-    word, reasons = _compare(bounds, scores, gate)
+    word, reasons = _compare(bounds, scores, gate, alone=against is None)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
     elif condemned := _condemned(groups, scores, gate):
@@ -137,13 +137,16 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
     return reasons
 
 
-def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tuple[Word, list[str]]:
+def _compare(
+    bounds: Interval, scores: Sequence[SceneScore], gate: Gate, *, alone: bool
+) -> tuple[Word, list[str]]:
     """Return what the bounds of mean success say, and one reason."""
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
         total = plural(sum(item.n for item in scores), "trial")
-        return "RAN", [f"{total} ran and nothing was judged: the suite sets no gate.success_rate"]
+        judged = "nothing was judged" if alone else "no bar was judged"
+        return "RAN", [f"{total} ran and {judged}: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:
