@@ -107,7 +107,7 @@ def test_a_drop_regresses_and_names_the_scene(
     folder = write_run(run, drawn_rows(run, like(low=0.25)))
     assert gate(folder, "--baseline", "shipped") == 1
     reasons = " ".join(capsys.readouterr().out.partition("REGRESSED")[2].split())
-    assert "those that speak most: a from 1.00 to 0.25, from waypoint 2 on" in reasons
+    assert "* a fell from 1.00 to 0.25, from waypoint 2 on" in reasons
     assert "80 trials ran and no bar was judged" in reasons
     # The suite's own margins give way to those that are asked for.
     judged = api.judge(folder, baseline="shipped", max_drop=0.6, tolerate=0.3)
