@@ -26,6 +26,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
+from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
@@ -42,7 +43,11 @@ _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
 
 
 def judge(
-    rows: Sequence[Row], gate: Gate, planned: Mapping[str, int], *, compared: bool = False
+    rows: Sequence[Row],
+    gate: Gate,
+    planned: Mapping[str, int],
+    *,
+    against: Comparison | None = None,
 ) -> Verdict:
     """Judge one run against its suite's absolute bar.
 
@@ -50,8 +55,8 @@ def judge(
         rows: one for each trial that ended, with a result or an error.
         gate: the suite's gate settings.
         planned: number of trials that were to be run, by scene.
-        compared: whether the rows are also compared with a baseline; if not, and the suite names a
-            `max_drop`, the verdict says that nobody looked at it.
+        against: what the rows show against a baseline, if they were compared with one. It changes
+            nothing of the verdict (`baseline.combine` does), but what is worth saying beside it.
 
     Raises:
         StoreError: a trial appears twice.
@@ -66,13 +71,13 @@ def judge(
     bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores)
-    word, reasons = _compare(bounds, scores, gate)
+    word, reasons = _compare(bounds, scores, gate, alone=against is None)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
     elif condemned := _condemned(groups, scores, gate):
         # The suite's mean speaks first only if it convicts too.
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
-    elif word == "INCONCLUSIVE" and gate.success_rate is not None:
+    elif word == "INCONCLUSIVE" and gate.success_rate is not None and not _is_moot(against):
         reasons.append(advice(counted, seen, gate, gate.success_rate))
     drop = gate.most_drop
     return Verdict(
@@ -93,10 +98,15 @@ def judge(
         reasons=(
             *reasons,
             *_weak_scenes(scores, gate),
-            *(() if compared else _unjudged(rows, gate)),
+            *(_unjudged(rows, gate) if against is None else ()),
         ),
         per_scene=scores,
     )
+
+
+def _is_moot(against: Comparison | None) -> bool:
+    """Return whether more trials would be of no use to the bar: the baseline has convicted."""
+    return against is not None and against.word == "REGRESSED"
 
 
 def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> list[str]:
@@ -127,13 +137,16 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
     return reasons
 
 
-def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tuple[Word, list[str]]:
+def _compare(
+    bounds: Interval, scores: Sequence[SceneScore], gate: Gate, *, alone: bool
+) -> tuple[Word, list[str]]:
     """Return what the bounds of mean success say, and one reason."""
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
         total = plural(sum(item.n for item in scores), "trial")
-        return "RAN", [f"{total} ran and nothing was judged: the suite sets no gate.success_rate"]
+        judged = "nothing was judged" if alone else "no bar was judged"
+        return "RAN", [f"{total} ran and {judged}: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:

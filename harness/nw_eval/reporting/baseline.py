@@ -32,13 +32,13 @@ def _errors(found: Comparison) -> str:
         if critical
         else ""
     )
+    false_pass, false_alarm = _percent(found.alpha_pass), _percent(found.alpha_regr)
     return (
         f"Against the baseline a drop of {found.max_drop:g} or more passes with a probability of "
-        f"at most {_percent(found.alpha_pass)}, and one of {found.tolerate:g} or less is convicted "
-        f"with at most {_percent(found.alpha_regr)}{alone}. That holds however often one looks after a "
-        "whole round and stops there, and so do both ends of the interval, of which the lower one "
-        f"errs with {_percent(found.alpha_regr)} and the upper one with "
-        f"{_percent(found.alpha_pass)}."
+        f"at most {false_pass}, and one of {found.tolerate:g} or less is convicted with at most "
+        f"{false_alarm}{alone}. That holds however often one looks after a whole round and stops "
+        "there, and so do both ends of the interval, of which the lower one errs with "
+        f"{false_alarm} and the upper one with {false_pass}."
     )
 
 

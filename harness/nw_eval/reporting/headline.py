@@ -29,6 +29,8 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
+    if verdict.effect is None and verdict.against is not None and verdict.against.basis == "same":
+        return "Checkpoint and card are those of the baseline, so no trial had to run."
     if verdict.effect is None:
         return "No trial has a result, so nothing can be said."
     sentence = (
@@ -71,8 +73,8 @@ def _against(found: Comparison | None) -> list[str]:
     if found.drop is None or found.interval is None:
         same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
         return [f"baseline {found.bank} {same}"]
-    span = f"at least {found.interval.low:.3f}, at most {found.interval.high:.3f}"
-    drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:.3f} ({span})"
+    span = f"at least {found.interval.low:z.3f}, at most {found.interval.high:z.3f}"
+    drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:z.3f} ({span})"
     return [f"{drop} in {found.rounds} of {plural(found.budget, 'round')}"]
 
 

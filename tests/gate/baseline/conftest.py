@@ -90,7 +90,7 @@ def make_bank() -> Callable[..., SavedBank]:
                 end_reason="",
                 trajectory="0" * 16,
             )
-            for name, values in scores.items()
+            for name, values in sorted(scores.items(), key=lambda item: stratum_of(item[0]))
             for index, value in enumerate(values)
         )
         facts: dict[str, Any] = {

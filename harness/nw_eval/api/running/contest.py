@@ -90,8 +90,9 @@ class Contest:
         run = self._run
         assert run is not None, "a run begins before its first round ends"
         assert run.baseline is not None, "a run against a bank says so"
-        bar = judge(rows, self._plan.suite.gate, Counter(row.scene for row in rows))
-        return settled(bar, self._compare(rows, run, run.baseline.checked))
+        found = self._compare(rows, run, run.baseline.checked)
+        planned = Counter(row.scene for row in rows)
+        return settled(judge(rows, self._plan.suite.gate, planned, against=found), found)
 
     def _is_seen(self, run: RunInfo) -> bool:
         """Whether nothing of the baseline need be run on this machine."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.request import Request
     from nw_eval.results.provenance import RunInfo
     from nw_eval.suite import Suite, Trial
+    from nw_eval.suite.trials import SceneLike
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +98,14 @@ def saved_suite(info: RunInfo) -> Suite:
     return suite
 
 
+def saved_scenes(info: RunInfo) -> list[SceneLike]:
+    """Return the scenes of a run, as far as run.json says what they are."""
+    return [
+        _Scene(name=name, task=scene.task, digest=scene.digest)
+        for name, scene in info.scenes.items()
+    ]
+
+
 def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return the trials that a run planned, from its suite and the digests of its scenes.
 
@@ -110,10 +119,7 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     from nw_eval.suite import expand
     from nw_eval.suite.trials import wanted
 
-    scenes = [
-        _Scene(name=name, task=scene.task, digest=scene.digest)
-        for name, scene in info.scenes.items()
-    ]
+    scenes = saved_scenes(info)
     starts = None
     if info.drawn_from is not None:
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]

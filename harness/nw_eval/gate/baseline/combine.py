@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.known import known_rows
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.results.bank.against import Against
 from nw_eval.results.provenance import RunInfo
@@ -32,13 +34,16 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     if against is None:
         return judge(rows, gate, run.planned)
-    verdict = judge(rows, gate, run.planned, compared=True)
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
     if begun is not None and begun.moved:
-        return replace(verdict, verdict="INVALID", reasons=begun.moved)
+        return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
     found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
-    return combined(verdict, found)
+    if found.basis == "same" and run.stopped_after == 0:
+        # Nothing had to run: what the policy scores from these starts is in the bank.
+        rows = known_rows(run, against.bank)
+        return combined(judge(rows, gate, Counter(row.scene for row in rows), against=found), found)
+    return combined(judge(rows, gate, run.planned, against=found), found)
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:

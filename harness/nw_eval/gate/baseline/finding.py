@@ -20,6 +20,9 @@ from nw_eval.stats import Interval
 from nw_eval.stats.bank import SUSPECT, Bank, Margins, decide, drop_interval, over_rounds
 from nw_eval.suite.model import Gate
 
+_WORST = 3
+"""Scenes of which it is said where the candidate fails, though none fell beyond doubt."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
@@ -38,10 +41,15 @@ class Finding:
     """Drops that are not ruled out; None where nothing was tested."""
 
     @property
-    def doubtful(self) -> tuple[Stratum, ...]:
-        """Those that fell, or may have."""
-        suspect = {stratum for stratum, value in self.evidence.items() if value >= SUSPECT}
-        return tuple(stratum for stratum in self.evidence if stratum in suspect.union(self.named))
+    def worst(self) -> tuple[Stratum, ...]:
+        """Those that fell or may have, and of a policy that was convicted some that speak most."""
+        ranked = sorted(self.evidence, key=lambda stratum: (-self.evidence[stratum], stratum))
+        least = _WORST if self.word == "REGRESSED" else 0
+        return tuple(
+            stratum
+            for rank, stratum in enumerate(ranked)
+            if rank < least or self.evidence[stratum] >= SUSPECT or stratum in self.named
+        )
 
 
 def margins_of(gate: Gate) -> Margins:

@@ -68,7 +68,7 @@ def compare(
     rounds = whole_rounds(rows, run, strata)
     finding = find(rounds, judged, panel, basis, gate)
     used = rounds.first(finding.rounds)
-    parting = waypoints(finding.doubtful, used, panel)
+    parting = waypoints(finding.worst, used, panel)
     scenes = [
         _scene(stratum, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]

@@ -28,6 +28,7 @@ def in_words(
     by_scenes_alone = found.word == "REGRESSED" and not found.mean_convicts
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
+        *_largest(found),
         *_waiting(found, finding),
         *((more,) if more else ()),
         *_limits(found, left_out),
@@ -43,11 +44,11 @@ def _mean(found: Comparison) -> str:
     if found.word == "PASS":
         worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
         return f"{worst} than {name} ({at_most}): a drop of {found.max_drop:g} is excluded"
-    span = f"at least {drops.low:.3f} ({at_least}) and at most {drops.high:.3f} ({at_most})"
+    span = f"at least {drops.low:z.3f} ({at_least}) and at most {drops.high:z.3f} ({at_most})"
     if found.mean_convicts:
         return f"worse than {name} by {span}"
     return (
-        f"the drop from {name} is {found.drop:.3f} in {plural(found.rounds, 'round')}, {span}: "
+        f"the drop from {name} is {found.drop:z.3f} in {plural(found.rounds, 'round')}, {span}: "
         f"{found.max_drop:g} is {_excluded(drops.high < found.max_drop)}, more than "
         f"{found.tolerate:g} is not shown"
     )
@@ -69,9 +70,24 @@ def _fallen(found: Comparison) -> tuple[str, ...]:
 
 
 def _fell(item: SceneDrop) -> str:
-    onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
     which = "critical scene " if item.tier == "critical" else ""
-    return f"{which}{item.name} fell from {item.baseline:.2f} to {item.candidate:.2f}{onwards}"
+    return f"{which}{item.name} fell {_change(item)}"
+
+
+def _largest(found: Comparison) -> Iterable[str]:
+    """Return where a policy that the mean convicts seems worst, if no scene convicts alone."""
+    if not found.mean_convicts or any(item.named for item in found.scenes):
+        return
+    lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
+    lower.sort(key=lambda item: (-item.evidence, item.name))
+    if lower:
+        worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
+        yield f"no scene fell beyond doubt by itself; those that speak most: {worst}"
+
+
+def _change(item: SceneDrop) -> str:
+    onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
+    return f"from {item.baseline:.2f} to {item.candidate:.2f}{onwards}"
 
 
 def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:

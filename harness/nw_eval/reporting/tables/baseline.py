@@ -45,7 +45,7 @@ def _line(item: SceneDrop, *, tiers: bool) -> tuple[str, ...]:
         str(item.trials),
         f"{item.baseline:.3f}",
         "none" if item.candidate is None else f"{item.candidate:.3f}",
-        "" if item.drop is None else f"{item.drop:.3f}",
+        "" if item.drop is None else f"{item.drop:z.3f}",
         _evidence(item) if item.counts and item.trials else "",
         "yes" if item.named else "",
         "" if item.waypoint is None else str(item.waypoint),
