@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.errors import IncomparableError
+
 if TYPE_CHECKING:
     from nw_eval.gate.verdict import Verdict
     from nw_eval.results.bank.against import Against
@@ -52,19 +54,28 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     """Judge a run as it was begun, by its bar and its baseline, and write report.md.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
+    Where the bank that it was begun against is gone, the verdict is INVALID, and what the bar alone
+    would say is among the reasons.
 
     Raises:
-        IncomparableError: the bank that it was begun against is gone, or does not hold for it.
+        IncomparableError: the bank does not hold for it.
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
     from nw_eval.api.running.baselines import kept_bank
     from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.gate.baseline.combine import without_bank
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
-    judged = _judged(folder, info, saved_suite(info), kept_bank(folder, info))
+    try:
+        against, gone = kept_bank(folder, info), None
+    except IncomparableError as error:
+        against, gone = None, error
+    judged = _judged(folder, info, saved_suite(info), against)
+    if gone is not None:
+        judged = replace(judged, verdict=without_bank(judged.verdict, str(gone)))
     return _written(judged, out or folder.report_md)
 
 

@@ -67,6 +67,17 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
     return replace(verdict, verdict=word, reasons=reasons, against=comparison)
 
 
+def without_bank(verdict: Verdict, why: str) -> Verdict:
+    """Return the verdict on a run that was to be compared with a bank, and cannot be: INVALID.
+
+    Args:
+        verdict: by the bar alone, which is told, and does not count.
+        why: in what the bank fails.
+    """
+    alone = (f"the bar alone: {verdict.verdict}", *verdict.reasons) if verdict.n else ()
+    return replace(verdict, verdict="INVALID", reasons=(why, *alone))
+
+
 def settled(verdict: Verdict, comparison: Comparison) -> bool:
     """Return whether more rounds would not change the word: one convicts, or both pass.
 
