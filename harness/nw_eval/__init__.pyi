@@ -26,14 +26,15 @@ from nw_eval.api import (
     evaluate,
     fold_policy,
     init_policy,
-    list_baselines,
     judge,
+    list_baselines,
     list_policies,
     list_scenes,
     list_sensors,
     list_suites,
     plan,
     plan_trials,
+    read_ledger,
     read_rows,
     render_scenes,
     replay,
@@ -67,6 +68,7 @@ from nw_eval.errors import (
     UsageError,
 )
 from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.ledger.report import LedgerReport
 from nw_eval.gate.verdict import Verdict
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
@@ -94,6 +96,7 @@ __all__ = [
     "FoldedGraph",
     "Forecast",
     "IncomparableError",
+    "LedgerReport",
     "ListedBaseline",
     "ListedPolicy",
     "ListedScene",
@@ -142,6 +145,7 @@ __all__ = [
     "list_suites",
     "plan",
     "plan_trials",
+    "read_ledger",
     "read_rows",
     "render_scenes",
     "replay",

@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.ledgers import read_ledger
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -84,6 +85,7 @@ __all__ = [
     "list_suites",
     "plan",
     "plan_trials",
+    "read_ledger",
     "read_rows",
     "render_scenes",
     "replay",
