@@ -170,6 +170,17 @@ def test_the_same_policy_needed_no_trial(page: Make) -> None:
     assert table(page(same, rows=0))[1][:5] == ["a friction 0.6", "0", "0.900", "none", ""]
 
 
+def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
+    make_row: Make, make_run: Make
+) -> None:
+    failed = {"outcome": "policy_failed", "end_reason": "action", "error_type": "policy_error"}
+    rows = [make_row("a", 0, 2, **failed)]
+    for against, end in ((None, "then."), (FOUND, "then; against the baseline they count as 0.")):
+        verdict = replace(judge(rows, Gate(), {"a": 1}), against=against)
+        text = render_markdown(make_run({"a": 1}), rows, verdict, Path("x"))
+        assert f"results, and count with the waypoints reached until {end}" in text
+
+
 def test_without_a_baseline_nothing_of_one_is_said(make_row: Make, make_run: Make) -> None:
     rows = [make_row("a", 0, 4)]
     text = render_markdown(make_run({"a": 1}), rows, judge(rows, Gate(), {"a": 1}), Path("x"))
