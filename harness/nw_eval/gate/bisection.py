@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 Word = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
@@ -45,7 +46,7 @@ class Bisection:
 
     @property
     def recovered(self) -> tuple[int, ...]:
-        """Checkpoints that passed although an earlier one had fallen: the series is not monotone."""
+        """Checkpoints that passed after one that fell: the series is not monotone."""
         fallen = self.first_fallen
         passed = (i for i, word in self.words.items() if word == "PASS")
         return tuple(i for i in passed if fallen is not None and i > fallen)
@@ -94,9 +95,9 @@ def _halve(length: int, ask: Judge, words: Mapping[int, Word]) -> None:
 
 
 def _unseen(length: int, words: Mapping[int, Word]) -> list[range]:
-    """Return the longest stretch nobody was asked about before the first that fell, and after it."""
+    """Return the longest stretches not asked about, before the first that fell and after it."""
     fallen = min((i for i, word in words.items() if word == "REGRESSED"), default=length)
     seen = [-1, *sorted(words), length]
-    gaps = [range(a + 1, b) for a, b in zip(seen, seen[1:], strict=False) if b - a > 1]
+    gaps = [range(a + 1, b) for a, b in pairwise(seen) if b - a > 1]
     sides = ([g for g in gaps if g.stop <= fallen], [g for g in gaps if g.start > fallen])
     return [max(side, key=len) for side in sides if side]
