@@ -26,7 +26,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
+from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.plural import plural
@@ -41,13 +41,17 @@ from nw_eval.suite.model import Gate
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
 
 
-def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdict:
+def judge(
+    rows: Sequence[Row], gate: Gate, planned: Mapping[str, int], *, compared: bool = False
+) -> Verdict:
     """Judge one run against its suite's absolute bar.
 
     Args:
         rows: one for each trial that ended, with a result or an error.
         gate: the suite's gate settings.
         planned: number of trials that were to be run, by scene.
+        compared: whether the rows are also compared with a baseline; if not, and the suite names a
+            `max_drop`, the verdict says that nobody looked at it.
 
     Raises:
         StoreError: a trial appears twice.
@@ -70,7 +74,7 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
     elif word == "INCONCLUSIVE" and gate.success_rate is not None:
         reasons.append(advice(counted, seen, gate, gate.success_rate))
-    drop = gate.max_drop or DROP
+    drop = gate.most_drop
     return Verdict(
         verdict=word,
         effect=effect,
@@ -86,7 +90,11 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
             if word == "PASS" and effect is not None
             else None
         ),
-        reasons=(*reasons, *_weak_scenes(scores, gate), *_unjudged(gate)),
+        reasons=(
+            *reasons,
+            *_weak_scenes(scores, gate),
+            *(() if compared else _unjudged(rows, gate)),
+        ),
         per_scene=scores,
     )
 
@@ -171,11 +179,13 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     return [f"{len(weak)} {which}: {_listed(scenes, '; ')}"]
 
 
-def _unjudged(gate: Gate) -> list[str]:
+def _unjudged(rows: Sequence[Row], gate: Gate) -> list[str]:
     """Return a reason for what the suite asks for and nobody has looked at."""
     if gate.max_drop is None:
         return []
-    return [f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"]
+    save = f"nw-eval baseline save {rows[0].suite if rows else 'SUITE'} --policy POLICY"
+    reason = f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"
+    return [f"{reason}; `{save}` makes one, --baseline names it"]
 
 
 def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
