@@ -7,20 +7,20 @@ from math import ceil, log2
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.gate.bisection import Word, bisect
+from nw_eval.gate.bisection import Decision, bisect
 
 
 class Series:
     """Checkpoints whose verdicts are known, and what was asked of them."""
 
     def __init__(self, words: str) -> None:
-        self.words: list[Word] = [
+        self.words: list[Decision] = [
             {"+": "PASS", "-": "REGRESSED", "?": "INCONCLUSIVE"}[letter]
             for letter in words  # pyright: ignore[reportAttributeAccessIssue]
         ]
         self.questions: list[int] = []
 
-    def judge(self, place: int) -> Word:
+    def judge(self, place: int) -> Decision:
         self.questions.append(place)
         return self.words[place]
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-Word = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
-Judge = Callable[[int], Word]
+Decision = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
+Judge = Callable[[int], Decision]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bisection:
     """What was asked of a series of n checkpoints, 0 .. n - 1, in order of age."""
 
-    words: Mapping[int, Word]
+    words: Mapping[int, Decision]
     """The verdicts that were asked for, by place, in order of place."""
     length: int
 
@@ -65,9 +65,9 @@ def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
         judge: gives the verdict on a checkpoint, and is asked once for each.
         everyone: whether all of them are asked for, in order, in place of a search.
     """
-    words: dict[int, Word] = {}
+    words: dict[int, Decision] = {}
 
-    def ask(place: int) -> Word:
+    def ask(place: int) -> Decision:
         if place not in words:
             words[place] = judge(place)
         return words[place]
@@ -82,7 +82,7 @@ def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
     return Bisection(words=dict(sorted(words.items())), length=length)
 
 
-def _halve(length: int, ask: Judge, words: Mapping[int, Word]) -> None:
+def _halve(length: int, ask: Judge, words: Mapping[int, Decision]) -> None:
     """Ask until what is between the last that passed and the first that fell has been asked for."""
     good, bad = -1, length - 1
     while opened := [i for i in range(good + 1, bad) if i not in words]:
@@ -94,7 +94,7 @@ def _halve(length: int, ask: Judge, words: Mapping[int, Word]) -> None:
             bad = place
 
 
-def _unseen(length: int, words: Mapping[int, Word]) -> list[range]:
+def _unseen(length: int, words: Mapping[int, Decision]) -> list[range]:
     """Return the longest stretches not asked about, before the first that fell and after it."""
     fallen = min((i for i, word in words.items() if word == "REGRESSED"), default=length)
     seen = [-1, *sorted(words), length]
