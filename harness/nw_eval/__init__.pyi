@@ -2,6 +2,7 @@
 
 from nw_eval.api import (
     ActingPolicy,
+    BisectedSeries,
     CardDraft,
     CheckedBaseline,
     CheckedScene,
@@ -17,6 +18,7 @@ from nw_eval.api import (
     TrialPlan,
     WarmUp,
     WrittenSplat,
+    bisect,
     check,
     check_baseline,
     check_policy,
@@ -26,8 +28,8 @@ from nw_eval.api import (
     evaluate,
     fold_policy,
     init_policy,
-    list_baselines,
     judge,
+    list_baselines,
     list_policies,
     list_scenes,
     list_sensors,
@@ -84,6 +86,7 @@ __version__: str
 __all__ = [
     "ActingPolicy",
     "BankChange",
+    "BisectedSeries",
     "Card",
     "CardDraft",
     "CardSummary",
@@ -125,6 +128,7 @@ __all__ = [
     "WarmUp",
     "WrittenSplat",
     "__version__",
+    "bisect",
     "check",
     "check_baseline",
     "check_policy",

@@ -9,6 +9,7 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.verbs.baseline import Baseline
+from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.gate import GateRun
 from nw_eval.cli.verbs.plan import PlanTrials
@@ -30,6 +31,7 @@ Verb = (
     | Annotated[Suites, tyro.conf.subcommand("suites")]
     | Annotated[Baseline, tyro.conf.subcommand("baseline")]
     | Annotated[GateRun, tyro.conf.subcommand("gate")]
+    | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
