@@ -51,6 +51,7 @@ _ROOMS = MappingProxyType(
             "plan_trials",
             "read_ledger",
             "read_rows",
+            "record_verdict",
             "render_scenes",
             "replay",
             "report",
