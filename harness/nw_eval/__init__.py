@@ -53,6 +53,7 @@ _ROOMS = MappingProxyType(
             "plan_trials",
             "read_ledger",
             "read_rows",
+            "record_verdict",
             "render_scenes",
             "replay",
             "report",

@@ -203,20 +203,6 @@ def test_a_run_of_another_suite_is_refused(project):
 
 
 @pytest.mark.usefixtures("project")
-def test_a_bank_is_found_by_name_suite_and_path_or_the_nearest_is_named():
-    file = Path("reports/baselines/quick/stand.parquet")
-    for reference in ("stand", "quick/stand", str(file)):
-        assert api.show_baseline(reference, suite=None).file == file
-    with pytest.raises(UsageError, match=r"no bank 'quick/stnad'; did you mean 'quick/stand'\?"):
-        api.show_baseline("quick/stnad")
-    other = Path("reports/baselines/other/stand.parquet")
-    other.parent.mkdir()
-    shutil.copy(file, other)
-    with pytest.raises(UsageError, match="name one: other/stand, quick/stand"):
-        api.show_baseline("stand")
-
-
-@pytest.mark.usefixtures("project")
 def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
     code = (
         "import sys\nfrom nw_eval import cli\n"

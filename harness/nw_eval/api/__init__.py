@@ -15,7 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
-from nw_eval.api.ledgers import read_ledger
+from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -90,6 +90,7 @@ __all__ = [
     "plan_trials",
     "read_ledger",
     "read_rows",
+    "record_verdict",
     "render_scenes",
     "replay",
     "report",

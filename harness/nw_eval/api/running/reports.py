@@ -11,7 +11,7 @@ from nw_eval.errors import IncomparableError
 if TYPE_CHECKING:
     from nw_eval.gate.verdict import Verdict
     from nw_eval.results.bank.against import Against
-    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
@@ -28,6 +28,8 @@ class RunReport:
     rows: tuple[Row, ...]
     page: Path | None
     """Its report in Markdown; None if none was written."""
+    bank: BaselineInfo | None = None
+    """The bank that it was compared with."""
 
     @property
     def interrupted(self) -> bool:
@@ -124,7 +126,14 @@ def _judged(folder: RunFolder, info: RunInfo, suite: Suite, against: Against | N
     found = read_trials(folder, info, saved_trials(info, suite))
     verdict = judge_run(found.rows, info, suite.gate, against)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
-    return RunReport(folder=folder.path, info=info, verdict=verdict, rows=found.rows, page=None)
+    return RunReport(
+        folder=folder.path,
+        info=info,
+        verdict=verdict,
+        rows=found.rows,
+        page=None,
+        bank=None if against is None else against.info,
+    )
 
 
 def _written(judged: RunReport, path: Path) -> RunReport:

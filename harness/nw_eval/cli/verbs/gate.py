@@ -23,6 +23,8 @@ class GateRun:
     """Drop against the baseline that must not be convicted; the suite's own when absent."""
     out: Path | None = None
     """Where to write the report in Markdown; nowhere when absent."""
+    ledger: Path | None = None
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -36,4 +38,6 @@ class GateRun:
             out=self.out,
         )
         print(summary(outcome))
+        if self.ledger is not None:
+            api.record_verdict(outcome, self.ledger)
         return outcome.exit_code
