@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from measured import SEEN
 
 from nw_eval.stats import SceneCounts
 from nw_eval.stats.bank import GateRules, Margins, operating_curve, progress_at, rounds_for
 from nw_eval.stats.bank.simulate import chances_of, draw, judge_all, success_of
 from nw_eval.stats.courses import ends
 
-# Ten measured trials in each of 16 scenes: how many ended after 0, 1, ... waypoints; in all .938.
-HURDLES = [
-    [1, 1, 6, 0, 2],
-    [0, 1, 1, 8],
-    [0, 1, 0, 9],
-    [0, 1, 0, 9],
-    [0, 0, 2, 8],
-    [0, 1, 9],
-    [0, 0, 1, 0, 9],
-    [0, 0, 0, 2, 8],
-    [0, 0, 1, 9],
-    [0, 0, 1, 9],
-    [0, 0, 10],
-    [0, 0, 0, 10],
-    *([[0, 0, 0, 0, 10]] * 4),
-]
-SEEN = [SceneCounts(counts=np.array(counts, dtype=np.int64)) for counts in HURDLES]
 BANK = [replace(course, counts=6 * course.counts) for course in SEEN]
 RULES = GateRules(tiers=("supporting",) * len(SEEN))
 PUBLISHED = {
@@ -108,7 +93,7 @@ def test_a_larger_drop_is_convicted_sooner_and_passed_less_often() -> None:
     assert points[-1].drop == 0.30
     # Every drop meets the same luck. A scene that is named holds back a PASS no longer, and one
     # that is suspect does: so a worse policy may now and then pass where a better one waits.
-    for better, worse in zip(points, points[1:], strict=False):
+    for better, worse in pairwise(points):
         assert worse.regressed >= better.regressed
         assert worse.passed <= better.passed + 0.02
         assert better.undecided >= 0.0

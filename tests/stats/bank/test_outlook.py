@@ -76,5 +76,5 @@ def test_of_what_is_missing_nothing_is_learnt() -> None:
     gap[2, 3] = nan
     assert after(gap).passed[4] < after(scores(0.98, 5)).passed[4] + 0.1
     assert after(np.full((3, SCENES), nan)).passed[-1] < 0.9
-    with pytest.raises(ValueError, match="success 2.0"):
+    with pytest.raises(ValueError, match=r"success 2\.0"):
         after(np.full((3, SCENES), 2.0))

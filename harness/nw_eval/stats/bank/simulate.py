@@ -131,7 +131,9 @@ def draw(
     )
 
 
-def judge_all(drawn: Drawn, chances: Floats, rules: GateRules, before: Before | None = None) -> Endings:
+def judge_all(
+    drawn: Drawn, chances: Floats, rules: GateRules, before: Before | None = None
+) -> Endings:
     """Return how repetitions end for a policy of these chances.
 
     Args:
