@@ -1,14 +1,8 @@
-"""How often the gate is wrong about policies that are exactly at a margin, by simulation.
-
-`python tests/stats/bank/record_error_rates.py` writes the table of docs/gate.md anew; the nightly
-tests hold it against the code.
-"""
+"""How often the gate is wrong about policies that are exactly at a margin, by simulation."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +11,6 @@ from measured import SEEN, real_run
 from nw_eval.stats.bank import Bank, Margins, over_rounds
 from nw_eval.stats.bank.simulate import chances_of, draw, success_of
 
-PAGE = Path(__file__).parents[3] / "docs" / "gate.md"
-HEADING = "| exactly at the margin | starts | wrong PASS | wrong REGRESSED |"
 NOMINAL = 0.05
 CAMPAIGNS, ROUNDS, STARTS = 5000, 20, 60
 PASS_AT, REGRESSED_AT = 0.10, 0.02
@@ -36,7 +28,7 @@ class Campaigns(NamedTuple):
 
 
 def error_rates() -> Iterator[tuple[str, int, float, float]]:
-    """Yield lines of the table: what is at the margin, M, shares of wrong PASS and REGRESSED."""
+    """Yield what is at the margin, M, and the shares of wrong PASS and wrong REGRESSED."""
     for name, fall in FALLS.items():
         passing, convicted = (
             in_random_order(baseline, fall(baseline, drop))
@@ -144,27 +136,3 @@ def _fallen(scores: np.ndarray, drop: float, order: np.ndarray) -> np.ndarray:
             break
         found[place] = 0.0
     return found.reshape(scores.shape)
-
-
-def table() -> str:
-    """Return the lines of the table, as Markdown."""
-    return "".join(
-        f"| {name} | {starts} | {100 * passed:.1f} % | {100 * regressed:.1f} % |\n"
-        for name, starts, passed, regressed in error_rates()
-    )
-
-
-def recorded(page: str) -> list[tuple[str, int, float, float]]:
-    """Return the table that a page has."""
-    rows = page.partition(HEADING)[2].strip().partition("\n\n")[0].splitlines()[1:]
-    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
-    return [
-        (name, int(starts), *(float(share.removesuffix(" %")) / 100 for share in shares))
-        for name, starts, *shares in cells
-    ]
-
-
-if __name__ == "__main__":
-    text = PAGE.read_text(encoding="utf-8")
-    whole = re.compile(re.escape(HEADING) + r"\n(\|[-|]+\|\n)(?:\|.*\n)*")
-    PAGE.write_text(whole.sub(lambda found: HEADING + "\n" + found[1] + table(), text), "utf-8")
