@@ -6,6 +6,16 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+from nw_eval.api.baselines.checked import CheckedBaseline, check_baseline
+from nw_eval.api.baselines.listed import (
+    ListedBaseline,
+    ShownBaseline,
+    diff_baselines,
+    list_baselines,
+    show_baseline,
+)
+from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.ledgers import read_ledger
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -30,7 +40,7 @@ from nw_eval.api.policies import (
 from nw_eval.api.replays import replay
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
-from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
@@ -43,37 +53,48 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "CardDraft",
+    "CheckedBaseline",
     "CheckedScene",
     "FoldedGraph",
+    "ListedBaseline",
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
     "Request",
     "RunReport",
+    "SavedBaseline",
     "ServedPolicy",
+    "ShownBaseline",
     "TrialPlan",
     "WarmUp",
     "WrittenSplat",
     "check",
+    "check_baseline",
     "check_policy",
     "check_scenes",
+    "diff_baselines",
     "draw_sensors",
     "evaluate",
     "fold_policy",
     "init_policy",
+    "judge",
+    "list_baselines",
     "list_policies",
     "list_scenes",
     "list_sensors",
     "list_suites",
     "plan",
     "plan_trials",
+    "read_ledger",
     "read_rows",
     "render_scenes",
     "replay",
     "report",
     "run",
+    "save_baseline",
     "schema",
     "serve_policy",
+    "show_baseline",
     "show_policy",
     "show_scene",
     "splat_convert",

@@ -9,9 +9,6 @@ from nw_eval.results.row import Row
 from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_to_certify
 from nw_eval.suite.model import Gate
 
-DROP = 0.10
-"""How much worse "a worse policy" is where the suite names no `max_drop`."""
-
 
 def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -> list[SceneCounts]:
     """Return what was seen in each scene that counts, as waypoints reached."""

@@ -1,8 +1,8 @@
-"""Intervals for the share of trials that did a thing, such as reaching the last waypoint."""
+"""Shares of trials that did a thing, such as reaching the end: how sure, and how different."""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import comb, sqrt
 from statistics import NormalDist
 
 from nw_eval.stats.interval import Interval, check_confidence
@@ -34,3 +34,57 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     low = 0.0 if successes == 0 else max(0.0, centre - half)
     high = 1.0 if successes == n else min(1.0, centre + half)
     return Interval(low, high)
+
+
+def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float = 0.95) -> Interval:
+    """Return Newcombe's hybrid score interval for the second share less the first.
+
+    It is made of the two Wilson intervals, stays within [-1, 1] and covers close to nominally also
+    where a share is 0 or 1; for display, as they are. Without observations on a side, that side's
+    share is anything: the interval is then as wide as the other side leaves it.
+
+    Args:
+        first: successes, and trials, of independent trials.
+        second: likewise.
+        confidence: two-sided.
+
+    Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions:
+    comparison of eleven methods", Statist. Med. 17 (1998) 873-890, method 10.
+
+    Raises:
+        ValueError: counts or confidence are impossible.
+    """
+    one, two = wilson(*first, confidence), wilson(*second, confidence)
+    if not first[1] or not second[1]:
+        return Interval(two.low - one.high, two.high - one.low)
+    a, b = first[0] / first[1], second[0] / second[1]
+    return Interval(
+        b - a - sqrt((one.high - a) ** 2 + (b - two.low) ** 2),
+        b - a + sqrt((a - one.low) ** 2 + (two.high - b) ** 2),
+    )
+
+
+def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Return the two-sided p-value of Fisher's exact test that two shares are equal.
+
+    The sum, over all tables with these totals, of the probabilities of those that are no likelier
+    than what was seen; in whole numbers, so that equal ones are equal.
+
+    Args:
+        first: successes, and trials, of independent trials.
+        second: likewise.
+
+    Source: R. A. Fisher, "The logic of inductive inference", J. Roy. Statist. Soc. 98 (1935).
+
+    Raises:
+        ValueError: counts are impossible.
+    """
+    for successes, n in (first, second):
+        if not 0 <= successes <= n:
+            raise ValueError(f"{successes} successes of {n}")
+    (successes, n), (others, m) = first, second
+    total = successes + others
+    possible = range(max(0, total - m), min(n, total) + 1)
+    ways = [comb(n, one) * comb(m, total - one) for one in possible]
+    seen = comb(n, successes) * comb(m, others)
+    return sum(way for way in ways if way <= seen) / comb(n + m, total)

@@ -8,7 +8,10 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.baseline import Baseline
 from nw_eval.cli.verbs.check import Check
+from nw_eval.cli.verbs.gate import GateRun
+from nw_eval.cli.verbs.ledger import Ledger
 from nw_eval.cli.verbs.plan import PlanTrials
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
@@ -26,6 +29,9 @@ Verb = (
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[PlanTrials, tyro.conf.subcommand("plan")]
     | Annotated[Suites, tyro.conf.subcommand("suites")]
+    | Annotated[Baseline, tyro.conf.subcommand("baseline")]
+    | Annotated[GateRun, tyro.conf.subcommand("gate")]
+    | Annotated[Ledger, tyro.conf.subcommand("ledger")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]

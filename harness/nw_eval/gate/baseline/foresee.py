@@ -10,7 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.outlook import DROP, percent
+from nw_eval.gate.baseline.finding import margins_of
+from nw_eval.gate.outlook import percent
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, Start
 from nw_eval.results.bank.start import Stratum
@@ -19,7 +20,6 @@ from nw_eval.stats import SceneCounts
 from nw_eval.stats.bank import (
     CurvePoint,
     GateRules,
-    Margins,
     Progress,
     operating_curve,
     progress_at,
@@ -154,9 +154,7 @@ def _outset(
             fix="make one supporting or critical",
         )
     seen = tuple(_counts(groups[place]) for place in judged)
-    margins = Margins(
-        max_drop=gate.max_drop or DROP, tolerate=gate.tolerate, scene_drop=gate.scene_drop
-    )
+    margins = margins_of(gate)
     if not success_of(seen) > margins.max_drop:
         raise IncomparableError(
             f"the baseline's mean success is {success_of(seen):.3f}: no policy can be worse by "

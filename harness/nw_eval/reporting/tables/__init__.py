@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
 from nw_eval.reporting.tables.table import WORST, Table
@@ -36,6 +37,7 @@ def all_tables(
     """
     ordered = sorted(rows, key=lambda row: row.trial_id)
     tables = (
+        baseline_table(verdict.against),
         scenes_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
         outcomes_table(ordered),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import LONGEST, clean
 from nw_eval.results.row.column import Column, Numbers, Settings
 
 _MARK = 60  # characters at most with which `clean` says what it cut
+_WORD = 100  # characters of what is likely to come again
 
 
 def mistyped(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
@@ -57,6 +59,15 @@ def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> s
 
 def _harmless(text: str) -> str:
     """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
+    return _harmless_word(text) if len(text) <= _WORD else _cleaned(text)
+
+
+@lru_cache(maxsize=4096)  # Most words of a run are in every one of its rows.
+def _harmless_word(text: str) -> str:
+    return _cleaned(text)
+
+
+def _cleaned(text: str) -> str:
     is_plain = text.isprintable() and not text.startswith("::") and "##[" not in text
     return text if is_plain and len(text) <= LONGEST + _MARK else clean(text)
 

@@ -9,7 +9,7 @@ from nw_eval.stats.bank.curve import (
     progress_at,
     rounds_for,
 )
-from nw_eval.stats.bank.decide import Ruling, decide
+from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
 from nw_eval.stats.bank.interval import drop_interval
 from nw_eval.stats.bank.order import order_of_starts
@@ -18,6 +18,7 @@ from nw_eval.stats.bank.panel import Bank
 from nw_eval.stats.bank.simulate import GateRules
 
 __all__ = [
+    "SUSPECT",
     "Bank",
     "CurvePoint",
     "Evidence",

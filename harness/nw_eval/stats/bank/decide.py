@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from nw_eval.stats.bank.evidence import Values
 from nw_eval.words import Tier
 
-_SUSPECT = 4.0
+SUSPECT = 4.0
+"""E_s from which a scene may have fallen."""
 
 Truths = NDArray[np.bool_]
 
@@ -113,7 +114,7 @@ def look(
     named = named | (values.scenes >= len(tiers) / alpha_regr)
     convicts = (values.regressed >= 1.0 / alpha_regr) | (named & critical).any(axis=-1)
     enough = (values.passed >= 1.0 / alpha_pass) & ~convicts
-    waits = enough[..., None] & (values.scenes >= _SUSPECT) & ~named
+    waits = enough[..., None] & (values.scenes >= SUSPECT) & ~named
     return Look(convicts=convicts, passes=enough & ~waits.any(axis=-1), named=named, waits=waits)
 
 
