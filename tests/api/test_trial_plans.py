@@ -216,6 +216,14 @@ def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: 
         api.plan_trials(other, run=run)
 
 
+def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
+    other = suite.with_name("named.yaml")
+    other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
+    with pytest.raises(UsageError, match="has no bank 'gone'"):
+        api.plan_trials(other)
+    assert api.plan_trials(other, run=run).source == "run week of trot"
+
+
 def test_the_page_says_rounds_minutes_and_the_curve(
     suite: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
