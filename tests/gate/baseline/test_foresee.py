@@ -106,8 +106,10 @@ def test_three_points_are_foreseen_and_said(panel: Any) -> None:
         ((0.0, 0.2), "chance that all 2 rounds that the bank has left settle it: 20 %"),
         (
             (0.1, 0.5, 0.7),
-            "an even chance that 2 more rounds (32 trials) settle it; "
-            + "all 3 rounds that the bank has left do in 70 %",
+            (
+                "an even chance that 2 more rounds (32 trials) settle it; "
+                "all 3 rounds that the bank has left do in 70 %"
+            ),
         ),
         (
             (0.6, 0.8, 0.95),
