@@ -66,7 +66,8 @@ def save_baseline(
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
-        TrialError: a trial came to no result, or was interrupted; no bank was written.
+        KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
+        TrialError: a trial came to no result; no bank was written.
         StoreError: results cannot be written, or the bank that is there is damaged.
         IncomparableError: the run makes no bank.
     """
