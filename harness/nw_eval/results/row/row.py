@@ -150,7 +150,7 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        values = to_dict(self)
+        values = {name: getattr(self, name) for name in _OF_THE_RESULT}
         kept = {name: value for name, value in values.items() if COLUMNS[name].in_digest(value)}
         kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
         kept["contact_s"] = self.contact_s  # It came before later ones were left out.
@@ -180,8 +180,9 @@ COLUMNS = columns_of(Row)
 """What each field says, in the order of the file."""
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
-_LISTS = tuple(name for name, column in COLUMNS.items() if column.is_list)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
+_LISTS = tuple(name for name, column in COLUMNS.items() if column.is_list)
+_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
 
 
 def to_dict(row: Row) -> dict[str, Any]:
