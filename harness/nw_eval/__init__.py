@@ -17,6 +17,7 @@ _ROOMS = MappingProxyType(
     {
         "api": (
             "ActingPolicy",
+            "BisectedSeries",
             "CardDraft",
             "CheckedBaseline",
             "CheckedScene",
@@ -32,6 +33,7 @@ _ROOMS = MappingProxyType(
             "TrialPlan",
             "WarmUp",
             "WrittenSplat",
+            "bisect",
             "check",
             "check_baseline",
             "check_policy",

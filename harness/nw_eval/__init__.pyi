@@ -2,6 +2,7 @@
 
 from nw_eval.api import (
     ActingPolicy,
+    BisectedSeries,
     CardDraft,
     CheckedBaseline,
     CheckedScene,
@@ -17,6 +18,7 @@ from nw_eval.api import (
     TrialPlan,
     WarmUp,
     WrittenSplat,
+    bisect,
     check,
     check_baseline,
     check_policy,
@@ -87,6 +89,7 @@ __version__: str
 __all__ = [
     "ActingPolicy",
     "BankChange",
+    "BisectedSeries",
     "Card",
     "CardDraft",
     "CardSummary",
@@ -129,6 +132,7 @@ __all__ = [
     "WarmUp",
     "WrittenSplat",
     "__version__",
+    "bisect",
     "check",
     "check_baseline",
     "check_policy",

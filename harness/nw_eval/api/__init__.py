@@ -46,12 +46,14 @@ from nw_eval.api.running.runs import run
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
+from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, list_suites
 from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
+    "BisectedSeries",
     "CardDraft",
     "CheckedBaseline",
     "CheckedScene",
@@ -68,6 +70,7 @@ __all__ = [
     "TrialPlan",
     "WarmUp",
     "WrittenSplat",
+    "bisect",
     "check",
     "check_baseline",
     "check_policy",

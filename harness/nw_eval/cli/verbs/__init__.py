@@ -9,6 +9,7 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.verbs.baseline import Baseline
+from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.gate import GateRun
 from nw_eval.cli.verbs.ledger import Ledger
@@ -32,6 +33,7 @@ Verb = (
     | Annotated[Baseline, tyro.conf.subcommand("baseline")]
     | Annotated[GateRun, tyro.conf.subcommand("gate")]
     | Annotated[Ledger, tyro.conf.subcommand("ledger")]
+    | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
