@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from nw_eval.stats.bank import CurvePoint, Progress
     from nw_eval.suite import Suite
 
-STARTS = 60
-"""Starts of a bank that is not there yet: what `nw-eval baseline save` runs in each scene."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrialPlan:
@@ -144,6 +141,7 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
 
 def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
+    from nw_eval.api.baselines.saved import STARTS
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.gate.baseline.foresee import outset_of_rows
     from nw_eval.results.ended import read_trials

@@ -37,12 +37,24 @@ def trial_plan_page(planned: TrialPlan) -> str:
 
 
 def _bank(outset: Outset) -> str:
+    from nw_eval.gate.baseline.comparison import TIMES
+
     starts = f"{outset.starts} starts in each scene"
-    return starts if outset.known else f"as a bank of {starts} would have it"
+    if not outset.known:
+        return f"as a bank of {starts} would have it"
+    enough = TIMES * outset.rules.rounds
+    return starts if outset.starts >= enough else f"{starts} (to speak of fresh ones: {enough})"
 
 
 def _detection(planned: TrialPlan) -> str:
-    return _rounds(planned, planned.dropped.regressed, f"a drop of {planned.detect:g} is convicted")
+    found = _rounds(
+        planned, planned.dropped.regressed, f"a drop of {planned.detect:g} is convicted"
+    )
+    margins = planned.outset.rules.margins
+    rare = planned.dropped.regressed[-1] < _CHANCES[-1]
+    if rare and margins.tolerate < planned.detect < margins.max_drop:
+        return f"{found}: it is below max_drop, and may pass"
+    return found
 
 
 def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
@@ -63,8 +75,7 @@ def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
 
 def _trials(planned: TrialPlan, rounds: int) -> str:
     trials = rounds * planned.outset.scenes
-    panel = "" if 3 * rounds <= planned.outset.starts else ", of this panel only"
-    return f"{rounds} rounds ({trials} trials, {planned.minutes(trials):.1f} minutes{panel})"
+    return f"{rounds} rounds ({trials} trials, {planned.minutes(trials):.1f} minutes)"
 
 
 def _curve(planned: TrialPlan) -> list[str]:
