@@ -165,8 +165,13 @@ def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with
     assert "## Against the baseline" in Path("run/report.md").read_text(encoding="utf-8")
     assert api.judge(folder, baseline="shipped").verdict.verdict == "PASS"
     copy.unlink()
+    gone = api.report(folder)
+    assert (gone.verdict.verdict, gone.exit_code) == ("INVALID", 5)
+    assert "bank shipped" in gone.verdict.reasons[0]
+    assert "neither its copy of it nor" in gone.verdict.reasons[0]
+    assert gone.verdict.reasons[1].startswith("the bar alone: ")
     with pytest.raises(IncomparableError, match="neither its copy of it nor"):
-        api.report(folder)
+        api.judge(folder)
 
 
 def test_a_machine_on_which_the_baseline_has_moved_makes_a_run_invalid(
