@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
+from nw_eval.engine.listener import Silence
 from nw_eval.errors import StoreError, TrialError, UsageError
 from nw_eval.results.bank.file import read_bank
 from nw_eval.results.provenance import read_run_info, write_run_info
@@ -89,12 +92,20 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_that_was_cut_off_goes_on_where_it_was_and_saves_the_same_bank():
+def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bank():
+    class Impatient(Silence):
+        def trial(self, row):  # noqa: ARG002  # The first one is enough.
+            os.kill(os.getpid(), signal.SIGINT)
+
     file = Path("reports/baselines/quick/stand.parquet")
     before = read_bank(file)
     file.unlink()
     journal = work() / "journal.jsonl"
-    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:3]))
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:2]))
+    with pytest.raises(KeyboardInterrupt):
+        api.save_baseline("quick.yaml", starts=4, workers=1, listener=Impatient())
+    assert not file.exists()
+    assert 3 <= len(journal.read_bytes().splitlines()) < 5
     saved = api.save_baseline("quick.yaml", starts=4, workers=1)
     assert saved.action == "new"
     assert saved.bank.panels == before.panels

@@ -94,6 +94,12 @@ def test_a_run_whose_starts_were_drawn_is_no_bank(run: RunInfo, rows: list[Row])
         bank_of_run(drawn, run, name="p")
 
 
+def test_a_run_on_fresh_starts_is_no_bank(run: RunInfo, rows: list[Row]) -> None:
+    fresh = run.model_copy(update={"panel": "fresh"})
+    with pytest.raises(IncomparableError, match="r1 makes no bank: it met fresh starts of its own"):
+        bank_of_run(rows, fresh, name="p")
+
+
 def test_a_panel_of_another_class_of_machine_comes_beside_the_first(
     run: RunInfo, rows: list[Row]
 ) -> None:
@@ -103,5 +109,3 @@ def test_a_panel_of_another_class_of_machine_comes_beside_the_first(
     assert [panel.machine["cpu"] for panel in both.panels] == ["znver4", "haswell"]
     assert [info.machine["cpu"] for info in both.manifest.panels] == ["znver4", "haswell"]
     assert both.manifest.note == "first"
-    again = with_panel(both, bank)
-    assert [panel.machine["cpu"] for panel in again.panels] == ["haswell", "znver4"]

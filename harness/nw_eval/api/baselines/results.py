@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import TrialError, UsageError
+from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines.here import Here
@@ -21,7 +21,7 @@ def new_results(
     """Run what has no result yet.
 
     Raises:
-        TrialError: it was interrupted.
+        KeyboardInterrupt: it was interrupted, and its results stay.
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.engine import session
@@ -43,10 +43,10 @@ def new_results(
     run = read_run_info(folder.run_json)
     rows = read_trials(folder, run, place.plan.trials).rows
     if run.interrupted and len(rows) < len(place.plan.trials):
-        raise TrialError(
-            f"interrupted after {len(rows)} of {len(place.plan.trials)} trials",
-            fix="the same command goes on with them",
-        )
+        if listener is not None:
+            done = f"{len(rows)} of {len(place.plan.trials)} trials are kept"
+            listener.message(f"{done}; the same command goes on with them")
+        raise KeyboardInterrupt
     return run, rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,8 +24,8 @@ class SavedBaseline:
     file: Path
     action: Literal["new", "panel", "unchanged", "renewed", "kept"]
     """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
-    this. renewed: it holds for something else now, or says something else. kept: it would, and is
-    as it was, because nobody asked for a renewal."""
+    this. renewed: it was replaced. kept: it would hold for something else, or say something else,
+    and is as it was, because nobody asked for a renewal."""
     bank: SavedBank
     """The bank that is there now; for `kept` the one that would be."""
     change: BankChange | None = None
@@ -58,7 +58,7 @@ def save_baseline(
         name: the bank's; the policy's if None.
         note: why it is saved; if empty, as before.
         from_run: the folder of a run to take the results from; nothing is run.
-        renew: whether a bank that holds for something else may be replaced.
+        renew: whether a bank that is there is replaced, with the panels of all machines.
         root: the folder of banks; `reports/baselines` if None.
         workers: processes; one for each core if None.
         listener: hears of progress.
@@ -66,7 +66,8 @@ def save_baseline(
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
-        TrialError: a trial came to no result, or was interrupted; no bank was written.
+        KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
+        TrialError: a trial came to no result; no bank was written.
         StoreError: results cannot be written, or the bank that is there is damaged.
         IncomparableError: the run makes no bank.
     """
@@ -148,14 +149,13 @@ def _written(
         return SavedBaseline(file=file, action="new", bank=found)
     change = bank_change(earlier, found)
     known = earlier.panel_of(found.panels[0].machine)
-    if not change.fields and known is not None and known == found.panels[0]:
+    if not change.fields and known == found.panels[0]:
         return SavedBaseline(file=file, action="unchanged", bank=earlier)
-    if not change.fields and known is None:
+    if not renew and not change.fields and known is None:
         whole = with_panel(earlier, found)
         write_bank(file, whole)
         return SavedBaseline(file=file, action="panel", bank=whole, change=change)
-    whole = found if change.fields else with_panel(earlier, found)
     if not renew:
-        return SavedBaseline(file=file, action="kept", bank=whole, change=change)
-    write_bank(file, whole)
-    return SavedBaseline(file=file, action="renewed", bank=whole, change=replace(change, now=whole))
+        return SavedBaseline(file=file, action="kept", bank=found, change=change)
+    write_bank(file, found)
+    return SavedBaseline(file=file, action="renewed", bank=found, change=change)

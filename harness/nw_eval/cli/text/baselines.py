@@ -23,7 +23,15 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
     if not baselines:
         return "no baselines: neither shipped, nor in reports/baselines"
     heading = ("bank", "policy", "starts", "mean", "saved", "machines", "note")
-    rows = [heading, *(_line(each) for each in baselines)]
+    names = Counter(_name(each) for each in baselines)
+    rows = [
+        heading,
+        # Where a project's bank has the name of a shipped one, only the path says which.
+        *(
+            (_name(each) if names[_name(each)] == 1 else clean(each.file), *_line(each))
+            for each in baselines
+        ),
+    ]
     return "\n".join(aligned(rows, right={3}))
 
 
@@ -44,13 +52,15 @@ def machine_words(machine: Mapping[str, str]) -> str:
     return clean(", ".join(f"{name} {machine[name]}" for name in names), at_most=300)
 
 
+def _name(listed: ListedBaseline) -> str:
+    return clean(f"{listed.suite}/{listed.name}")
+
+
 def _line(listed: ListedBaseline) -> tuple[str, ...]:
-    name = clean(f"{listed.suite}/{listed.name}")
     if listed.bank is None:
-        return name, "?", "?", "?", "?", "?", clean(listed.problem)
+        return "?", "?", "?", "?", "?", clean(listed.problem)
     manifest = listed.bank.manifest
     return (
-        name,
         clean(manifest.policy.name),
         f"{plural(len(manifest.key.scenes), 'scene')} x {manifest.starts}",
         f"{listed.mean:.3f}",

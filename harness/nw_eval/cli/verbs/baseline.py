@@ -35,7 +35,7 @@ class Save:
     from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """The folder of a finished run to save as a bank; nothing is run."""
     renew: bool = False
-    """Replace a bank that holds for something else."""
+    """Replace the bank that is there, with its panels of all classes of machine."""
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
     time_limit: float | None = None

@@ -29,8 +29,14 @@ def bank_of_run(
 
     Raises:
         TrialError: a trial has no result.
-        IncomparableError: the run is not of M starts, 0 to M - 1, in each of its scenes.
+        IncomparableError: the run is not of M starts, 0 to M - 1, in each of its scenes, or of a
+            panel of its own.
     """
+    if run.panel != "pinned":
+        raise IncomparableError(
+            f"run {run.id} makes no bank: it met fresh starts of its own, as no other run does",
+            fix="save one from a run on the pinned panel",
+        )
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
         raise TrialError(
@@ -77,22 +83,18 @@ def bank_of_run(
 
 
 def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
-    """Return a bank with the panels of another one of the same key, policy and starts.
+    """Return a bank with the panels of another one, of the same key, policy and starts, behind it.
 
-    A class of machine that both have keeps its place, and is as the other has it.
+    Args:
+        bank: the bank.
+        other: of other classes of machine.
     """
-    theirs = {_words(info.machine): k for k, info in enumerate(other.manifest.panels)}
-    kept = [k for k, info in enumerate(bank.manifest.panels) if _words(info.machine) not in theirs]
-    infos = (*(bank.manifest.panels[k] for k in kept), *other.manifest.panels)
+    infos = (*bank.manifest.panels, *other.manifest.panels)
     return replace(
         bank,
         manifest=bank.manifest.model_copy(update={"panels": infos}),
-        panels=(*(bank.panels[k] for k in kept), *other.panels),
+        panels=(*bank.panels, *other.panels),
     )
-
-
-def _words(machine: dict[str, str]) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted(machine.items()))
 
 
 def _start(row: Row) -> Start:
