@@ -34,9 +34,8 @@ def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
         return  # No policy can be so much worse.
     bank = Bank.of(scores[0])
     found = drop_interval(bank, scores[1].T, scores[0].T, alpha_pass=0.2, alpha_regr=0.2)
-    last = over_rounds(bank, scores[1].T, scores[0].T, Margins(max_drop=margin, tolerate=margin))[
-        -1
-    ]
+    margins = Margins(max_drop=margin, tolerate=margin)
+    last = over_rounds(bank, scores[1].T, scores[0].T, margins)[-1]
     passes, convicts = last.passed >= 5.0, last.regressed >= 5.0
     if not (passes and convicts):
         assert found.high <= margin + 1e-7 if passes else found.high >= margin - 1e-7

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from nw_eval.stats.bank import CurvePoint, Progress
     from nw_eval.suite import Suite
 
-STARTS = 60
-"""Starts of a bank that is not there yet: what `nw-eval baseline save` runs in each scene."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrialPlan:
@@ -74,12 +71,13 @@ def plan_trials(
         StoreError: the bank or the run is damaged, or the picture cannot be written.
         IncomparableError: the bank or the run has other scenes than the suite.
     """
+    from nw_eval.api.running.baselines import NO_BASELINE
     from nw_eval.api.running.plans import check_workers, plan
 
     check_workers(workers)
     if baseline is not None and run is not None:
         raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
-    resolved = plan(suite)
+    resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
     source, outset = (
         _of_bank(resolved, baseline or resolved.suite.gate.baseline)
         if run is None
@@ -123,12 +121,13 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a bank is, in words, and what is known with it."""
+    from nw_eval.api.running.baselines import NO_BASELINE
     from nw_eval.gate.baseline.foresee import outset_of_bank
     from nw_eval.results.bank.file import read_bank
     from nw_eval.results.bank.find import find_bank
 
     suite = resolved.suite
-    if reference is None:
+    if reference is None or reference == NO_BASELINE:
         raise UsageError(
             f"suite {suite.name!r} names no bank to plan with",
             fix="name one with --baseline, or a run of the suite with --run",
@@ -142,6 +141,7 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
 
 def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
+    from nw_eval.api.baselines.saved import STARTS
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.gate.baseline.foresee import outset_of_rows
     from nw_eval.results.ended import read_trials

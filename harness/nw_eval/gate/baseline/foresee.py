@@ -13,7 +13,7 @@ from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.finding import margins_of
 from nw_eval.gate.outlook import percent
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, Start
+from nw_eval.results.bank import Panel, Start, score
 from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row import Row
 from nw_eval.stats import SceneCounts
@@ -136,7 +136,7 @@ def about_more_rounds(progress: Progress, scenes: int) -> str:
         return f"chance that {whole} settle it: {percent(settled[-1])}"
     within = f"{plural(half, 'more round')} ({plural(half * scenes, 'trial')})"
     if most is None:
-        return f"an even chance that {within} settle it, that {whole} do {percent(settled[-1])}"
+        return f"an even chance that {within} settle it; {whole} do in {percent(settled[-1])}"
     return f"an even chance that {within} settle it, nine in ten that {most} do"
 
 
@@ -172,9 +172,9 @@ def _outset(
 
 
 def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
-    return SceneCounts.of(
-        [trial.waypoints_reached for trial in trials], [trial.waypoints_total for trial in trials]
-    )
+    counted = ((score(trial) or 0.0, trial.waypoints_total) for trial in trials)
+    reached = [round(success * waypoints) for success, waypoints in counted]
+    return SceneCounts.of(reached, [trial.waypoints_total for trial in trials])
 
 
 def _fate(point: CurvePoint) -> str:

@@ -42,7 +42,7 @@ def all_tables(
         *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
-        failures_table(ordered),
+        failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
         worst_table(ordered, folder, most=3 if brief else WORST),
         throughput_table(ordered, run),

@@ -36,7 +36,7 @@ class CurvePoint:
     @property
     def undecided(self) -> float:
         """Share that the budget left open."""
-        return 1.0 - self.passed - self.regressed
+        return max(0.0, 1.0 - self.passed - self.regressed)
 
 
 @dataclass(frozen=True, kw_only=True)
