@@ -8,12 +8,13 @@ from statistics import NormalDist
 from nw_eval.stats.interval import Interval, check_confidence
 
 
-def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
+def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval:
     """Return Wilson's two-sided score interval for a proportion.
 
     It stays within [0, 1], never has zero width, and its mean coverage is close to nominal at any
     `n`, though single proportions near 0 or 1 can fall a few points short; for display, not for
-    verdicts. Without observations it is [0, 1].
+    verdicts. Without observations it is [0, 1]. `successes` may be a sum of shares within [0, 1]:
+    these spread less than successes and failures do, so that the interval is rather too wide.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
     JASA 22 (1927); recommended for small n by Brown, Cai and DasGupta, Statist. Sci. 16 (2001).
@@ -36,7 +37,9 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     return Interval(low, high)
 
 
-def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float = 0.95) -> Interval:
+def newcombe(
+    first: tuple[float, int], second: tuple[float, int], confidence: float = 0.95
+) -> Interval:
     """Return Newcombe's hybrid score interval for the second share less the first.
 
     It is made of the two Wilson intervals, stays within [-1, 1] and covers close to nominally also
