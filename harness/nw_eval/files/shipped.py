@@ -1,4 +1,4 @@
-"""Where the suites and policies that come with nw-eval lie: in the wheel, or in the checkout."""
+"""Where the suites, policies and banks that come with nw-eval lie: in the wheel or the checkout."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from typing import Literal
 Kind = Literal["suites", "policies"]
 
 
-def shipped(kind: Kind) -> Path:
-    """Return the folder of the shipped suites or policies.
+def shipped(kind: Kind | Literal["baselines"]) -> Path:
+    """Return the folder of the shipped suites, policies, or banks of baselines.
 
     An installed wheel carries them as `nw_eval/data/<kind>`. An editable install has no such
-    folder: there they are `<kind>/` at the root of the checkout. The folder may be missing where
-    neither was packed; callers then find nothing in it.
+    folder: there they are `<kind>/` at the root of the checkout, and the banks where every project
+    has its own. The folder may be missing where neither was packed; callers then find nothing in
+    it.
     """
     packed = Path(str(files("nw_eval"))) / "data" / kind
     if packed.is_dir():
         return packed
-    return Path(__file__).resolve().parents[3] / kind
+    checkout = Path(__file__).resolve().parents[3]
+    return checkout / "reports" / kind if kind == "baselines" else checkout / kind
 
 
 def available(kind: Kind, search: Path | None = None) -> dict[str, Path]:

@@ -14,7 +14,7 @@ PUBLISHED_FIRST_SEED = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class DrawnStart:
     """A trial's start and its trail, world frame."""
 
     x: float  # m
@@ -31,7 +31,7 @@ def draw_start(
     jitter: tuple[float, float, float],
     trail: np.ndarray,
     waypoint_noise: tuple[float, float],
-) -> Start:
+) -> DrawnStart:
     """Draw one trial's start.
 
     Args:
@@ -59,4 +59,4 @@ def draw_start(
     if protocol.waypoint_noise_acts:
         moved[:, :2] += noise * np.asarray(waypoint_noise, dtype=np.float64)
     x, y, yaw = nominal + offset
-    return Start(x=float(x), y=float(y), yaw=float(yaw), trail=moved)
+    return DrawnStart(x=float(x), y=float(y), yaw=float(yaw), trail=moved)

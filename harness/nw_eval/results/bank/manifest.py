@@ -10,11 +10,11 @@ _SIMULATOR = ("mujoco", "embreex", "renderer")
 """Parts of `RunInfo.engine` that are the simulated world: in another version it is another one."""
 
 
-class _Saved(BaseModel):
+class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class BankKey(_Saved):
+class BankKey(_Part):
     """What a bank holds for, and nothing else: each field is named where it does not match."""
 
     suite_digest: str
@@ -27,7 +27,7 @@ class BankKey(_Saved):
     """Versions of what makes the simulated world: mujoco, embreex, renderer."""
 
 
-class BankPolicy(_Saved):
+class BankPolicy(_Part):
     """The baseline's policy."""
 
     name: str
@@ -38,13 +38,13 @@ class BankPolicy(_Saved):
     path from the folder of the run."""
 
 
-class PanelInfo(_Saved):
+class PanelInfo(_Part):
     """One class of machine on which all starts were run."""
 
     machine: dict[str, str]
     """What decides the bits of arithmetic besides the simulator: kind of processor, versions of
     numerical libraries, digest of nw-eval's code."""
-    made: str
+    saved: str
     """When, UTC in ISO 8601."""
     by: str
     """Who."""
@@ -52,7 +52,7 @@ class PanelInfo(_Saved):
     """Of the rows that the panel is made from."""
 
 
-class Manifest(_Saved):
+class Manifest(_Part):
     """All that a bank says of itself."""
 
     bank: int = Field(1, description="Version of this format.")

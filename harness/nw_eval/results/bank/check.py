@@ -1,0 +1,148 @@
+"""What is wrong with a bank: whatever would make of it another baseline than the one it names."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from typing import Any
+
+from nw_eval.clean import clean
+from nw_eval.plural import plural
+from nw_eval.results.bank.manifest import Manifest
+from nw_eval.results.bank.start import Panel, SavedBank, Start, Stratum
+from nw_eval.results.row import COLUMNS
+from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
+from nw_eval.results.row.column import Settings
+from nw_eval.words import OUTCOMES
+
+MOST_PANELS = 64
+"""Classes of machines of one bank."""
+
+SHARED = {field.name: COLUMNS[field.name] for field in fields(Start) if field.name in COLUMNS}
+SHARED["success"] = replace(SHARED["success"], kind=float)  # A bank has no errors.
+"""The columns that a start has of its row."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_TRAJECTORY = re.compile(r"[0-9a-f]{16}")
+
+
+def place_of(start: Start) -> tuple[Stratum, int]:
+    """Return by what the starts of a panel are sorted."""
+    return start.stratum, start.seed_index
+
+
+def fault_of(bank: SavedBank) -> str | None:
+    """Return the first thing that is wrong with a bank, or None."""
+    fault = _fault_of_manifest(bank.manifest) or _fault_of_machines(bank)
+    if fault is not None:
+        return fault
+    for panel in bank.panels:
+        if fault := _fault_of_panel(panel, bank.manifest):
+            return fault
+    if any(panel.by_stratum.keys() != bank.panels[0].by_stratum.keys() for panel in bank.panels):
+        return "its panels differ in what they perturb"
+    return None
+
+
+def _fault_of_manifest(manifest: Manifest) -> str | None:
+    for name in (manifest.name, manifest.suite):
+        if not _NAME.fullmatch(name):
+            return f"{clean(name, at_most=80)!r} is no name (letters, digits, '_', '-', '.')"
+    for text in _texts(manifest.model_dump(mode="json")):
+        if clean(text) != text:
+            return f"its manifest has {clean(text, at_most=80)!r}, which is no plain line"
+    return None
+
+
+def _fault_of_machines(bank: SavedBank) -> str | None:
+    machines = [panel.machine for panel in bank.panels]
+    if len(machines) > MOST_PANELS:
+        return f"it has {len(machines)} panels, over {MOST_PANELS}"
+    if machines != [panel.machine for panel in bank.manifest.panels]:
+        return "its panels are not those of its manifest"
+    if any(machine in machines[:place] for place, machine in enumerate(machines)):
+        return "two of its panels are of one class of machine"
+    return None
+
+
+def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
+    """Return what is wrong with one panel: a start, their numbers, their scenes, their order."""
+    for start in panel.starts:
+        if fault := _fault_of_start(start):
+            return f"start {start.seed_index} of {clean(start.scene, at_most=80)}: {fault}"
+    if fault := _fault_of_scenes({start.scene for start in panel.starts}, set(manifest.key.scenes)):
+        return fault
+    for stratum, starts in panel.by_stratum.items():
+        if fault := _fault_of_indexes([start.seed_index for start in starts], manifest.starts):
+            return f"{_shown(stratum)}: {fault}"
+    cells: dict[str, set[Settings]] = {}
+    for scene, cell in panel.by_stratum:
+        cells.setdefault(scene, set()).add(cell)
+    if any(found != cells[panel.starts[0].scene] for found in cells.values()):
+        return "its scenes differ in what is perturbed"
+    if list(panel.starts) != sorted(panel.starts, key=place_of):
+        return "its starts are not in the order of scene, perturbation and index"
+    return None
+
+
+def _fault_of_start(start: Start) -> str | None:
+    values = {name: getattr(start, name) for name in SHARED}
+    if fault := mistyped(values, SHARED):
+        return fault
+    kept = as_kept(values, SHARED)
+    if unclean := next((name for name, value in kept.items() if value != values[name]), None):
+        return f"{unclean} {clean(values[unclean], at_most=80)!r} is no plain line"
+    if not 0.0 <= start.success <= 1.0:
+        return f"success {start.success} is not between 0 and 1"
+    if start.completed != (start.success == 1.0):
+        return f"completed is {start.completed} at success {start.success}"
+    if start.outcome not in OUTCOMES:
+        return f"outcome {start.outcome!r} is none of {', '.join(OUTCOMES)}"
+    if start.waypoints_reached > start.waypoints_total:
+        return f"{start.waypoints_reached} of {start.waypoints_total} waypoints reached"
+    axes = [axis for axis, _ in start.perturbation]
+    if len({*axes}) < len(axes) or any(clean(axis) != axis for axis in axes):
+        return f"perturbation {clean(axes, at_most=80)} has an axis twice, or no plain line"
+    if not _TRAJECTORY.fullmatch(start.trajectory):
+        return f"its trajectory {clean(start.trajectory, at_most=40)!r} is not 16 hex digits"
+    return out_of_bounds(values, SHARED)
+
+
+def _fault_of_scenes(found: set[str], keyed: set[str]) -> str | None:
+    if lacking := sorted(keyed - found):
+        return f"it has no start in scene {clean(lacking[0], at_most=80)} of its manifest"
+    if foreign := sorted(found - keyed):
+        return f"scene {clean(foreign[0], at_most=80)} is none of its manifest"
+    return None
+
+
+def _fault_of_indexes(found: list[int], starts: int) -> str | None:
+    """Return in what indexes are not 0 to `starts` - 1, each once."""
+    index, times = Counter(found).most_common(1)[0]
+    if times > 1:
+        return f"start {index} is there {times} times"
+    if len(found) != starts:
+        return f"{plural(len(found), 'start')}, its manifest says {starts}"
+    if max(found) != starts - 1:
+        return f"start {max(found)} is not between 0 and {starts - 1}"
+    return None
+
+
+def _shown(stratum: Stratum) -> str:
+    scene, cell = stratum
+    return clean(" ".join([scene, *(f"{axis}={value!r}" for axis, value in cell)]), at_most=120)
+
+
+def _texts(value: Any) -> Iterable[str]:
+    """Yield every text of a JSON value."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield key
+            yield from _texts(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _texts(item)

@@ -1,0 +1,136 @@
+"""A bank as one Parquet file: its starts are the table, its manifest is in the metadata.
+
+Whoever made it, it is read by a process of its own (`tables.small`) and then looked at as a whole:
+what it says of scenes, starts and machines must be what it holds.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from nw_eval.clean import clean
+from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.files.inside import what_is
+from nw_eval.results.bank.check import MOST_PANELS, SHARED, fault_of
+from nw_eval.results.bank.manifest import Manifest
+from nw_eval.results.bank.start import Panel, SavedBank, Start
+from nw_eval.results.tables.small import PlainTable, read_small_table, write_small_table
+
+VERSION = 1
+"""`Manifest.bank`, raised when a field or a column changes its meaning."""
+
+SUFFIX = ".parquet"
+_MANIFEST = "bank"
+_RESTORE = "restore it from git, or save it again: `nw-eval baseline save`"
+
+
+def write_bank(path: Path, bank: SavedBank) -> None:
+    """Write a bank. Equal banks give equal bytes with one version of Arrow.
+
+    Args:
+        path: `<name of the bank>.parquet`; appears whole or not at all.
+        bank: starts in the order of scene, perturbation and index.
+
+    Raises:
+        StoreError: it cannot be written, or nobody could read it again.
+    """
+    from nw_eval.results.bank.table import bank_table
+
+    if fault := fault_of(bank) or _misnamed(path, bank.manifest):
+        raise StoreError(f"cannot write {path}: {fault}", fix="save the bank anew from a run")
+    content = bank.manifest.model_dump(mode="json")
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    write_small_table(path, bank_table(bank), {_MANIFEST: text})
+
+
+def read_bank(path: Path) -> SavedBank:
+    """Read a bank, which may be anybody's.
+
+    Raises:
+        UsageError: there is none.
+        StoreError: it is damaged, too large, or cannot be read.
+        IncomparableError: it is whole, but no bank, or of another version; or it has no number
+            where one belongs, a start twice or missing, other scenes or panels than its manifest
+            says, or another name than its file.
+    """
+    if what_is(path) != "file":
+        raise UsageError(f"no bank at {path}", fix="`nw-eval baseline list` says which there are")
+    return bank_of(read_small_table(path, fix=_RESTORE), path)
+
+
+def bank_of(table: PlainTable, path: Path) -> SavedBank:
+    """Return the bank that a table is, if it is one.
+
+    Args:
+        table: as it was read.
+        path: of its file.
+
+    Raises:
+        IncomparableError: as `read_bank`.
+    """
+    manifest = _manifest(table.metadata.get(_MANIFEST), path)
+    needed = [field.name for field in fields(Start)]
+    if missing := [name for name in ("panel", *needed) if name not in table.columns]:
+        raise _unusable(path, f"it lacks the columns {', '.join(missing)}")
+    groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
+    for line in table.lines:
+        number = line["panel"]
+        if not (isinstance(number, int) and 0 <= number < len(groups)):
+            raise _unusable(path, f"it has starts of a panel {number}, and {len(groups)} panels")
+        groups[number].append(_start(line, path))
+    panels = [
+        Panel(machine=info.machine, starts=tuple(starts))
+        for info, starts in zip(manifest.panels, groups, strict=False)
+    ]
+    bank = SavedBank(manifest=manifest, panels=tuple(panels))
+    if fault := fault_of(bank) or _misnamed(path, manifest):
+        raise _unusable(path, fault)
+    return bank
+
+
+def _manifest(text: str | None, path: Path) -> Manifest:
+    if text is None:
+        raise IncomparableError(
+            f"{path} is no bank",
+            fix="save one from a run with `nw-eval baseline save SUITE --from RUN`",
+        )
+    try:
+        content = json.loads(text)
+        version = content.get("bank") if isinstance(content, dict) else None
+        if version != VERSION:
+            raise IncomparableError(
+                f"{path} is a bank of version {clean(version, at_most=40)}, "
+                f"this nw-eval reads {VERSION}",
+                fix="use the version of nw-eval that wrote it, or save it again",
+            )
+        return Manifest.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in ("manifest", *first["loc"]))
+        raise _unusable(path, clean(f"{place}: {first['msg'].lower()}", at_most=300)) from None
+    except (ValueError, RecursionError):
+        raise _unusable(path, "its manifest is no JSON") from None
+
+
+def _start(line: Mapping[str, Any], path: Path) -> Start:
+    try:
+        values = {name: column.of_plain(line[name]) for name, column in SHARED.items()}
+    except (TypeError, ValueError):
+        raise _unusable(path, "a perturbation holds something that is no number") from None
+    return Start(**values, trajectory=str(line["trajectory"]))
+
+
+def _misnamed(path: Path, manifest: Manifest) -> str | None:
+    if path.name == manifest.name + SUFFIX:
+        return None
+    return f"its manifest calls it {clean(manifest.name, at_most=80)}, its file is {path.name}"
+
+
+def _unusable(path: Path, fault: str) -> IncomparableError:
+    return IncomparableError(f"{path} cannot be compared with: {fault}", fix=_RESTORE)

@@ -1,0 +1,70 @@
+"""Where a bank lies that is asked for by name: in the project, or among the shipped ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nw_eval.errors import IncomparableError, UsageError, nearest
+from nw_eval.files.inside import what_is
+from nw_eval.files.shipped import shipped
+from nw_eval.results.bank.file import SUFFIX
+
+BANKS = Path("reports/baselines")
+"""Where a project keeps its banks, a folder for each suite."""
+
+
+def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
+    """Return the file of a bank.
+
+    Args:
+        reference: a path, which has a slash or ends with `.parquet`; or a name.
+        suite: the name of the suite, whose folder a name is looked for in.
+        root: the project's folder of banks, which comes before the shipped ones.
+
+    Raises:
+        UsageError: there is none.
+        IncomparableError: the project and nw-eval have different banks of that name.
+    """
+    name = str(reference)
+    if "/" in name or name.endswith(SUFFIX):
+        path = Path(name)
+        if what_is(path) != "file":
+            raise UsageError(f"no bank at {path}", fix=_hint(path.stem, suite, root))
+        return path
+    found = [
+        path
+        for folder in _folders(suite, root)
+        if what_is(path := folder / (name + SUFFIX)) == "file"
+    ]
+    if not found:
+        raise UsageError(f"suite {suite!r} has no bank {name!r}", fix=_hint(name, suite, root))
+    if len(found) > 1 and found[0].read_bytes() != found[1].read_bytes():
+        raise IncomparableError(
+            f"two banks of suite {suite!r} are called {name!r}: {found[0]} and {found[1]}",
+            fix="name one of them by its path",
+        )
+    return found[0]
+
+
+def bank_files(suite: str | None = None, *, root: Path = BANKS) -> tuple[Path, ...]:
+    """Return the files of all banks, the project's before the shipped ones; of one suite if named.
+
+    A shipped one that the project has, bit for bit, is there once.
+    """
+    found: dict[tuple[str, str, bytes], Path] = {}
+    for folder in _folders(suite or "*", root):
+        for path in sorted(folder.parent.glob(f"{folder.name}/*{SUFFIX}")):
+            if what_is(path) == "file":
+                found.setdefault((path.parent.name, path.name, path.read_bytes()), path)
+    return tuple(found.values())
+
+
+def _folders(suite: str, root: Path) -> tuple[Path, Path]:
+    return root / suite, shipped("baselines") / suite
+
+
+def _hint(name: str, suite: str, root: Path) -> str:
+    known = [path.stem for path in bank_files(suite, root=root)]
+    if known:
+        return nearest(name, known)
+    return f"none is known; `nw-eval baseline save {suite} --policy POLICY` makes one"

@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import json
+import random
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.results.bank.file import bank_of, read_bank, write_bank
+from nw_eval.results.bank.table import bank_table
+from nw_eval.results.parquet import write_rows
+from nw_eval.results.tables.sealed import metadata_of
+from nw_eval.results.tables.small import small_table, write_small_table
+from nw_eval.words import OUTCOMES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from nw_eval.results.bank import SavedBank
+
+MACHINES = ({"cpu": "znver4"}, {"cpu": "haswell", "torch": "2.6"})
+
+
+def reread(path: Path) -> SavedBank:
+    """As `read_bank`, in this process: it takes no second."""
+    return bank_of(small_table(path), path)
+
+
+def rewritten(path: Path, change: Callable[[list[dict[str, Any]], dict[str, Any]], object]) -> Path:
+    """Change the lines or the manifest of a bank's file, and seal it as its own writer would."""
+    table = pq.read_table(path)
+    lines, manifest = table.to_pylist(), json.loads(metadata_of(table.schema)["bank"])
+    change(lines, manifest)
+    schema = pa.schema([field.with_nullable(True) for field in table.schema])
+    table = pa.Table.from_pylist(lines, schema=schema)
+    write_small_table(path, table, {"bank": json.dumps(manifest)})
+    return path
+
+
+@pytest.fixture
+def saved(tmp_path: Path, make_bank: Callable[..., SavedBank]) -> Path:
+    path = tmp_path / "shipped.parquet"
+    write_bank(path, make_bank())
+    return path
+
+
+def test_a_bank_comes_back_equal_with_panels_perturbations_and_note(
+    tmp_path: Path, make_bank: Callable[..., SavedBank]
+) -> None:
+    cells = ((("friction", 0.5),), (("friction", 1.0), ("payload", 2.0)))
+    bank = make_bank(machines=MACHINES, cells=cells, note="before the new gait")
+    write_bank(tmp_path / "shipped.parquet", bank)
+    assert read_bank(tmp_path / "shipped.parquet") == bank
+
+
+def test_equal_banks_give_equal_bytes_whatever_order_their_manifest_was_made_in(
+    tmp_path: Path, make_bank: Callable[..., SavedBank]
+) -> None:
+    bank = make_bank(machines=MACHINES)
+    key = bank.manifest.key
+    scenes = dict(reversed(key.scenes.items()))
+    key = key.model_copy(update={"scenes": scenes})
+    other = replace(bank, manifest=bank.manifest.model_copy(update={"key": key}))
+    for folder, each in (("one", bank), ("two", other)):
+        (tmp_path / folder).mkdir()
+        write_bank(tmp_path / folder / "shipped.parquet", each)
+    one, two = ((tmp_path / name / "shipped.parquet").read_bytes() for name in ("one", "two"))
+    assert one == two
+
+
+def test_a_bank_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
+    tmp_path: Path, make_bank: Callable[..., SavedBank]
+) -> None:
+    write_bank(tmp_path / "shipped.parquet", make_bank(scenes=16, starts=60))
+    trajectories = 16 * 60 * 8
+    assert (tmp_path / "shipped.parquet").stat().st_size < trajectories + 8_000
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda lines, _: lines[1].update(success=float("nan")), "start 1 .* success nan is not"),
+        (lambda lines, _: lines[1].update(success=1.5), "success 1.5 is not between 0 and 1"),
+        (lambda lines, _: lines[1].update(success=None), "start 1 of .*: success is None"),
+        (lambda lines, _: lines[1].update(completed=False), "completed is False at success 1.0"),
+        (lambda lines, _: lines[1].update(outcome="crashed"), "outcome 'crashed' is none of"),
+        (lambda lines, _: lines[1].update(waypoints_reached=5), "5 of 4 waypoints reached"),
+        (lambda lines, _: lines[1].update(end_reason="a\x1b[2Jb"), "end_reason .* no plain line"),
+        (lambda lines, _: lines[1].update(perturbation=[("friction", float("inf"))]), "friction"),
+        (lambda lines, _: lines.append(lines[0]), "place_00: start 0 is there 2 times"),
+        (lambda lines, _: lines.pop(0), "place_00: 3 starts, its manifest says 4"),
+        (lambda lines, _: lines[3].update(seed_index=7), "start 7 is not between 0 and 3"),
+        (lambda lines, _: lines.reverse(), "not in the order of scene, perturbation and index"),
+        (lambda lines, _: lines[0].update(panel=1), "starts of a panel 1, and 1 panels"),
+        (lambda lines, _: lines.clear(), "no start in scene hurdles/place_00"),
+        (lambda _, manifest: manifest["key"]["scenes"].pop("hurdles/place_01"), "none of its mani"),
+        (lambda _, manifest: manifest["key"]["scenes"].update(x="y"), "no start in scene x of its"),
+        (lambda _, manifest: manifest.update(starts=5), "4 starts, its manifest says 5"),
+        (lambda _, manifest: manifest.update(starts="many"), "manifest.starts: "),
+        (lambda _, manifest: manifest.update(name="other"), "calls it other, its file is shipped"),
+        (lambda _, manifest: manifest.update(name="../a"), "'../a' is no name"),
+        (lambda _, manifest: manifest.update(note="\x1b[2J"), "is no plain line"),
+        (lambda _, manifest: manifest["panels"].append(manifest["panels"][0]), "one class of mach"),
+        (lambda _, manifest: manifest.update(bank=2), "bank of version 2, this nw-eval reads 1"),
+        (lambda _, manifest: manifest.pop("key"), "manifest.key: field required"),
+    ],
+)
+def test_a_bank_that_contradicts_itself_is_not_compared_with(
+    saved: Path, change: Callable[[list[dict[str, Any]], dict[str, Any]], object], sentence: str
+) -> None:
+    rewritten(saved, change)
+    with pytest.raises(IncomparableError, match=sentence) as caught:
+        reread(saved)
+    assert str(caught.value).startswith(str(saved))
+    assert str(caught.value).isprintable()
+
+
+def test_panels_that_perturb_different_things_are_refused(
+    tmp_path: Path, make_bank: Callable[..., SavedBank]
+) -> None:
+    plain = make_bank(machines=MACHINES)
+    other = make_bank(machines=MACHINES, cells=((("friction", 0.5),),))
+    mixed = replace(plain, panels=(plain.panels[0], other.panels[1]))
+    with pytest.raises(
+        StoreError, match=r"cannot write .*: its panels differ in what they perturb"
+    ):
+        write_bank(tmp_path / "shipped.parquet", mixed)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_column_that_is_missing_is_named(saved: Path) -> None:
+    table = pq.read_table(saved)
+    write_small_table(saved, table.drop_columns(["trajectory"]), metadata_of(table.schema))
+    with pytest.raises(IncomparableError, match="it lacks the columns trajectory"):
+        read_bank(saved)
+
+
+def test_the_rows_of_a_run_are_no_bank_and_neither_is_anybodys_table(
+    tmp_path: Path, make_row: Callable[..., Any]
+) -> None:
+    rows, foreign = tmp_path / "rows.parquet", tmp_path / "foreign.parquet"
+    write_rows(rows, [make_row()], {})
+    pq.write_table(pa.table({"x": [1]}), foreign)
+    for path in (rows, foreign):
+        with pytest.raises(IncomparableError, match="is no bank; save one from a run"):
+            reread(path)
+
+
+def test_a_bank_that_is_not_there_or_not_whole_is_named(saved: Path) -> None:
+    with pytest.raises(UsageError, match=r"no bank at .*none\.parquet"):
+        read_bank(saved.with_name("none.parquet"))
+    saved.write_bytes(saved.read_bytes()[:-20])
+    with pytest.raises(StoreError, match=r"shipped\.parquet is damaged: .*; restore it from git"):
+        read_bank(saved)
+    saved.unlink()
+    saved.symlink_to("/dev/zero")
+    with pytest.raises(UsageError, match="no bank at"):
+        read_bank(saved)
+
+
+def test_two_hundred_kinds_of_damage_are_each_refused(
+    saved: Path, mutated: Callable[..., bytes]
+) -> None:
+    whole, rng = saved.read_bytes(), random.Random(12)
+    for _ in range(200):
+        saved.write_bytes(mutated(whole, rng))
+        with pytest.raises((StoreError, IncomparableError)) as caught:
+            reread(saved)
+        assert str(saved) in str(caught.value)
+
+
+@settings(
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.lists(
+        st.tuples(st.floats(0, 1), st.integers(0, 9), st.integers(0, 9)), min_size=4, max_size=4
+    ),
+    st.sampled_from(OUTCOMES),
+    st.text(st.characters(categories=("L", "N", "P", "S")), max_size=40),
+    st.dictionaries(st.sampled_from(["friction", "payload"]), st.floats(0, 9), max_size=2),
+)
+def test_any_bank_comes_back_equal(
+    tmp_path: Path,
+    make_bank: Callable[..., SavedBank],
+    scores: list[tuple[float, int, int]],
+    outcome: str,
+    text: str,
+    cell: dict[str, float],
+) -> None:
+    bank = make_bank(scenes=1, cells=(tuple(sorted(cell.items())),))
+    starts = tuple(
+        replace(
+            start,
+            success=success,
+            completed=success == 1.0,
+            waypoints_reached=min(reached, total),
+            waypoints_total=total,
+            outcome=outcome,
+        )
+        for start, (success, reached, total) in zip(bank.panels[0].starts, scores, strict=True)
+    )
+    note = " ".join(text.replace("::", ":").replace("##", "#").replace("@", "").split())
+    bank = replace(
+        bank,
+        manifest=bank.manifest.model_copy(update={"note": note}),
+        panels=(replace(bank.panels[0], starts=starts),),
+    )
+    assert bank_table(bank).num_rows == 4
+    write_bank(tmp_path / "shipped.parquet", bank)
+    assert reread(tmp_path / "shipped.parquet") == bank

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.results.bank import find
+from nw_eval.results.bank.find import bank_files, find_bank
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """The project's banks and the shipped ones, each with one for `hurdles`."""
+    mine, shipped = tmp_path / "mine", tmp_path / "shipped"
+    monkeypatch.setattr(find, "shipped", lambda _: shipped)
+    for folder, name in ((mine, "best"), (shipped, "go1-parkour")):
+        (folder / "hurdles").mkdir(parents=True)
+        (folder / "hurdles" / f"{name}.parquet").write_bytes(name.encode())
+    return mine, shipped
+
+
+def test_a_name_is_looked_for_in_the_project_and_then_among_the_shipped_banks(
+    folders: tuple[Path, Path],
+) -> None:
+    mine, shipped = folders
+    assert find_bank("best", suite="hurdles", root=mine) == mine / "hurdles/best.parquet"
+    found = find_bank("go1-parkour", suite="hurdles", root=mine)
+    assert found == shipped / "hurdles/go1-parkour.parquet"
+
+
+def test_a_path_is_taken_as_it_is(folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch):
+    mine, _ = folders
+    path = mine / "hurdles/best.parquet"
+    assert find_bank(str(path), suite="other") == path
+    monkeypatch.chdir(path.parent)
+    assert find_bank("best.parquet", suite="other").resolve() == path
+
+
+@pytest.mark.parametrize(
+    ("reference", "sentence"),
+    [
+        ("go1-parkuor", "suite 'hurdles' has no bank 'go1-parkuor'; did you mean 'go1-parkour'?"),
+        ("./bset.parquet", r"no bank at bset\.parquet; did you mean 'best'\?"),
+        ("a" * 5000, "has no bank"),
+    ],
+)
+def test_a_bank_that_is_not_there_is_named_with_the_nearest_that_is(
+    folders: tuple[Path, Path], reference: str, sentence: str
+) -> None:
+    with pytest.raises(UsageError, match=sentence):
+        find_bank(reference, suite="hurdles", root=folders[0])
+
+
+def test_where_there_is_no_bank_at_all_the_error_says_how_to_make_one(
+    folders: tuple[Path, Path],
+) -> None:
+    with pytest.raises(UsageError, match="nw-eval baseline save stairs --policy POLICY"):
+        find_bank("best", suite="stairs", root=folders[0])
+
+
+def test_two_different_banks_of_one_name_are_an_error_unless_a_path_says_which(
+    folders: tuple[Path, Path],
+) -> None:
+    mine, shipped = folders
+    copy = mine / "hurdles/go1-parkour.parquet"
+    copy.write_bytes((shipped / "hurdles/go1-parkour.parquet").read_bytes())
+    assert find_bank("go1-parkour", suite="hurdles", root=mine) == copy
+    copy.write_bytes(b"another one")
+    with pytest.raises(IncomparableError, match=r"are called 'go1-parkour': .* by its path") as two:
+        find_bank("go1-parkour", suite="hurdles", root=mine)
+    assert str(copy) in str(two.value)
+    assert str(shipped) in str(two.value)
+    assert find_bank(copy, suite="hurdles", root=mine) == copy
+
+
+def test_all_banks_are_listed_and_one_that_is_in_both_places_once(
+    folders: tuple[Path, Path],
+) -> None:
+    mine, shipped = folders
+    (mine / "hurdles/go1-parkour.parquet").write_bytes(b"go1-parkour")
+    (shipped / "gaps").mkdir()
+    (shipped / "gaps/go1-parkour.parquet").write_bytes(b"go1-parkour")
+    listed = [mine / "hurdles/best.parquet", mine / "hurdles/go1-parkour.parquet"]
+    assert bank_files("hurdles", root=mine) == tuple(listed)
+    assert bank_files(root=mine) == (*listed, shipped / "gaps/go1-parkour.parquet")
