@@ -15,6 +15,7 @@ from nw_eval.api import (
     check,
     check_policy,
     check_scenes,
+    compare,
     draw_sensors,
     evaluate,
     fold_policy,
@@ -54,6 +55,7 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
+from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
@@ -82,6 +84,7 @@ __all__ = [
     "ListedSuite",
     "NwEvalError",
     "Plan",
+    "PolicyComparison",
     "PolicyError",
     "PrerequisiteError",
     "ProbeReport",
@@ -105,6 +108,7 @@ __all__ = [
     "check",
     "check_policy",
     "check_scenes",
+    "compare",
     "draw_sensors",
     "evaluate",
     "fold_policy",

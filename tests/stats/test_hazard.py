@@ -55,12 +55,12 @@ def test_without_trials_a_share_may_be_anything():
 
 @pytest.mark.parametrize(("first", "second", "expected"), FISHER)
 def test_fishers_test_is_scipys(first, second, expected):
-    assert fisher(first, second) == pytest.approx(expected, rel=1e-12)
+    assert fisher((first, second)) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 5), (4, 4), (6, 2)])
 def test_fishers_test_errs_no_oftener_than_it_says_whatever_the_share(n, m):
-    tables = [(x, y, fisher((x, n), (y, m))) for x in range(n + 1) for y in range(m + 1)]
+    tables = [(x, y, fisher(((x, n), (y, m)))) for x in range(n + 1) for y in range(m + 1)]
     for share in (Fraction(1, 20), Fraction(3, 10), Fraction(1, 2)):
         for level in sorted({p for _, _, p in tables}):
             refuted = sum(
@@ -74,7 +74,7 @@ def test_fishers_test_errs_no_oftener_than_it_says_whatever_the_share(n, m):
 @pytest.mark.parametrize("counts", [((3, 2), (0, 1)), ((-1, 2), (0, 1)), ((1, 2), (2, 1))])
 def test_counts_that_cannot_be_are_refused(counts):
     with pytest.raises(ValueError, match="successes of"):
-        fisher(*counts)
+        fisher(counts)
 
 
 def test_hazards_are_the_shares_of_those_that_came_so_far():

@@ -28,6 +28,7 @@ from nw_eval.api.policies import (
     show_policy,
 )
 from nw_eval.api.replays import replay
+from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, report
@@ -55,6 +56,7 @@ __all__ = [
     "check",
     "check_policy",
     "check_scenes",
+    "compare",
     "draw_sensors",
     "evaluate",
     "fold_policy",

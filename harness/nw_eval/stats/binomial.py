@@ -5,6 +5,8 @@ from __future__ import annotations
 from math import comb, sqrt
 from statistics import NormalDist
 
+import numpy as np
+
 from nw_eval.stats.interval import Interval, check_confidence
 
 
@@ -67,27 +69,32 @@ def newcombe(
     )
 
 
-def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
+def fisher(*strata: tuple[tuple[int, int], tuple[int, int]]) -> float:
     """Return the two-sided p-value of Fisher's exact test that two shares are equal.
 
-    The sum, over all tables with these totals, of the probabilities of those that are no likelier
-    than what was seen; in whole numbers, so that equal ones are equal.
+    Where there are several strata, such as scenes, the shares are equal within each and may differ
+    between them; what is looked at is the sum of the first's successes. The p-value is the sum,
+    over all tables with these totals, of the probabilities of those that are no likelier than what
+    was seen.
 
     Args:
-        first: successes, and trials, of independent trials.
-        second: likewise.
+        *strata: for each, successes and trials of the first, and of the second; trials independent.
 
-    Source: R. A. Fisher, "The logic of inductive inference", J. Roy. Statist. Soc. 98 (1935).
+    Source: R. A. Fisher, "The logic of inductive inference", J. Roy. Statist. Soc. 98 (1935); with
+    strata J. J. Gart, "Point and interval estimation of the common odds ratio in the combination of
+    2 x 2 tables with fixed marginals", Biometrika 57 (1970).
 
     Raises:
         ValueError: counts are impossible.
     """
-    for successes, n in (first, second):
-        if not 0 <= successes <= n:
-            raise ValueError(f"{successes} successes of {n}")
-    (successes, n), (others, m) = first, second
-    total = successes + others
-    possible = range(max(0, total - m), min(n, total) + 1)
-    ways = [comb(n, one) * comb(m, total - one) for one in possible]
-    seen = comb(n, successes) * comb(m, others)
-    return sum(way for way in ways if way <= seen) / comb(n + m, total)
+    likelihood, seen = np.ones(1), 0
+    for (successes, n), (others, m) in strata:
+        if not (0 <= successes <= n and 0 <= others <= m):
+            raise ValueError(f"{successes} successes of {n}, {others} of {m}")
+        total = successes + others
+        least, most = max(0, total - m), min(n, total)
+        ways = [comb(n, one) * comb(m, total - one) for one in range(least, most + 1)]
+        likelihood = np.convolve(likelihood, [way / comb(n + m, total) for way in ways])
+        seen += successes - least
+    # Equally likely tables may differ by rounding.
+    return min(1.0, float(likelihood[likelihood <= likelihood[seen] * (1.0 + 1e-9)].sum()))

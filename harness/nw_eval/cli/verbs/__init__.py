@@ -9,6 +9,7 @@ import tyro
 
 from nw_eval import __version__
 from nw_eval.cli.verbs.check import Check
+from nw_eval.cli.verbs.compare import Compare
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
@@ -25,6 +26,7 @@ Verb = (
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Suites, tyro.conf.subcommand("suites")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
