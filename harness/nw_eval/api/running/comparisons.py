@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def compare(
     runs: Sequence[str | Path],
     *,
-    out: Path | None = None,
-    picture: Path | None = None,
+    out: str | Path | None = None,
+    picture: str | Path | None = None,
     confidence: float = 0.95,
 ) -> PolicyComparison:
     """Compare the policies of two or more runs or banks of one suite, side by side.
@@ -48,11 +48,11 @@ def compare(
         from nw_eval.reporting.markdown import write_report
         from nw_eval.reporting.side_by_side.page import comparison_page
 
-        write_report(out, comparison_page(found))
+        write_report(Path(out), comparison_page(found))
     if picture is not None:
         from nw_eval.reporting.side_by_side.picture import draw_comparison
 
-        draw_comparison(found, picture)
+        draw_comparison(found, Path(picture))
     return found
 
 
@@ -96,7 +96,12 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
             f"{source} is no run's folder, and without a run no bank is known by its name",
             fix="name the bank's file",
         )
-    suite = str(runs[0].suite.get("name", "")) if runs else ""
-    bank = read_bank(find_bank(source, suite=suite))
+    try:
+        path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
+    except UsageError as error:
+        raise UsageError(
+            f"{source} is no run's folder, and {error.message}", fix=error.fix
+        ) from None
+    bank = read_bank(path)
     panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]
     return entrant_of_bank(source, bank, panel)

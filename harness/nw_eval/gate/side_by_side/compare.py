@@ -138,24 +138,26 @@ def _partings(
     first, *others = [
         {scene: _ends(entrant, names) for scene, names in starts.items()} for entrant in entrants
     ]
-    looked_at: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
+    together: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
+    alone: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     for place, scenes in enumerate(others, 1):
         # A trail without waypoints has none to part at.
         pairs = {scene: (first[scene], ends) for scene, ends in scenes.items() if len(ends) > 1}
         if len(pairs) > 1:
-            looked_at[place, None] = differences_over(list(pairs.values()), confidence)
+            together[place, None] = differences_over(list(pairs.values()), confidence)
         for scene, pair in pairs.items():
-            looked_at[place, scene] = differences(*pair, confidence)
-    shown = first_shown(looked_at, 1.0 - confidence)
+            alone[place, scene] = differences(*pair, confidence)
+    # The few waypoints of all scenes together are not to pay for the many of single ones.
+    error = (1.0 - confidence) / (2 if together else 1)
+    shown = {**first_shown(together, error), **first_shown(alone, error)}
     found: list[SceneParting] = []
-    for (place, scene), waypoints in looked_at.items():
+    for where, waypoints in (together | alone).items():
         suspect = next((each for each in waypoints if each.p <= 1.0 - confidence), None)
-        if at := shown.get((place, scene), suspect):
-            found.append(
-                SceneParting(scene=scene, policy=place, at=at, shown=(place, scene) in shown)
-            )
-    found.sort(key=lambda each: not each.shown)
-    return tuple(found), sum(map(len, looked_at.values()))
+        if at := shown.get(where, suspect):
+            place, scene = where
+            found.append(SceneParting(scene=scene, policy=place, at=at, shown=where in shown))
+    found.sort(key=lambda each: (not each.shown, each.policy, each.scene or ""))
+    return tuple(found), sum(map(len, (together | alone).values()))
 
 
 def _ends(entrant: Entrant, names: Sequence[StartName]) -> Ends:

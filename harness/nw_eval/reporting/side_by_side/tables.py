@@ -79,9 +79,10 @@ def _partings(found: PolicyComparison) -> Table:
         rows=tuple(_parting(found, each) for each in (*shown, *suspect[:_MOST])),
         numbers=frozenset({"waypoint"}),
         note=f"Missed it: of the trials that came so far. {len(shown)} shown among "
-        f"{plural(found.waypoints, 'waypoint')} looked at, with {percent} confidence for all "
-        "together (Fisher's exact test within scenes, Holm's procedure). Suspect: sure if this "
-        f"waypoint were the only one, which among so many means little.{more}",
+        f"{plural(found.waypoints, 'waypoint')} looked at, with {percent} confidence for all of "
+        "them (Fisher's exact test within scenes, Holm's procedure for all scenes together and for "
+        "single ones, half of the error each). Suspect: sure if this waypoint were the only one, "
+        f"which among so many means little.{more}",
     )
 
 
