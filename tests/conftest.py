@@ -9,6 +9,8 @@ import signal
 
 from hypothesis import settings
 
+from nw_eval.machine_code.kept import folder_note
+
 settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
@@ -17,3 +19,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 # are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# A process looks once where its kernels are kept. Were that in a test which has a cache of its own,
+# all later tests of the process would compile theirs anew: 30 s for those of contacts alone.
+folder_note()

@@ -25,6 +25,7 @@ def main(dist: Path) -> None:
         for arguments in (
             ["--version"],
             ["check", "smoke"],
+            ["baseline", "list"],
             ["run", "smoke", "--trials", "1", "--out", str(Path(place, "out"))],
         ):
             code = subprocess.run(

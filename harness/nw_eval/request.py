@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nw_eval.errors import UsageError
-from nw_eval.words import Backend, Collision, Record
+from nw_eval.words import Backend, Collision, PanelKind, Record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +26,19 @@ class Request:
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     trials: int | None = None
-    """Trials per scene; the suite's own number when absent."""
+    """Trials per scene, against a baseline at most; the suite's own number when absent."""
     scenes: tuple[str, ...] | None = None
     """Only scenes that match one of these globs."""
     seed: int | None = None
     """Another panel of starts than the suite's own: other trials in the same scenes."""
+    baseline: str | None = None
+    """The bank to compare with: its name, its file, or none; the suite's own when absent."""
+    baseline_policy: str | None = None
+    """Where the bank's own policy lies, for a machine that the bank has not seen; where the bank
+    says when absent."""
+    panel: PanelKind | None = None
+    """pinned: the starts of the suite's seed. fresh: starts that follow from the checkpoint's
+    digest, for a release. pinned when absent."""
     record: Record | None = None
     """Camera images in MCAP for which trials; the suite's own choice when absent."""
     time_limit: float | None = None
@@ -64,6 +72,11 @@ class Request:
         except ValidationError as error:
             first = error.errors()[0]
             raise _unusable(str(first["loc"][0]), values, first["msg"].lower()) from None
+        if checked.panel == "fresh" and checked.seed is not None:
+            raise UsageError(
+                f"--seed {checked.seed} with --panel fresh, whose seed is the checkpoint's word",
+                fix="drop one of them",
+            )
         if checked.time_limit is not None and not checked.time_limit > 0.0:
             raise _unusable("time_limit", values, "give seconds, more than 0")
         return checked

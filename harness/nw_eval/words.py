@@ -31,6 +31,9 @@ UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Described = Literal["suite", "policy", "scene", "collision"]
 """Files that people write and a JSON Schema describes; `collision` is a scene's file of boxes."""
 
+PanelKind = Literal["pinned", "fresh"]
+"""Which starts a checkpoint meets: those that the suite's seed names, or its own."""
+
 Arm = Literal["candidate", "baseline"]
 """Whether a trial's policy is the one that is judged, or one that it is compared with."""
 

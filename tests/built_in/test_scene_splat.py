@@ -60,7 +60,8 @@ def test_a_scene_has_100_000_to_300_000_gaussians_in_its_store(built):
     assert 100_000 <= open_store(built.store).count <= 300_000
 
 
-def test_a_store_is_made_once(built):
+def test_a_store_is_made_once(built, monkeypatch):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(built.cache))
     before = built.store.stat().st_mtime_ns
     assert built.scene.splat_store() == built.store
     assert built.store.stat().st_mtime_ns == before

@@ -9,6 +9,7 @@ import pytest
 from nw_eval import api
 from nw_eval.api.running import reports
 from nw_eval.errors import StoreError
+from nw_eval.files.cache import private_dir
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import MEASURED, rows_digest, to_dict
 
@@ -67,6 +68,7 @@ def test_a_splat_that_only_the_log_wants_costs_the_log_and_not_the_trial(
     tiny_run, tmp_path, monkeypatch
 ):
     (tmp_path / "cache").write_text("in the way of the folder")
+    monkeypatch.setenv("NW_EVAL_KERNELS", str(private_dir("kernels")))  # They are none of this.
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
     run = tiny_run("fine", trials=2, record="failures")
     outcome = run.go(workers=1)
@@ -90,7 +92,12 @@ def test_a_full_disk_under_the_journal_ends_the_run_and_keeps_what_is_finished(t
 
 def test_a_run_folder_that_is_removed_in_mid_run_ends_the_run_and_is_said(tiny_run):
     run = tiny_run("fine", name="gone", trials=3)
-    run.ears.trial = lambda _: shutil.rmtree(run.folder.path)
+
+    def remove(_):
+        while run.folder.path.exists():  # The worker writes the next trial's log there meanwhile.
+            shutil.rmtree(run.folder.path, ignore_errors=True)
+
+    run.ears.trial = remove
     with pytest.raises(StoreError, match="gone was removed or replaced while the run went on"):
         run.go(workers=1)
 

@@ -171,6 +171,7 @@ def run(target, *, inputs=0, seed=1, keep=None, first=0, cases=None):
     tally = {"target": target.name, "inputs": 0, "accepted": 0, "refused": 0, "findings": [],
              "seconds": 0.0, "gigabytes": 0.0}  # fmt: skip
     try:
+        lend_kernels(world / "cache")
         os.environ["NW_EVAL_CACHE"] = str(world / "cache")
         os.environ["HOME"] = str(world)
         (world / "canary").write_text("untouched")
@@ -205,6 +206,13 @@ def run(target, *, inputs=0, seed=1, keep=None, first=0, cases=None):
     finally:
         shutil.rmtree(world, ignore_errors=True)
     return tally
+
+
+def lend_kernels(cache):
+    """Begin a cache with the kernels that the user's has: they are none of what is tested."""
+    from nw_eval.files.cache import private_dir
+
+    shutil.copytree(private_dir("kernels"), cache / "kernels")
 
 
 def _listing(world):

@@ -548,6 +548,45 @@ def _parquet(folder):
     _check_rows(read_rows(folder / "trials.parquet")[0])
 
 
+def _bank_seeds(_folder):
+    """A bank before it is sealed, as text: what a stranger who can seal may have written."""
+    manifest = {
+        "bank": 1, "name": "gift", "suite": "hurdles", "note": "a gift", "starts": 2,
+        "key": {"suite_digest": "aa" * 32, "seed": 7, "protocol": "strict",
+                "scenes": {"hurdles/one": "dd" * 32}, "simulator": {"mujoco": "4.0.0"}},
+        "policy": {"name": "gift", "card_digest": "bb" * 32, "checkpoint_digest": "cc" * 32},
+        "panels": [{"machine": {"cpu": "znver4"}, "saved": "2026-11-22", "by": "anna",
+                    "rows_digest": "ee" * 32}],
+    }  # fmt: skip
+    starts = {
+        "panel": [0, 0], "scene": ["hurdles/one"] * 2, "task": ["hurdles"] * 2,
+        "perturbation": [[["friction", 0.5]]] * 2, "seed_index": [0, 1], "success": [1.0, 0.5],
+        "completed": [True, False], "waypoints_reached": [4, 2], "waypoints_total": [4, 4],
+        "outcome": ["completed", "fell"], "end_reason": ["last waypoint", "roll"],
+        "trajectory": ["0123456789abcdef", "fedcba9876543210"],
+    }  # fmt: skip
+    return [{"bank.json": json.dumps([manifest, starts]).encode()}]
+
+
+def _bank(folder):
+    """Read it as its file would be read, once its sum is right."""
+    from nw_eval.errors import StoreError
+    from nw_eval.results.bank.file import bank_of
+    from nw_eval.results.tables.small import PlainTable
+
+    try:
+        manifest, starts = json.loads((folder / "bank.json").read_bytes())
+        lines = [
+            dict(zip(starts, line, strict=True)) for line in zip(*starts.values(), strict=True)
+        ]
+        table = PlainTable(
+            metadata={"bank": json.dumps(manifest)}, columns=list(starts), lines=lines
+        )
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise StoreError("bank.json is no table at all") from error
+    bank_of(table, folder / "gift.parquet")
+
+
 def _wire_seeds(_folder):
     from nw_eval.policies.remote.wire import encode
 
@@ -673,6 +712,7 @@ _ALL = (
     Target(name="store", seeds=_store_seeds, read=_store),
     Target(name="journal", seeds=_journal_seeds, read=_journal),
     Target(name="parquet", seeds=_parquet_seeds, read=_parquet),
+    Target(name="bank", seeds=_bank_seeds, read=_bank),
     Target(
         name="run",
         seeds=lambda folder: [_run_seeds(folder)[0]],

@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 INPUTS = {
     "suite": 60, "card": 80, "onnx": 80, "torchscript": 50, "torch-export": 60, "tensors": 150,
     "inspect": 80, "scene": 25, "published": 60, "mesh": 120, "splat": 100, "store": 150,
-    "journal": 150, "parquet": 100, "run": 80, "mcap": 60, "remote": 100,
+    "journal": 150, "parquet": 100, "bank": 100, "run": 80, "mcap": 60, "remote": 100,
 }  # fmt: skip
 FACTOR = float(os.environ.get("NW_EVAL_FUZZ", "1"))
 SEED = os.environ.get("NW_EVAL_FUZZ_SEED", "20261122")

@@ -204,7 +204,10 @@ def test_a_drop_that_nobody_judged_is_said_and_only_where_one_was_asked_for(
     for settings in (Gate(max_drop=0.1), gate(max_drop=0.1)):
         for planned in ({"a": 40}, {"a": 41}):
             told = judge(rows, settings, planned).reasons[-1]
-            assert told == "max_drop 0.1 was not judged: there is no baseline to compare with"
+            assert told == (
+                "max_drop 0.1 was not judged: there is no baseline to compare with; "
+                "`nw-eval baseline save hurdles --policy POLICY` makes one, --baseline names it"
+            )
     assert not any("max_drop" in reason for reason in judge(rows, BAR, {"a": 40}).reasons)
 
 

@@ -425,9 +425,9 @@ def test_a_policy_in_python_is_given_outputs_by_name(tmp_path):
         encoder="encoder, inputs: [pose], outputs: {doubled: {output: twice}}",
     )
     text = (tmp_path / "policy.yaml").read_text()
-    text = re.sub(r"adapter: torchscript\ncheckpoint: .*", "adapter: python:mine:Mine", text)
+    text = re.sub(r"adapter: torchscript\ncheckpoint: .*", "adapter: python:only_code:Mine", text)
     (tmp_path / "policy.yaml").write_text(text.replace("inputs: [encoder.doubled]\n", ""))
-    (tmp_path / "mine.py").write_text(
+    (tmp_path / "only_code.py").write_text(
         "class Mine:\n"
         "    def __init__(self, bundle): pass\n"
         "    def act(self, observation):\n"

@@ -86,7 +86,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     planned = {"a": 20, "b": 20}
     plain = render(rows, planned).split("## How sure")[1]
     assert "fresh starts in these scenes" in plain
-    assert "picks luck too: --seed draws another panel" in plain
+    assert "picks luck too: --panel fresh draws the checkpoint's own" in plain
     assert "0.10 worse means: in every scene the odds of reaching the next waypoint" in plain
     for absent in ("critical", "neverwhere"):
         assert absent not in plain

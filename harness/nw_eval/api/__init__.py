@@ -6,6 +6,16 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+from nw_eval.api.baselines.checked import CheckedBaseline, check_baseline
+from nw_eval.api.baselines.listed import (
+    ListedBaseline,
+    ShownBaseline,
+    diff_baselines,
+    list_baselines,
+    show_baseline,
+)
+from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
     ListedScene,
@@ -31,48 +41,66 @@ from nw_eval.api.replays import replay
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
-from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
+from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, list_suites
 from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
+    "BisectedSeries",
     "CardDraft",
+    "CheckedBaseline",
     "CheckedScene",
     "FoldedGraph",
+    "ListedBaseline",
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
     "Request",
     "RunReport",
+    "SavedBaseline",
     "ServedPolicy",
+    "ShownBaseline",
+    "TrialPlan",
     "WarmUp",
     "WrittenSplat",
+    "bisect",
     "check",
+    "check_baseline",
     "check_policy",
     "check_scenes",
     "compare",
+    "diff_baselines",
     "draw_sensors",
     "evaluate",
     "fold_policy",
     "init_policy",
+    "judge",
+    "list_baselines",
     "list_policies",
     "list_scenes",
     "list_sensors",
     "list_suites",
     "plan",
+    "plan_trials",
+    "read_ledger",
     "read_rows",
+    "record_verdict",
     "render_scenes",
     "replay",
     "report",
     "run",
+    "save_baseline",
     "schema",
     "serve_policy",
+    "show_baseline",
     "show_policy",
     "show_scene",
     "splat_convert",

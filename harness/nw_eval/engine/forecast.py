@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.machine.cores import worker_count
@@ -56,17 +57,28 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         plan: what would be run.
         workers: processes; one for each core if None.
     """
-    suite, trials = plan.suite, len(plan.trials)
-    count = worker_count(workers, trials)
-    sees = bool(plan.bundle.card.splat_images)
-    each = (_SEEING if sees or suite.record == "all" else _BLIND) * suite.episode.duration
+    trials = len(plan.trials)
     return Forecast(
-        suite=suite,
+        suite=plan.suite,
         policy=plan.bundle,
         scenes=tuple(
             SceneForecast(name=scene.name, digest=scene.digest, trials=trials // len(plan.scenes))
             for scene in plan.scenes
         ),
-        workers=count,
-        minutes=max((_START + each * trials / count) / 60.0, _LEAST),
+        workers=worker_count(workers, trials),
+        minutes=minutes_of(trials, plan, workers=workers),
     )
+
+
+def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> float:
+    """Return about how many minutes of wall time so many trials of a plan's kind take at most.
+
+    Args:
+        trials: how many, whatever the plan has.
+        plan: whose suite and policy they are of.
+        workers: processes; one for each core if None.
+    """
+    sees = bool(plan.bundle.card.splat_images) or plan.suite.record == "all"
+    each = (_SEEING if sees else _BLIND) * plan.suite.episode.duration
+    count = worker_count(workers, ceil(trials))
+    return max((_START + each * trials / count) / 60.0, _LEAST)

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     """Return trials round by round: every scene's first trials, then the second ones, and so on.
 
-    Within a round the order is that of a hash of the identity, so that neighbours differ in
+    Which trials make a round is the plan's word: those of one index, or those that it draws from a
+    bank. Within a round the order is that of a hash of the identity, so that neighbours differ in
     difficulty, and it is the same for every worker count, shard and resume. A run that is cut
     short has met every scene about equally often.
     """
-    return tuple(sorted(trials, key=lambda trial: (trial.index, _rank(trial))))
+    return tuple(sorted(trials, key=lambda trial: (trial.round, _rank(trial))))
 
 
 def rounds(jobs: Iterable[TrialJob]) -> list[list[TrialJob]]:
@@ -29,7 +30,7 @@ def rounds(jobs: Iterable[TrialJob]) -> list[list[TrialJob]]:
     Args:
         jobs: `in_order`.
     """
-    return [list(part) for _, part in groupby(jobs, key=lambda job: job.trial.index)]
+    return [list(part) for _, part in groupby(jobs, key=lambda job: job.trial.round)]
 
 
 def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Container[str]) -> int:
@@ -46,7 +47,7 @@ def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Containe
     trials = iter(waiting)
     first = next(trials)
     scenes = [first.scene]
-    scenes += [trial.scene for trial in takewhile(lambda t: t.index == first.index, trials)]
+    scenes += [trial.scene for trial in takewhile(lambda t: t.round == first.round, trials)]
     return min(
         range(len(scenes)),
         key=lambda place: 0 if scenes[place] in own else 1 + (scenes[place] in taken),

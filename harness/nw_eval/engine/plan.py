@@ -15,11 +15,12 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import Trial
-    from nw_eval.words import Backend
+    from nw_eval.words import Arm, Backend, PanelKind
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
@@ -32,15 +33,31 @@ class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
     request: Request
-    suite: Suite  # with what was asked of it otherwise
+    suite: Suite  # with what was asked of it otherwise; against a bank `trials` is the most rounds
     bundle: Bundle
     found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]
+    against: Against | None = None
+    is_baseline: bool = False
+    """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
+    arm: Arm = "candidate"
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
         """The scenes of its trials."""
         return tuple(found.scene for found in self.found)
+
+    @property
+    def panel(self) -> PanelKind:
+        """Which starts the policy meets."""
+        return self.request.panel or "pinned"
+
+    @property
+    def drawn_from(self) -> int | None:
+        """Starts of the bank that drew the order of the trials; None if none did."""
+        if self.against is None or self.panel == "fresh":
+            return None
+        return self.against.bank.manifest.starts
 
     @property
     def render(self) -> Backend:
@@ -50,7 +67,7 @@ class Plan:
     @property
     def renders(self) -> bool:
         """Whether any trial may render."""
-        return needs_splats(self.bundle.card, self.suite.record)
+        return not self.is_baseline and needs_splats(self.bundle.card, self.suite.record)
 
     @property
     def time_limit(self) -> float:

@@ -9,7 +9,12 @@ from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
 from nw_eval.results.journal import JournalHeader
-from nw_eval.results.machine import code_info, library_versions, machine_info
+from nw_eval.results.machine import (
+    code_info,
+    library_versions,
+    machine_info,
+    rows_code_digest,
+)
 from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
 
@@ -54,8 +59,12 @@ def run_info(
         suite_folder=str(suite.base.resolve()),
         suite=suite.model_dump(by_alias=True, mode="json"),
         suite_digest=suite.digest,
-        policy=_policy_info(plan.bundle),
+        policy=policy_info(plan.bundle),
         scenes=_scene_infos(plan),
+        panel=plan.panel,
+        drawn_from=plan.drawn_from,
+        baseline=None if plan.against is None else plan.against.info,
+        stopped_after=0 if plan.is_baseline else None,
         workers=default_workers() if workers is None else workers,
         renderer=_renderer(plan),
         fence=_fence(plan, in_process=in_process),
@@ -84,11 +93,12 @@ def _engine(plan: Plan) -> dict[str, str]:
         **{name: versions[name] for name in _CHANGING_BITS if name in versions},
         "renderer": _renderer(plan),
         "cpu": cpu_kind(),
-        "code": code_info().digest[:16],
+        "code": rows_code_digest()[:16],
     }
 
 
-def _policy_info(bundle: Bundle) -> PolicyInfo:
+def policy_info(bundle: Bundle) -> PolicyInfo:
+    """Return what run.json says of a policy."""
     return PolicyInfo(
         name=bundle.name,
         adapter=bundle.card.adapter,

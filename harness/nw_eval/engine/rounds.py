@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.words import Arm
 
     Enough = Callable[[Sequence[Row]], bool]
 
@@ -48,6 +49,7 @@ def run_trials(
     folder: RunFolder,
     policy: str,
     hire: Hire,
+    arm: Arm = "candidate",
     workers: int | None = None,
     enough: Enough | None = None,
     listener: Listener | None = None,
@@ -64,6 +66,7 @@ def run_trials(
         folder: of the run.
         policy: the policy's name, for rows.
         hire: gets workers.
+        arm: whether the policy is the one that is judged, for rows.
         workers: how many; one for each core if None.
         enough: asked after each round but the last, with the rows of all rounds so far in the order
             of their jobs, whether the rest need not run; None = all of them run, without rounds.
@@ -80,6 +83,7 @@ def run_trials(
         journal=journal,
         folder=folder,
         policy=policy,
+        arm=arm,
         listener=ears,
         hire=hire,
         workers=worker_count(workers, len(jobs)),

@@ -10,7 +10,7 @@ from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
-from nw_eval.engine.rounds import RunOutcome, run_trials
+from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
@@ -21,11 +21,17 @@ from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
+from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from nw_eval.engine.rounds import Enough
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+    Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 
 _REPORTS = "reports"
 
@@ -39,6 +45,7 @@ def carry_out(
     command: tuple[str, ...],
     listener: Listener | None,
     in_process: bool = False,
+    prelude: Prelude | None = None,
     enough: Enough | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
@@ -54,6 +61,9 @@ def carry_out(
         command: what was typed.
         listener: hears of progress.
         in_process: whether trials run in this very process: see `engine.workers.in_process`.
+        prelude: called before the first trial, with the run's folder and run.json, of which it
+            returns what it is to say from then on; `stopped_after` 0, or `interrupted`, ends the
+            run there.
         enough: asked between rounds whether the rest need not run: see `run_trials`.
 
     Raises:
@@ -77,20 +87,31 @@ def carry_out(
         of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
         if resume is not None:
             info = _with_earlier_sessions(info, folder)
-        _make_ready(plan, folder, listener)
-        jobs = plan_jobs(plan, folder)
         began = perf_counter()
-        outcome = run_trials(
-            jobs,
-            journal=journal,
-            folder=folder,
-            policy=plan.bundle.name,
-            hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
-            workers=workers,
-            enough=enough,
-            listener=listener,
-        )
-        _finish(plan, folder, info, outcome, wall=perf_counter() - began)
+        if prelude is not None:
+            info = prelude(folder, info)
+            write_run_info(folder.run_json, info)
+        if info.stopped_after != 0 and not info.interrupted:
+            _make_ready(plan, folder, listener)
+            jobs = plan_jobs(plan, folder)
+            outcome = run_trials(
+                jobs,
+                journal=journal,
+                folder=folder,
+                policy=plan.bundle.name,
+                arm=plan.arm,
+                hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
+                workers=workers,
+                enough=enough,
+                listener=listener,
+            )
+            info = info.model_copy(
+                update={
+                    "interrupted": outcome.interrupted is not None,
+                    "stopped_after": outcome.stopped_after,
+                }
+            )
+        _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
     return folder
 
 
@@ -124,9 +145,22 @@ def _journal(plan: Plan, folder: RunFolder, info: RunInfo) -> Journal:
     """Go on with the folder's journal; if nothing has run, write run.json and start one."""
     header = journal_header(plan)
     if has_begun(folder.journal):
-        return Journal.resume(folder.journal, header)
+        journal = Journal.resume(folder.journal, header)
+        _keep_bank(plan, folder)
+        return journal
+    _keep_bank(plan, folder)
     write_run_info(folder.run_json, info)
     return Journal.create(folder.journal, header)
+
+
+def _keep_bank(plan: Plan, folder: RunFolder) -> None:
+    """Copy the bank that the run is compared with into its folder, if it is not there."""
+    if plan.against is None:
+        return
+    path = folder.bank(plan.against.info.name)
+    if not path.exists():
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(plan.against.content)
 
 
 def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
@@ -158,10 +192,11 @@ def _in_process(plan: Plan) -> Hire:
 
 
 def _finish(
-    plan: Plan, folder: RunFolder, info: RunInfo, outcome: RunOutcome, *, wall: float
+    plan: Plan, folder: RunFolder, info: RunInfo, rows: Iterable[Row], *, wall: float
 ) -> None:
     """Write the rows of the plan, and what run.json is to say of them."""
-    rows, _ = of_plan(outcome.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
+    trials = wanted(plan.trials, info.stopped_after)
+    rows, _ = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
     ended = write_trials(folder, info, rows)
     write_run_info(
         folder.run_json,
@@ -170,8 +205,6 @@ def _finish(
                 "finished": now(),
                 # A run that was resumed cost what all its sessions did.
                 "wall_s": info.wall_s + wall,
-                "interrupted": outcome.interrupted is not None,
-                "stopped_after": outcome.stopped_after,
             }
         ),
     )

@@ -26,7 +26,8 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from nw_eval.gate.outlook import DROP, advice, chance_to_pass, courses
+from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.plural import plural
@@ -41,13 +42,21 @@ from nw_eval.suite.model import Gate
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
 
 
-def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdict:
+def judge(
+    rows: Sequence[Row],
+    gate: Gate,
+    planned: Mapping[str, int],
+    *,
+    against: Comparison | None = None,
+) -> Verdict:
     """Judge one run against its suite's absolute bar.
 
     Args:
         rows: one for each trial that ended, with a result or an error.
         gate: the suite's gate settings.
         planned: number of trials that were to be run, by scene.
+        against: what the rows show against a baseline, if they were compared with one. It changes
+            nothing of the verdict (`baseline.combine` does), but what is worth saying beside it.
 
     Raises:
         StoreError: a trial appears twice.
@@ -62,15 +71,15 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
     bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores)
-    word, reasons = _compare(bounds, scores, gate)
+    word, reasons = _compare(bounds, scores, gate, alone=against is None)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
     elif condemned := _condemned(groups, scores, gate):
         # The suite's mean speaks first only if it convicts too.
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
-    elif word == "INCONCLUSIVE" and gate.success_rate is not None:
+    elif word == "INCONCLUSIVE" and gate.success_rate is not None and not _is_moot(against):
         reasons.append(advice(counted, seen, gate, gate.success_rate))
-    drop = gate.max_drop or DROP
+    drop = gate.most_drop
     return Verdict(
         verdict=word,
         effect=effect,
@@ -86,9 +95,18 @@ def judge(rows: Sequence[Row], gate: Gate, planned: Mapping[str, int]) -> Verdic
             if word == "PASS" and effect is not None
             else None
         ),
-        reasons=(*reasons, *_weak_scenes(scores, gate), *_unjudged(gate)),
+        reasons=(
+            *reasons,
+            *_weak_scenes(scores, gate),
+            *(_unjudged(rows, gate) if against is None else ()),
+        ),
         per_scene=scores,
     )
+
+
+def _is_moot(against: Comparison | None) -> bool:
+    """Return whether more trials would be of no use to the bar: the baseline has convicted."""
+    return against is not None and against.word == "REGRESSED"
 
 
 def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> list[str]:
@@ -119,13 +137,16 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
     return reasons
 
 
-def _compare(bounds: Interval, scores: Sequence[SceneScore], gate: Gate) -> tuple[Word, list[str]]:
+def _compare(
+    bounds: Interval, scores: Sequence[SceneScore], gate: Gate, *, alone: bool
+) -> tuple[Word, list[str]]:
     """Return what the bounds of mean success say, and one reason."""
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
         total = plural(sum(item.n for item in scores), "trial")
-        return "RAN", [f"{total} ran and nothing was judged: the suite sets no gate.success_rate"]
+        judged = "nothing was judged" if alone else "no bar was judged"
+        return "RAN", [f"{total} ran and {judged}: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:
@@ -171,11 +192,13 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     return [f"{len(weak)} {which}: {_listed(scenes, '; ')}"]
 
 
-def _unjudged(gate: Gate) -> list[str]:
+def _unjudged(rows: Sequence[Row], gate: Gate) -> list[str]:
     """Return a reason for what the suite asks for and nobody has looked at."""
     if gate.max_drop is None:
         return []
-    return [f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"]
+    save = f"nw-eval baseline save {rows[0].suite if rows else 'SUITE'} --policy POLICY"
+    reason = f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"
+    return [f"{reason}; `{save}` makes one, --baseline names it"]
 
 
 def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.results.row import Row
 from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_to_certify
 from nw_eval.suite.model import Gate
-
-DROP = 0.10
-"""How much worse "a worse policy" is where the suite names no `max_drop`."""
 
 
 def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -> list[SceneCounts]:
@@ -21,10 +16,9 @@ def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -
     for item in scores:
         rows = [row for row in groups[item.scene] if row.success is not None]
         if item.tier != "informational" and rows:
-            waypoints = max(1, *(row.waypoints_total for row in rows))
-            reached = np.array([row.waypoints_reached for row in rows])
-            counts = np.bincount(reached, minlength=waypoints + 1).astype(np.int64)
-            found.append(SceneCounts(counts=counts, alone=item.tier == "critical"))
+            reached = [row.waypoints_reached for row in rows]
+            waypoints = [row.waypoints_total for row in rows]
+            found.append(SceneCounts.of(reached, waypoints, alone=item.tier == "critical"))
     return found
 
 

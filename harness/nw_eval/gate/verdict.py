@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.stats import Interval
 from nw_eval.words import Tier
 
@@ -62,6 +63,7 @@ class Verdict:
     drop_passes: float | None  # Chance that such a policy passes a run like this; None unless PASS.
     reasons: tuple[str, ...]
     per_scene: tuple[SceneScore, ...]
+    against: Comparison | None = None  # What it also rests on; None without a baseline.
 
     @property
     def completed(self) -> int:

@@ -5,13 +5,18 @@ from __future__ import annotations
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS, STRICT
+from nw_eval.reporting.baseline import against_baseline
 from nw_eval.reporting.headline import confidence
 from nw_eval.results.provenance import RunInfo
 
-_PANEL = (
-    "On the starts that the suite's seed names, success is known, not estimated: the same trial "
-    "gives the same bits. Whoever picks the best of many checkpoints on one panel of starts picks "
-    "luck too: --seed draws another panel, to confirm the choice on."
+_PINNED = (
+    "The panel of starts is pinned, the suite's own. On it success is known, not estimated: the "
+    "same trial gives the same bits. Whoever picks the best of many checkpoints on one panel of "
+    "starts picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
+)
+_FRESH = (
+    "The panel of starts is fresh: it follows from the checkpoint's digest, so that nobody chose "
+    "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (
     "The chances that more trials decide come from simulated trials, in which every waypoint of a "
@@ -27,8 +32,10 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return the sentences that apply to this run; none for one without results."""
     if verdict.effect is None:
         return ()
-    sentences = [_bounds(verdict), _PANEL]
-    if verdict.drop_passes is not None:
+    sentences = [_bounds(verdict), _FRESH if run.panel == "fresh" else _PINNED]
+    if verdict.against is not None:
+        sentences += against_baseline(verdict.against)
+    elif verdict.drop_passes is not None:
         sentences.append(_worse(verdict, verdict.effect - verdict.drop))
     if verdict.verdict == "INCONCLUSIVE":
         sentences.append(_CHANCES)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.baseline.foresee import in_a_sentence
 from nw_eval.gate.outlook import percent
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
@@ -10,7 +12,7 @@ from nw_eval.results.provenance import RunInfo
 
 def headline(verdict: Verdict, run: RunInfo) -> str:
     """Return verdict, success (share of waypoints), completed (of trials) and cost, on a line."""
-    parts = [verdict.verdict]
+    parts = [verdict.verdict, *_against(verdict.against)]
     if verdict.effect is not None:
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
         parts.append(
@@ -27,6 +29,8 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
+    if verdict.effect is None and verdict.against is not None and verdict.against.basis == "same":
+        return "Checkpoint and card are those of the baseline, so no trial had to run."
     if verdict.effect is None:
         return "No trial has a result, so nothing can be said."
     sentence = (
@@ -35,7 +39,9 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     )
     if verdict.whole:
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        sentence += f"; on the starts of this panel{_seed(run)} it is known: {verdict.effect:.3f}"
+        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
+    if verdict.against is not None and verdict.against.curve is not None:
+        return f"{sentence}. Against the baseline this gate {in_a_sentence(verdict.against.curve)}."
     if verdict.drop_passes is None:
         return f"{sentence}."
     return (
@@ -60,9 +66,23 @@ def _trials(verdict: Verdict) -> list[str]:
     return [*done, f"{of} trials in {scenes}"]
 
 
-def _seed(run: RunInfo) -> str:
+def _against(found: Comparison | None) -> list[str]:
+    """Return what the baseline says of the drop, if there is one."""
+    if found is None:
+        return []
+    if found.drop is None or found.interval is None:
+        same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
+        return [f"baseline {found.bank} {same}"]
+    span = f"at least {found.interval.low:z.3f}, at most {found.interval.high:z.3f}"
+    drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:z.3f} ({span})"
+    return [f"{drop} in {found.rounds} of {plural(found.budget, 'round')}"]
+
+
+def _panel(run: RunInfo) -> str:
+    """Return which starts the policy met: pinned ones where nothing else is said."""
     seed = run.suite.get("seed")
-    return "" if seed is None else f" (seed {seed})"
+    kind = "fresh panel" if run.panel == "fresh" else "panel"
+    return kind if seed is None else f"{kind} (seed {seed})"
 
 
 def _duration(seconds: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
@@ -17,18 +18,33 @@ LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "embreex", "pya
 """Whose versions may change results or how they are kept."""
 
 
+JUDGING = frozenset(
+    {"__init__", "clean", "errors", "plural", "request", "words"}
+    | {"api", "cli", "gate", "onboarding", "reporting", "results", "stats"}
+)
+"""Rooms that no bit of a row comes from: they say what is to be run, keep rows, or judge them. All
+others count, those that are added too."""
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def rows_code_digest() -> str:
+    """Return the hex sha256 of the code that makes rows: all rooms but those that only judge.
+
+    A report may be worded anew, and a run still be resumed, and a bank still be of this machine.
+    """
+    return _digest(path for path in _sources() if _room(path) not in JUDGING)
+
+
 @cache
 def code_info() -> CodeInfo:
     """Return version and content of the code, and the commit of its checkout if it has one."""
-    package = Path(__file__).resolve().parents[1]
-    content = sha256()
-    for path in sorted(package.rglob("*.py")):
-        content.update(path.relative_to(package).as_posix().encode() + b"\0")
-        content.update(sha256(path.read_bytes()).digest())
+    package = _PACKAGE
     commit = _git(package, "rev-parse", "HEAD")
     return CodeInfo(
         version=__version__,
-        digest=content.hexdigest(),
+        digest=_digest(_sources()),
         commit=commit,
         dirty=bool(commit) and bool(_git(package, "status", "--porcelain", "--", str(package))),
     )
@@ -54,6 +70,22 @@ def library_versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def _sources() -> list[Path]:
+    return sorted(_PACKAGE.rglob("*.py"))
+
+
+def _room(source: Path) -> str:
+    return source.relative_to(_PACKAGE).parts[0].removesuffix(".py")
+
+
+def _digest(sources: Iterable[Path]) -> str:
+    content = sha256()
+    for path in sources:
+        content.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0")
+        content.update(sha256(path.read_bytes()).digest())
+    return content.hexdigest()
 
 
 def _count() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -13,6 +13,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.request import Request
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal
+from nw_eval.words import PanelKind
 
 _MOST = 16 * 2**20
 """Bytes of a run.json that is read: some 50,000 scenes."""
@@ -60,6 +61,23 @@ class MachineInfo(_Saved):
     python: str
 
 
+class BaselineInfo(_Saved):
+    """The bank that a run is compared with, and what its policy did on this machine.
+
+    The run's folder has a copy of the bank: whoever judges the run again needs no other file.
+    """
+
+    name: str
+    path: str  # Of its file, absolute.
+    sha256: str  # Hex, of the file.
+    checked: Literal["bits", "scores"] | None = None
+    """What trials of the bank's policy showed on this class of machine: the bank's bits, or scores
+    in line with it; None where there were none, because the bank has a panel of it."""
+    moved: tuple[str, ...] = ()
+    """Sentences: in what the bank's policy does not do here what the bank says of it. Where there
+    are any, the run is INVALID, and no trial of the candidate has run."""
+
+
 class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
@@ -69,7 +87,8 @@ class RunInfo(_Saved):
     finished: str | None = None
     wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
-    stopped_after: int | None = None  # Rounds that were enough; None = no trial was left out.
+    # Rounds that were enough; None = no trial was left out.
+    stopped_after: int | None = Field(default=None, ge=0)
     request: Request | None = None  # What was asked for, for --resume; older files do not say.
     suite_file: str
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
@@ -77,6 +96,9 @@ class RunInfo(_Saved):
     suite_digest: str
     policy: PolicyInfo
     scenes: dict[str, SceneInfo]
+    panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
+    drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    baseline: BaselineInfo | None = None  # None: nothing to compare with.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
@@ -90,8 +112,12 @@ class RunInfo(_Saved):
 
     @property
     def planned(self) -> dict[str, int]:
-        """Planned trials by scene."""
-        return {name: scene.trials for name, scene in self.scenes.items()}
+        """Planned trials by scene: of the rounds that were enough, if a part of them was."""
+        trials = {name: scene.trials for name, scene in self.scenes.items()}
+        if self.stopped_after is None:
+            return trials
+        rounds = max(1, int(self.suite["trials"]))
+        return {name: count // rounds * self.stopped_after for name, count in trials.items()}
 
 
 def write_run_info(path: Path, info: RunInfo) -> None:

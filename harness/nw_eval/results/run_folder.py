@@ -43,6 +43,11 @@ class RunFolder:
         return self.path / "report.md"
 
     @property
+    def baseline(self) -> RunFolder:
+        """The run of the bank's own policy, on a class of machine that the bank has not seen."""
+        return RunFolder(path=self.path / "baseline")
+
+    @property
     def workers_log(self) -> Path:
         """What worker processes printed, if they did."""
         return self.path / "workers.log"
@@ -71,6 +76,19 @@ class RunFolder:
                 fix="rename the scene",
             ) from None
         return self.logs / PurePosixPath(scene) / f"{trial_id}.mcap"
+
+    def bank(self, name: str) -> Path:
+        """Path of the copy of the bank that the run is compared with.
+
+        Raises:
+            StoreError: the name leads out of the folder.
+        """
+        try:
+            return inside(self.path, f"bank/{name}.parquet")
+        except OutsideError as error:
+            raise StoreError(
+                f"bank {name!r} has no place in {self.path}: {error}", fix="rename the bank"
+            ) from None
 
     def relative(self, path: Path) -> str:
         """Return a path of this folder as rows hold it: relative, with slashes."""

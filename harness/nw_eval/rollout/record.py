@@ -33,6 +33,8 @@ _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 # Fields of a job that say how it was run, where to, and what its caller allowed, not what it is. A
 # log may be a stranger's: none of them is written, and none is believed.
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
+# In which round a trial is due is its run's affair: a log is the same in whichever it was.
+_OF_TRIALS = tuple(name for name in Trial.__dataclass_fields__ if name != "drawn")
 
 
 @cache
@@ -52,7 +54,7 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
     trial = job.trial
     fields = _kept(vars(job))
     fields["checkpoint"] = None if job.checkpoint is None else str(job.checkpoint)
-    fields["trial"] = {name: getattr(trial, name) for name in Trial.__dataclass_fields__}
+    fields["trial"] = {name: getattr(trial, name) for name in _OF_TRIALS}
     return {
         "trial": trial.id,
         "suite": trial.suite,

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from nw_eval.stats.interval import Estimate, Interval, check_confidence
 
 _DRAWS = 4000  # Monte Carlo error of an end: under 0.002 for a width of 0.1.
+_MANY = 50  # Trials from which drawing a weight for each takes longer than finding equal ones.
 _SMALLEST_SHAPE = 0.3  # Of the weights, for scenes of one or two trials.
 
 
@@ -75,7 +76,12 @@ def _draw(groups: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     total = np.zeros(_DRAWS)
     for group in groups:
         shape = max((len(group) - 2) / len(group), _SMALLEST_SHAPE)
-        weights = rng.standard_gamma(shape, (_DRAWS, len(group)))
+        shapes = np.full(len(group), shape)
+        if len(group) >= _MANY:
+            # Equal values may share one weight: a sum of Gammas is one, their shapes added.
+            group, counts = np.unique(group, return_counts=True)  # noqa: PLW2901
+            shapes = shape * counts
+        weights = rng.standard_gamma(shapes, (_DRAWS, len(group)))
         pseudo = rng.standard_gamma(0.5 / len(groups), (_DRAWS, 2))
         whole = weights.sum(axis=1) + pseudo.sum(axis=1)
         total += ((weights * group).sum(axis=1) + pseudo[:, 1]) / whole

@@ -9,6 +9,7 @@ p / (1 - p) of every scene multiplied by one factor, as in Rasch's model of test
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,14 @@ class SceneCounts:
     """Trials that ended with 0, 1, ..., k waypoints reached, shape (k + 1,) with k at least 1."""
     alone: bool = False
     """Whether the scene is also judged by itself."""
+
+    @classmethod
+    def of(
+        cls, reached: Sequence[int], waypoints: Sequence[int], *, alone: bool = False
+    ) -> SceneCounts:
+        """Count trials by the waypoints that they reached, out of those that there were."""
+        length = max(1, *waypoints) + 1
+        return cls(counts=np.bincount(reached, minlength=length).astype(np.int64), alone=alone)
 
     @property
     def trials(self) -> int:
@@ -66,6 +75,10 @@ def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     if not 0.0 < mean < 1.0:
         raise ValueError(f"mean success {mean} is not between 0 and 1")
     odds = np.array([passed / failed for passed, failed in _weights(courses)])
+    waypoints = np.array([len(course.counts) - 1 for course in courses])
+    steps = np.arange(1, waypoints.max() + 1)
+    # Mean success is the mean over waypoints of the probability to reach each: p, p^2, ..., p^k.
+    shares = (steps <= waypoints[:, None]) / waypoints[:, None]
 
     def at(power: float) -> Floats:
         raised = odds * np.exp(power)
@@ -74,11 +87,8 @@ def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     low, high = -60.0, 60.0
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        found = [
-            float(ends(chance, len(course.counts) - 1) @ course.values)
-            for course, chance in zip(courses, at(middle), strict=True)
-        ]
-        low, high = (middle, high) if np.mean(found) < mean else (low, middle)
+        found = (shares * at(middle)[:, None] ** steps).sum() / len(courses)
+        low, high = (middle, high) if found < mean else (low, middle)
     return at(high)
 
 

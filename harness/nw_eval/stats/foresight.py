@@ -56,8 +56,36 @@ def shares_after(
     return _judge([fresh, seen], courses, bar, confidence)
 
 
-def _rng(courses: list[SceneCounts]) -> np.random.Generator:
+def runs_at(
+    courses: list[SceneCounts],
+    mean: float,
+    *,
+    stream: int,
+    bar: float | None = None,
+    confidence: float = 0.95,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return what each of `RUNS` simulated runs shows: its mean success, and whether it passes.
+
+    Args:
+        courses: as for `shares_at`, and so are mean and confidence.
+        mean: true success.
+        stream: runs of another one are drawn independently.
+        bar: without one no run passes.
+        confidence: of the lower bound.
+    """
+    chances = np.broadcast_to(chances_at(courses, mean), (RUNS, len(courses)))
+    counts = _draw(courses, chances, 1, _rng(courses, stream))
+    shown = [n @ course.values / course.trials for n, course in zip(counts, courses, strict=True)]
+    passed = np.zeros(RUNS, dtype=bool)
+    if bar is not None:
+        passed, _ = _judged([counts], courses, bar, confidence)
+    return np.mean(shown, axis=0), passed
+
+
+def _rng(courses: list[SceneCounts], stream: int = 0) -> np.random.Generator:
     content = sha256(b"".join(course.counts.astype("<i8").tobytes() + b"|" for course in courses))
+    if stream:
+        content.update(str(stream).encode())
     return np.random.Generator(np.random.PCG64(int.from_bytes(content.digest()[:16], "little")))
 
 
@@ -74,7 +102,15 @@ def _draw(
 def _judge(
     parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> Shares:
-    """Return how many runs pass and are convicted; a run's counts are the sum of its parts."""
+    """Return how many runs pass and are convicted."""
+    passed, regressed = _judged(parts, courses, bar, confidence)
+    return Shares(float(passed.mean()), float(regressed.mean()))
+
+
+def _judged(
+    parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which runs pass and are convicted; a run's counts are the sum of its parts."""
     counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
     trials = [int(ended[0].sum()) for ended in counts]
     above = below = np.zeros(1)
@@ -91,4 +127,4 @@ def _judge(
             condemned |= log_mixture(alone) >= stricter
     passed = (log_mixture(above) >= level) & ~condemned
     regressed = (log_mixture(below) >= level) | condemned
-    return Shares(float(passed.mean()), float(regressed.mean()))
+    return passed, regressed

@@ -162,10 +162,15 @@ class Gate(_Strict):
 
     @model_validator(mode="after")
     def _ordered_drops(self) -> Self:
-        most = 0.10 if self.max_drop is None else self.max_drop
-        if self.tolerate > most:
-            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop {most:g}; lower it")
+        if self.tolerate > self.most_drop:
+            most = f"{self.most_drop:g}"
+            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop {most}; lower it")
         return self
+
+    @property
+    def most_drop(self) -> float:
+        """`max_drop`, or 0.10 where none is named."""
+        return 0.10 if self.max_drop is None else self.max_drop
 
     def tier(self, scene: str) -> Tier:
         """Return the tier of a scene; its exact name wins over globs, then the first glob."""

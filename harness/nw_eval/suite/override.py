@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import ValidationError
 
 from nw_eval.errors import UsageError
@@ -22,12 +25,32 @@ def override(suite: Suite, request: Request) -> Suite:
         UsageError: a value cannot be used, for example `trials` of 0.
     """
     wanted = {name: getattr(request, name) for name in _CHANGED}
+    return _with(suite, {name: value for name, value in wanted.items() if value is not None})
+
+
+def override_gate(
+    suite: Suite, *, max_drop: float | None = None, tolerate: float | None = None
+) -> Suite:
+    """Return a suite with other drops in its gate; None keeps a setting.
+
+    Raises:
+        UsageError: a drop cannot be used.
+    """
+    wanted = {"max_drop": max_drop, "tolerate": tolerate}
     changes = {name: value for name, value in wanted.items() if value is not None}
+    return _with(suite, {"gate": {**suite.gate.model_dump(), **changes}}) if changes else suite
+
+
+def _with(suite: Suite, changes: Mapping[str, Any]) -> Suite:
     try:
         return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)
     except ValidationError as error:
         faults = "; ".join(
-            f"--{item['loc'][0]} {item['input']!r}: {item['msg'].lower()}"
+            f"--{_option(item['loc'])} {item['input']!r}: {item['msg'].lower()}"
             for item in error.errors()
         )
         raise UsageError(faults) from None
+
+
+def _option(location: tuple[int | str, ...]) -> str:
+    return str(location[-1]).replace("_", "-")

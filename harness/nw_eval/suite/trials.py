@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 MAX_TRIALS = 1_000_000
 """Most trials of one run; more is a slip of the pen."""
+
+
+Starts = Mapping[tuple[str, tuple[tuple[str, float], ...]], Sequence[int]]
+"""Indexes of trials by scene and cell, in the order of their rounds."""
 
 
 class SceneLike(Protocol):
@@ -51,6 +55,13 @@ class Trial:
     perturbation: tuple[tuple[str, float], ...] = ()
     tier: Tier = "supporting"
     """How much the scene counts, as the suite's gate says; a label, too."""
+    drawn: int | None = None
+    """The round, from 0, that draws it from a bank; a label, too. None where none is drawn."""
+
+    @property
+    def round(self) -> int:
+        """The round of its run, from 0, in which it is due: one more start in every scene."""
+        return self.index if self.drawn is None else self.drawn
 
     @property
     def id(self) -> str:
@@ -90,10 +101,23 @@ class Trial:
         return int(self.seed_sequence().generate_state(1, np.uint64)[0])
 
 
-def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
+def wanted(trials: Iterable[Trial], rounds: int | None) -> tuple[Trial, ...]:
+    """Return the trials of the first rounds; all of them where `rounds` is None."""
+    return tuple(trial for trial in trials if rounds is None or trial.round < rounds)
+
+
+def expand(
+    suite: Suite, scenes: Sequence[SceneLike], starts: Starts | None = None
+) -> tuple[Trial, ...]:
     """Return every trial of a suite, interleaved: all scenes' first trials, then the second ones.
 
     A run that is cut short has so met every scene about equally often.
+
+    Args:
+        suite: how many trials in each scene, and what is changed there.
+        scenes: the scenes.
+        starts: for each scene and cell the index of the trial of each round, `suite.trials` of
+            them; trial number i in round i where it is None.
 
     Raises:
         UsageError: there are over `MAX_TRIALS`, or two scenes would give trials of one name.
@@ -113,11 +137,12 @@ def expand(suite: Suite, scenes: Sequence[SceneLike]) -> tuple[Trial, ...]:
             scene=scene.name,
             scene_digest=scene.digest,
             task=scene.task,
-            index=index,
+            index=round_ if starts is None else starts[scene.name, cell][round_],
             perturbation=cell,
             tier=suite.gate.tier(scene.name),
+            drawn=None if starts is None else round_,
         )
-        for index in range(suite.trials)
+        for round_ in range(suite.trials)
         for cell in cells
         for scene in scenes
     )

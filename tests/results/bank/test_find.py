@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.files.shipped import shipped as shipped_folder
 from nw_eval.results.bank import find
-from nw_eval.results.bank.find import bank_files, find_bank
+from nw_eval.results.bank.find import bank_files, find_any, find_bank
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -87,3 +88,26 @@ def test_all_banks_are_listed_and_one_that_is_in_both_places_once(
     listed = [mine / "hurdles/best.parquet", mine / "hurdles/go1-parkour.parquet"]
     assert bank_files("hurdles", root=mine) == tuple(listed)
     assert bank_files(root=mine) == (*listed, shipped / "gaps/go1-parkour.parquet")
+
+
+def test_a_bank_is_found_without_its_suite_by_name_suite_and_name_or_path(
+    folders: tuple[Path, Path],
+) -> None:
+    mine, shipped = folders
+    best = mine / "hurdles/best.parquet"
+    for reference in ("best", "hurdles/best", best):
+        assert find_any(reference, root=mine) == best
+    with pytest.raises(UsageError, match=r"no bank 'hurdles/bset'; did you mean 'hurdles/best'\?"):
+        find_any("hurdles/bset", root=mine)
+    (shipped / "gaps").mkdir()
+    (shipped / "gaps/best.parquet").write_bytes(b"best")
+    with pytest.raises(UsageError, match=r"several suites have .*; name one: gaps/best, hurdles/"):
+        find_any("best", root=mine)
+    assert find_any("best", suite="gaps", root=mine) == shipped / "gaps/best.parquet"
+    with pytest.raises(UsageError, match="suite 'stairs' has no bank 'best'"):
+        find_any("best", suite="stairs", root=mine)
+
+
+def test_a_checkout_ships_the_banks_that_it_commits() -> None:
+    assert shipped_folder("baselines").parts[-2:] == ("reports", "baselines")
+    assert shipped_folder("baselines").is_dir()

@@ -58,9 +58,20 @@ def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass() -> No
 
 def test_a_critical_scene_that_is_named_convicts_alone() -> None:
     rounds = [values(30, 0.1, 1, 200.0)]
-    assert decide(rounds, two("critical", "supporting")).word == "undecided"
+    spared = decide(rounds, two("critical", "supporting"))
+    assert (spared.word, spared.named) == ("PASS", (1,))
     ruling = decide(rounds, two("supporting", "critical"))
     assert (ruling.word, ruling.named) == ("REGRESSED", (1,))
+
+
+def test_pass_waits_for_a_suspect_and_no_longer_for_a_scene_that_is_named() -> None:
+    held = [values(30, 1, 1, 4.0), values(30, 1, 1, 199.0)]
+    assert decide(held, two()).waits_for == (1,)
+    ruling = decide([*held, values(30, 1, 1, 200.0)], two())
+    assert (ruling.word, ruling.rounds, ruling.named, ruling.waits_for) == ("PASS", 3, (1,), ())
+    # Another scene is still waited for.
+    both = decide([*held, values(30, 1, 4.0, 200.0)], two())
+    assert (both.word, both.named, both.waits_for) == ("undecided", (1,), (0,))
 
 
 def test_an_unchanged_policy_passes_and_a_scene_that_broke_is_named() -> None:

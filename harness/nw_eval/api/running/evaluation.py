@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -65,8 +64,7 @@ def evaluate(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.running.plans import plan_of
-    from nw_eval.api.running.runs import judged, run
-    from nw_eval.engine import session
+    from nw_eval.api.running.runs import judged, roll_out, run
     from nw_eval.errors import UsageError
     from nw_eval.request import Request
     from nw_eval.suite import draft_suite
@@ -86,12 +84,11 @@ def evaluate(
         )
     bundle = _bundle(policy, suite, card, version)
     request = Request.of(suite, policy=bundle.name, **changes)
-    folder = session.carry_out(
+    folder = roll_out(
         plan_of(request, draft_suite(suite), bundle=bundle),
         workers=1,
         out=out,
         resume=None,
-        command=tuple(sys.argv),
         listener=listener,
         in_process=True,
     )

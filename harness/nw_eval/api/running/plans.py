@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.api.running.baselines import check_rounds, wanted_bank
 from nw_eval.errors import UsageError, nearest
 from nw_eval.request import Request
 
@@ -16,7 +18,12 @@ if TYPE_CHECKING:
     from nw_eval.engine.forecast import Forecast
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.bank.against import Against
+    from nw_eval.results.provenance import PolicyInfo
+    from nw_eval.scenes import Scene
     from nw_eval.suite import Draft, Suite
+    from nw_eval.suite.trials import Starts
+    from nw_eval.words import Arm
 
 
 def plan(request: Request | Suite | str | Path | None, **changes: Any) -> Plan:
@@ -50,6 +57,8 @@ def plan_of(
     card: Path | None = None,
     scenes: Sequence[str] | None = None,
     bundle: Bundle | None = None,
+    against: Against | None = None,
+    arm: Arm = "candidate",
 ) -> Plan:
     """Resolve what is asked of a suite, as `plan` does.
 
@@ -60,10 +69,16 @@ def plan_of(
             its policy as it was asked for, and finds it where it was.
         scenes: globs in place of the request's.
         bundle: a policy that is loaded already, in place of the request's.
+        against: a bank that is read already, in place of the request's.
+        arm: whether its policy is the one that is judged.
+
+    Raises:
+        IncomparableError: the bank does not hold for it.
     """
     from nw_eval.api.running.faults import Faults, open_policy, open_scenes, vet_policy
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
+    from nw_eval.engine.provenance import policy_info
     from nw_eval.suite import expand, override
 
     suite = None if draft.suite is None else override(draft.suite, request)
@@ -79,13 +94,104 @@ def plan_of(
     chosen = _chosen(found, request.scenes if scenes is None else scenes, suite)
     opened = [place.scene for place in chosen]
     check_splats(bundle.card, opened)
-    return Plan(
+    against = wanted_bank(request, suite) if against is None else against
+    policy = policy_info(bundle)
+    suite = _on_panel(request, suite, policy, against)
+    resolved = Plan(
         request=request.from_anywhere(),
         suite=suite,
         bundle=bundle,
         found=chosen,
-        trials=expand(suite, opened),
+        trials=expand(suite, opened, _drawn(request, suite, opened, policy, against)),
+        against=against,
+        arm=arm,
     )
+    return resolved if against is None else _matched(resolved, against)
+
+
+def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
+    """Return the plan of a bank's own policy from the bank's starts, in the scenes of another plan.
+
+    Args:
+        plan: the candidate's.
+        against: the bank.
+        bundle: the bank's policy.
+
+    Raises:
+        UsageError: it needs images of a scene that has no splat.
+    """
+    from nw_eval.engine.prepare import check_splats
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.suite import expand, override
+
+    check_splats(bundle.card, plan.scenes)
+    request = replace(
+        plan.request, policy=bundle.reference, checkpoint=None, panel="pinned", record="none"
+    )
+    suite = override(plan.suite, Request(seed=against.bank.manifest.key.seed, record="none"))
+    drawn = _drawn(request, suite, plan.scenes, policy_info(bundle), against)
+    return replace(
+        plan,
+        request=request,
+        suite=suite,
+        bundle=bundle,
+        trials=expand(suite, plan.scenes, drawn),
+        is_baseline=False,
+        arm="baseline",
+    )
+
+
+def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
+    """Return a suite with the seed of the panel that is met, and the rounds that may be run."""
+    from nw_eval.gate.baseline.draw import fresh_seed
+    from nw_eval.suite import override
+
+    seed = fresh_seed(policy, suite) if request.panel == "fresh" else None
+    rounds = suite.gate.rounds if against is not None and request.trials is None else None
+    return override(suite, Request(seed=seed, trials=rounds))
+
+
+def _drawn(
+    request: Request,
+    suite: Suite,
+    scenes: Sequence[Scene],
+    policy: PolicyInfo,
+    against: Against | None,
+) -> Starts | None:
+    """Return the starts of a bank in the order in which a policy meets them; None if none draws.
+
+    Raises:
+        IncomparableError: there are fewer than rounds.
+    """
+    from nw_eval.gate.baseline.draw import draw_starts
+
+    if against is None or request.panel == "fresh":
+        return None
+    check_rounds(against, suite.trials, suite.name)
+    return draw_starts(
+        [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells],
+        against.bank.manifest.starts,
+        candidate=policy,
+        suite_digest=suite.digest,
+    )
+
+
+def _matched(plan: Plan, against: Against) -> Plan:
+    """Return a plan that its bank holds for, with whether there is anything to run.
+
+    Raises:
+        IncomparableError: the bank does not hold for it.
+    """
+    from nw_eval.engine.provenance import run_info
+    from nw_eval.gate.baseline.judge import compare
+    from nw_eval.results.run_folder import RunFolder
+
+    folder = RunFolder(path=Path(plan.suite.name))
+    run = run_info(plan, folder, workers=None, in_process=False, command=())
+    # Whether this class of machine is in line is found out by running something.
+    found = compare((), run, against.bank, plan.suite.gate, checked="bits")
+    nothing_to_run = found.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
+    return replace(plan, is_baseline=nothing_to_run)
 
 
 def check(

@@ -6,10 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.errors import IncomparableError
+
 if TYPE_CHECKING:
     from nw_eval.gate.verdict import Verdict
-    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.bank.against import Against
+    from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite import Suite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +26,10 @@ class RunReport:
     """Where its rows come from: what run.json says."""
     verdict: Verdict
     rows: tuple[Row, ...]
+    page: Path | None
+    """Its report in Markdown; None if none was written."""
+    bank: BaselineInfo | None = None
+    """The bank that it was compared with."""
 
     @property
     def interrupted(self) -> bool:
@@ -29,38 +38,114 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors left or trials missing."""
+        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors or missing trials, 5 INVALID."""
         return self.verdict.exit_code
 
     @property
     def typed_folder(self) -> Path:
-        """The folder as one would type it here: relative where it lies below."""
-        resolved, here = self.folder.resolve(), Path.cwd()
-        return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+        """The folder as one would type it here."""
+        return _typed(self.folder)
+
+    @property
+    def typed_page(self) -> Path | None:
+        """The page as one would type it here."""
+        return None if self.page is None else _typed(self.page)
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
-    """Judge a run from the rows of its plan, write report.md, and return the verdict.
+    """Judge a run as it was begun, by its bar and its baseline, and write report.md.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
+    Where the bank that it was begun against is gone, the verdict is INVALID, and what the bar alone
+    would say is among the reasons.
 
     Raises:
+        IncomparableError: the bank does not hold for it.
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
-    from nw_eval.gate.absolute import judge
-    from nw_eval.reporting.markdown import render_markdown, write_report
-    from nw_eval.results.ended import read_trials
+    from nw_eval.api.running.baselines import kept_bank
+    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.gate.baseline.combine import without_bank
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
-    suite = saved_suite(info)
+    try:
+        against, gone = kept_bank(folder, info), None
+    except IncomparableError as error:
+        against, gone = None, error
+    judged = _judged(folder, info, saved_suite(info), against)
+    if gone is not None:
+        judged = replace(judged, verdict=without_bank(judged.verdict, str(gone)))
+    return _written(judged, out or folder.report_md)
+
+
+def judge(
+    run: str | Path,
+    *,
+    baseline: str | None = None,
+    max_drop: float | None = None,
+    tolerate: float | None = None,
+    out: Path | None = None,
+) -> RunReport:
+    """Judge the rows that a run has, by its suite's bar and against a baseline.
+
+    Args:
+        run: the run's folder; it may go on, or have been interrupted.
+        baseline: the bank's name, its file, or `none`; if None, that which the run was begun
+            against, or else the one that its suite names.
+        max_drop: in place of the suite's.
+        tolerate: in place of the suite's.
+        out: where to write the report in Markdown; nowhere if None.
+
+    Raises:
+        UsageError: it is no run's folder, there is no such bank, or a drop is none.
+        IncomparableError: the bank does not hold for the run, or has too few starts for it.
+        StoreError: its rows or the bank are damaged, or the report cannot be written.
+    """
+    from nw_eval.api.running.baselines import judging_bank
+    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite.override import override_gate
+
+    folder = open_run_folder(Path(run))
+    info = read_run_info(folder.run_json)
+    suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)
+    judged = _judged(folder, info, suite, judging_bank(folder, info, suite, baseline))
+    return judged if out is None else _written(judged, out)
+
+
+def _judged(folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None) -> RunReport:
+    """Return the verdict on the rows of a run's plan."""
+    from nw_eval.api.running.saved_run import saved_trials
+    from nw_eval.gate.baseline.combine import judge_run
+    from nw_eval.results.ended import read_trials
+
     found = read_trials(folder, info, saved_trials(info, suite))
-    verdict = judge(found.rows, suite.gate, info.planned)
+    verdict = judge_run(found.rows, info, suite.gate, against)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
-    judged = RunReport(folder=folder.path, info=info, verdict=verdict, rows=found.rows)
-    page = render_markdown(info, judged.rows, verdict, judged.typed_folder)
-    write_report(out or folder.report_md, page)
-    return judged
+    return RunReport(
+        folder=folder.path,
+        info=info,
+        verdict=verdict,
+        rows=found.rows,
+        page=None,
+        bank=None if against is None else against.info,
+    )
+
+
+def _written(judged: RunReport, path: Path) -> RunReport:
+    """Write the page of a judged run."""
+    from nw_eval.reporting.markdown import render_markdown, write_report
+
+    page = render_markdown(judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    write_report(path, page)
+    return replace(judged, page=path)
+
+
+def _typed(path: Path) -> Path:
+    """Return a path as one would type it here: relative where it lies below."""
+    resolved, here = path.resolve(), Path.cwd()
+    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.api.running.plans import check_workers, plan
@@ -14,6 +15,7 @@ from nw_eval.request import Request
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
+    from nw_eval.engine.plan import Plan
     from nw_eval.results.run_folder import RunFolder
 
 
@@ -49,7 +51,6 @@ def run(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.running.saved_run import continued
-    from nw_eval.engine import session
 
     check_workers(workers)
     if resume is not None and out is not None:
@@ -57,16 +58,72 @@ def run(
     request = Request.of(request, **changes)
     if in_process:
         _check_in_process(request, workers)
-    folder = session.carry_out(
-        plan(request) if resume is None else continued(resume, request),
+    return judged(
+        roll_out(
+            plan(request) if resume is None else continued(resume, request),
+            workers=workers,
+            out=out,
+            resume=resume,
+            in_process=in_process,
+            listener=listener,
+        )
+    )
+
+
+def roll_out(
+    plan: Plan,
+    *,
+    workers: int | None,
+    out: Path | None,
+    resume: Path | None,
+    in_process: bool,
+    listener: Listener | None,
+) -> RunFolder:
+    """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
+
+    Args:
+        plan: what is to be run.
+        workers: as for `run`, and so are the others.
+        out: the run's folder.
+        resume: the folder of an interrupted run.
+        in_process: whether trials run in this very process.
+        listener: hears of progress.
+
+    Raises:
+        IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
+    """
+    from nw_eval.api.running.contest import Contest
+    from nw_eval.engine import session
+    from nw_eval.engine.listener import Silence
+
+    ears, command = listener or Silence(), tuple(sys.argv)
+    contest = None
+    if plan.against is not None:
+        contest = Contest(plan, plan.against, workers=workers, command=command, listener=ears)
+    elif plan.suite.gate.max_drop is not None:
+        ears.message(_without_baseline(plan))
+    return session.carry_out(
+        plan,
         workers=workers,
         out=out,
         resume=resume,
-        command=tuple(sys.argv),
-        listener=listener,
+        command=command,
+        listener=ears,
         in_process=in_process,
+        prelude=None if contest is None else contest.begin,
+        enough=None if contest is None else contest.enough,
     )
-    return judged(folder)
+
+
+def _without_baseline(plan: Plan) -> str:
+    """Return what a run leaves unjudged that its suite asks for."""
+    suite, policy = plan.suite, plan.bundle.name
+    judged_by = "only the bar is judged" if suite.gate.success_rate else "nothing is judged"
+    name = suite.name if plan.request.suite is None else str(plan.request.suite)
+    return (
+        f"no baseline to compare with: {judged_by}, not max_drop {suite.gate.max_drop:g}; "
+        f"`nw-eval baseline save {quote(name)} --policy {quote(policy)}` saves one"
+    )
 
 
 def _check_in_process(request: Request, workers: int | None) -> None:

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.suite.trials import MAX_TRIALS
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.request import Request
     from nw_eval.results.provenance import RunInfo
     from nw_eval.suite import Suite, Trial
+    from nw_eval.suite.trials import SceneLike
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +40,14 @@ def continued(run: Path, request: Request) -> Plan:
         IncomparableError: its run.json does not say what was asked for.
         UsageError, SuiteError, PolicyError: as `plan_of`.
     """
+    from nw_eval.api.running.baselines import resumed_bank
     from nw_eval.api.running.plans import plan_of
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite import draft_of, draft_suite
 
-    info = read_run_info(open_run_folder(run).run_json)
+    folder = open_run_folder(run)
+    info = read_run_info(folder.run_json)
     suite = saved_suite(info)
     if info.request is None:
         raise IncomparableError(
@@ -51,15 +55,17 @@ def continued(run: Path, request: Request) -> Plan:
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
+    against = resumed_bank(folder, info, request)
     if request.suite is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
-        return plan_of(whole, draft_suite(request.suite), card=card)
+        return plan_of(whole, draft_suite(request.suite), card=card, against=against)
     return plan_of(
         whole,
         draft_of(suite),
         card=None if request.policy is not None else _card(info),
         # A place that the suite's patterns match only now is none of the run's.
         scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
+        against=against,
     )
 
 
@@ -92,20 +98,38 @@ def saved_suite(info: RunInfo) -> Suite:
     return suite
 
 
+def saved_scenes(info: RunInfo) -> list[SceneLike]:
+    """Return the scenes of a run, as far as run.json says what they are."""
+    return [
+        _Scene(name=name, task=scene.task, digest=scene.digest)
+        for name, scene in info.scenes.items()
+    ]
+
+
 def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return the trials that a run planned, from its suite and the digests of its scenes.
+
+    Against a bank the run says how many starts it drew them from; where a part of its rounds was
+    enough, those of the others were not wanted.
 
     Raises:
         StoreError: run.json contradicts itself about them.
     """
+    from nw_eval.gate.baseline.draw import draw_starts
     from nw_eval.suite import expand
+    from nw_eval.suite.trials import wanted
 
-    scenes = [
-        _Scene(name=name, task=scene.task, digest=scene.digest)
-        for name, scene in info.scenes.items()
-    ]
+    scenes = saved_scenes(info)
+    starts = None
+    if info.drawn_from is not None:
+        strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
+        if not suite.trials <= info.drawn_from <= MAX_TRIALS // max(1, len(strata)):
+            raise _damaged(info, f"{suite.trials} rounds of {info.drawn_from} starts")
+        starts = draw_starts(
+            strata, info.drawn_from, candidate=info.policy, suite_digest=suite.digest
+        )
     try:
-        trials = expand(suite, scenes)
+        trials = wanted(expand(suite, scenes, starts), info.stopped_after)
     except UsageError as error:
         raise _damaged(info, str(error)) from None
     planned: dict[str, Any] = {name: count for name, count in info.planned.items() if count}

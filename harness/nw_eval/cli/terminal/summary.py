@@ -27,7 +27,7 @@ def summary(judged: RunReport) -> str:
         force_terminal=screen.is_terminal,
         no_color=screen.no_color,
     )
-    folder = judged.typed_folder
-    print_summary(console, judged.info, judged.rows, judged.verdict, folder)
-    console.print(f"report: {folder / 'report.md'}", highlight=False, soft_wrap=True)
+    print_summary(console, judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    if judged.typed_page is not None:
+        console.print(f"report: {judged.typed_page}", highlight=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

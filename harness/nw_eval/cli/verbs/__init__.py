@@ -8,8 +8,13 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.baseline import Baseline
+from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.compare import Compare
+from nw_eval.cli.verbs.gate import GateRun
+from nw_eval.cli.verbs.ledger import Ledger
+from nw_eval.cli.verbs.plan import PlanTrials
 from nw_eval.cli.verbs.policies import Policies
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
@@ -24,7 +29,12 @@ from nw_eval.cli.verbs.warmup import Warmup
 Verb = (
     Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[PlanTrials, tyro.conf.subcommand("plan")]
     | Annotated[Suites, tyro.conf.subcommand("suites")]
+    | Annotated[Baseline, tyro.conf.subcommand("baseline")]
+    | Annotated[GateRun, tyro.conf.subcommand("gate")]
+    | Annotated[Ledger, tyro.conf.subcommand("ledger")]
+    | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]

@@ -25,6 +25,8 @@ class Run(Options):
     Other trials, scenes, record or time limit may be given with it.
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
+    ledger: Path | None = None
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
     in_process: bool = False
     """Run trials in this very process, one after another, so that `breakpoint()` works.
     For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
@@ -50,4 +52,6 @@ class Run(Options):
         if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
             tell(f"interrupted; continue with --resume {outcome.folder}")
             return INTERRUPTED
+        if self.ledger is not None:
+            api.record_verdict(outcome, self.ledger)
         return outcome.exit_code

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.words import Arm
 
 
 class Attempts:
@@ -30,6 +31,7 @@ class Attempts:
         journal: open.
         folder: of the run.
         policy: the policy's name, for rows.
+        arm: whether it is the one that is judged, for rows.
         listener: told of progress.
         hire: gets workers.
         workers: how many.
@@ -41,6 +43,7 @@ class Attempts:
         journal: Journal,
         folder: RunFolder,
         policy: str,
+        arm: Arm,
         listener: Listener,
         hire: Hire,
         workers: int,
@@ -49,6 +52,7 @@ class Attempts:
         self._journal = journal
         self._folder = folder
         self._policy = policy
+        self._arm: Arm = arm
         self._listener = listener
         self._hire = hire
         self._count = workers
@@ -142,6 +146,7 @@ class Attempts:
             settled(ended.result, before),
             attempt=1 if before is None else before.attempt + 1,
             policy=self._policy,
+            arm=self._arm,
             folder=self._folder,
         )
         self._journal.append(row)

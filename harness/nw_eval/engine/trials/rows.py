@@ -12,10 +12,17 @@ if TYPE_CHECKING:
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.result import TrialResult
+    from nw_eval.words import Arm
 
 
 def make_row(
-    job: TrialJob, result: TrialResult, *, attempt: int, policy: str, folder: RunFolder
+    job: TrialJob,
+    result: TrialResult,
+    *,
+    attempt: int,
+    policy: str,
+    folder: RunFolder,
+    arm: Arm = "candidate",
 ) -> Row:
     """Return the row of one attempt at a trial.
 
@@ -25,6 +32,7 @@ def make_row(
         attempt: 1, or more for a trial that was run again after an error.
         policy: the policy's name.
         folder: of the run, which the row's log path starts from.
+        arm: whether the policy is the one that is judged.
     """
     trial = job.trial
     is_ok = result.status == "ok"
@@ -42,6 +50,7 @@ def make_row(
         seed_index=trial.index,
         seed=trial.seed,
         policy=policy,
+        arm=arm,
         attempt=attempt,
         perturbation=trial.perturbation,
         status=result.status,

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row.column import Settings
 from nw_eval.stats import Interval
+from nw_eval.stats.bank import CurvePoint
 from nw_eval.words import Tier
 
 Basis = Literal["same", "panel", "sample", "fresh"]
@@ -14,6 +16,18 @@ Basis = Literal["same", "panel", "sample", "fresh"]
 panel: the baseline's result from every start is known exactly on this class of machine. sample: on
 this class of machine the starts are the same and the bits are not; the bank is a sample of what the
 baseline does. fresh: the candidate met other starts."""
+
+Checked = Literal["bits", "scores"]
+"""What trials of the baseline have shown on a class of machine that the bank was not made on: that
+they repeat the bits of its first panel, or else scores in line with it."""
+
+Claim = Literal["panel and fresh", "panel", "fresh"]
+"""Of which starts a comparison speaks: of those of the bank's panel, of fresh ones in the same
+scenes, or of both."""
+
+TIMES = 3
+"""Starts in a bank for each round, at least, for a claim about fresh starts: with fewer a drop at
+the margin passes or is convicted too often (simulated: 24 to 31 % at M = 20, nominal 5 %)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +49,26 @@ class SceneDrop:
     waypoint: int | None = None
     """The first waypoint, from 1, at which the two part, for a scene that is named or suspect."""
 
+    @property
+    def stratum(self) -> Stratum:
+        """The scene and what was changed there."""
+        return (self.scene, self.perturbation)
+
+    @property
+    def counts(self) -> bool:
+        """Whether it counts for the verdict."""
+        return self.tier != "informational"
+
+    @property
+    def drop(self) -> float | None:
+        """How much less the candidate scored; None without a trial."""
+        return None if self.candidate is None else self.baseline - self.candidate
+
+    @property
+    def name(self) -> str:
+        """The scene, with what was changed there."""
+        return " ".join([self.scene, *(f"{axis} {value:g}" for axis, value in self.perturbation)])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
@@ -49,6 +83,7 @@ class Comparison:
     policy: str
     """The baseline's policy."""
     basis: Basis
+    claim: Claim
     rounds: int
     """Rounds that were judged: up to the one that settled it."""
     budget: int
@@ -63,12 +98,33 @@ class Comparison:
     """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass."""
     max_drop: float
     tolerate: float
+    scene_drop: float
     alpha_pass: float
     alpha_regr: float
     scenes: tuple[SceneDrop, ...]
     reasons: tuple[str, ...]
+    left_aside: int = 0
+    """Scenes of the bank that the run was not asked for."""
+    curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
+    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
+    simulated, where that was asked for."""
+
+    @property
+    def mean_convicts(self) -> bool:
+        """Whether the mean itself has fallen, beyond doubt."""
+        return self.interval is not None and self.interval.low > self.tolerate
+
+    @property
+    def fresh_needs(self) -> int:
+        """Starts that a bank must have in each scene for a claim about fresh ones."""
+        return TIMES * self.budget
 
     @property
     def settled(self) -> bool:
         """Whether further rounds would change nothing."""
         return self.word != "INCONCLUSIVE"
+
+
+def percent_sure(alpha: float) -> str:
+    """Return how sure one is of what errs with probability `alpha`, in words."""
+    return f"{100 * (1 - alpha):.4g} %"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 
 from nw_eval.results.bank.start import Stratum
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.bank import order_of_starts
+from nw_eval.suite.model import Suite, new_suite
 
 
 def draw_starts(
@@ -20,7 +22,7 @@ def draw_starts(
         candidate: who is judged; the order is one for each checkpoint with its card.
         suite_digest: of the suite.
     """
-    who = f"{candidate.checkpoint_digest}/{candidate.card_digest}"
+    who = _who(candidate)
     return {
         (scene, cell): order_of_starts(
             starts,
@@ -30,3 +32,23 @@ def draw_starts(
         )
         for scene, cell in strata
     }
+
+
+def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
+    """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
+
+    It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
+    digest being that of the suite with seed 0. So nobody chooses it: a checkpoint has one fresh
+    panel in a suite, whatever panel is pinned there.
+
+    Args:
+        candidate: who is judged.
+        suite: what it is to meet, with any seed.
+    """
+    unseeded = new_suite({**suite.model_dump(by_alias=True), "seed": 0}).digest
+    text = f"fresh/{_who(candidate)}/{unseeded}"
+    return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
+
+
+def _who(candidate: PolicyInfo) -> str:
+    return f"{candidate.checkpoint_digest}/{candidate.card_digest}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -135,9 +136,14 @@ def _place(wanted: str | int | None, bundle: Bundle) -> int:
     return wanted or 0
 
 
+@lru_cache(maxsize=1)  # All trials of a worker open the same file.
+def _checked(data: bytes, where: str) -> bytes:
+    return check_torchscript(data, where)
+
+
 def _open(bundle: Bundle) -> Any:
     where = str(bundle.checkpoint)
-    data = check_torchscript(bundle.read_checkpoint(), where)
+    data = _checked(bundle.read_checkpoint(), where)
     # What torch.jit.load does, but for the look at the compiled code in between.
     inner: Any = import_module("torch._C")
     recursive: Any = import_module("torch.jit._recursive")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
 from nw_eval.reporting.tables.table import WORST, Table
@@ -36,11 +37,12 @@ def all_tables(
     """
     ordered = sorted(rows, key=lambda row: row.trial_id)
     tables = (
+        baseline_table(verdict.against),
         scenes_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
-        failures_table(ordered),
+        failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
         worst_table(ordered, folder, most=3 if brief else WORST),
         throughput_table(ordered, run),

@@ -45,7 +45,7 @@ def provenance_table(run: RunInfo) -> Table:
         "started": run.started,
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
         "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
-        "perturbations: same starts)",
+        f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
         "renderer": run.renderer or "none",

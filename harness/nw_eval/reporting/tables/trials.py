@@ -32,8 +32,14 @@ def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
     )
 
 
-def failures_table(rows: Sequence[Row]) -> Table:
-    """Return the trials in which the policy itself failed, twice in the same way."""
+def failures_table(rows: Sequence[Row], *, compared: bool) -> Table:
+    """Return the trials in which the policy itself failed, twice in the same way.
+
+    Args:
+        rows: in the order of their names.
+        compared: whether they were compared with a baseline.
+    """
+    against = "; against the baseline they count as 0" if compared else ""
     failed = [row for row in rows if row.outcome == "policy_failed"]
     return Table(
         title="Policy failures",
@@ -44,7 +50,7 @@ def failures_table(rows: Sequence[Row]) -> Table:
         ),
         numbers=frozenset({"success"}),
         note=more(len(failed)) + "The policy failed in a fresh process again: these trials are "
-        "results, and count with the waypoints reached until then.",
+        f"results, and count with the waypoints reached until then{against}.",
     )
 
 

@@ -7,6 +7,16 @@ without wall times, once for each class of machine that they were run on, and a 
 from __future__ import annotations
 
 from nw_eval.results.bank.manifest import BankKey, Manifest, PanelInfo
-from nw_eval.results.bank.start import Panel, SavedBank, Start, trajectory
+from nw_eval.results.bank.start import Panel, SavedBank, Start, Stratum, score, trajectory
 
-__all__ = ["BankKey", "Manifest", "Panel", "PanelInfo", "SavedBank", "Start", "trajectory"]
+__all__ = [
+    "BankKey",
+    "Manifest",
+    "Panel",
+    "PanelInfo",
+    "SavedBank",
+    "Start",
+    "Stratum",
+    "score",
+    "trajectory",
+]

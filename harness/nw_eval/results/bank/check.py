@@ -25,7 +25,16 @@ SHARED["success"] = replace(SHARED["success"], kind=float)  # A bank has no erro
 """The columns that a start has of its row."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+"""As `suite.model.Name`: what is fit for a file anywhere."""
+
 _TRAJECTORY = re.compile(r"[0-9a-f]{16}")
+
+
+def fault_of_name(name: str) -> str | None:
+    """Return what is wrong with the name of a bank or a suite, or None."""
+    if _NAME.fullmatch(name):
+        return None
+    return f"{clean(name, at_most=80)!r} is no name (letters, digits, '_', '-', '.')"
 
 
 def place_of(start: Start) -> tuple[Stratum, int]:
@@ -47,9 +56,8 @@ def fault_of(bank: SavedBank) -> str | None:
 
 
 def _fault_of_manifest(manifest: Manifest) -> str | None:
-    for name in (manifest.name, manifest.suite):
-        if not _NAME.fullmatch(name):
-            return f"{clean(name, at_most=80)!r} is no name (letters, digits, '_', '-', '.')"
+    if fault := fault_of_name(manifest.name) or fault_of_name(manifest.suite):
+        return fault
     for text in _texts(manifest.model_dump(mode="json")):
         if clean(text) != text:
             return f"its manifest has {clean(text, at_most=80)!r}, which is no plain line"

@@ -46,6 +46,37 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
     return found[0]
 
 
+def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BANKS) -> Path:
+    """Return the file of a bank whose suite need not be known.
+
+    Args:
+        reference: a path; `<suite>/<name>`; or a name alone.
+        suite: the suite's name, where several have a bank of that name.
+        root: as for `find_bank`.
+
+    Raises:
+        UsageError: there is none, or several suites have one.
+        IncomparableError: as `find_bank`.
+    """
+    text = str(reference)
+    if what_is(Path(text)) == "file":
+        return Path(text)
+    folder, _, name = text.rpartition("/")
+    banks = bank_files(root=root)
+    suites = sorted({path.parent.name for path in banks if path.stem == name})
+    if suite is not None and folder in {"", suite}:
+        suites = [suite]  # Whose bank it is not, if it has none.
+    elif folder:
+        suites = [each for each in suites if each == folder]
+    if len(suites) > 1:
+        listed = ", ".join(f"{each}/{name}" for each in suites)
+        raise UsageError(f"several suites have a bank {name!r}", fix=f"name one: {listed}")
+    if not suites:
+        known = [f"{path.parent.name}/{path.stem}" for path in banks]
+        raise UsageError(f"no bank {text!r}", fix=nearest(text, known))
+    return find_bank(name, suite=suites[0], root=root)
+
+
 def bank_files(suite: str | None = None, *, root: Path = BANKS) -> tuple[Path, ...]:
     """Return the files of all banks, the project's before the shipped ones; of one suite if named.
 

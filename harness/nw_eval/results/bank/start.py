@@ -67,6 +67,16 @@ class SavedBank:
         return next((panel for panel in self.panels if panel.machine == machine), None)
 
 
+def score(trial: Row | Start) -> float | None:
+    """Return what a trial counts in a comparison: its success, None where it has no result.
+
+    A policy that failed by itself (`policy_failed`) scores 0 wherever it got to: it would have had
+    to be stopped on the robot, too. The absolute bar counts its waypoints; a comparison counts the
+    same for baseline and candidate.
+    """
+    return 0.0 if trial.outcome == "policy_failed" else trial.success
+
+
 def trajectory(row: Row) -> str:
     """Return 16 hex digits that are equal where two trials went the same way, bit for bit.
 

@@ -5,24 +5,31 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import LONGEST, clean
 from nw_eval.results.row.column import Column, Numbers, Settings
 
 _MARK = 60  # characters at most with which `clean` says what it cut
+_WORD = 100  # characters of what is likely to come again
 
 
 def mistyped(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
     """Return which column holds a value of the wrong type, or a word that is none, or None."""
     for name, column in columns.items():
         value = values[name]
-        is_other = isinstance(value, bool) and column.types is not bool
-        if is_other or not isinstance(value, column.types):
+        if type(value) not in column.exact and not _is_kin(value, column):
             return f"{name} is {clean(repr(value), at_most=60)}"
         if column.words and value not in column.words:
             return f"{name} {clean(repr(value), at_most=60)} is {_none_of(column.words)}"
     return None
+
+
+def _is_kin(value: Any, column: Column) -> bool:
+    """Whether a value is of a class that is made from one of the column's, such as NumPy's."""
+    is_other = isinstance(value, bool) and column.types is not bool
+    return not is_other and isinstance(value, column.types)
 
 
 def as_kept(values: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[str, Any]:
@@ -35,7 +42,7 @@ def as_kept(values: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[st
     for name, column in columns.items():
         if column.types is str:
             kept[name] = _harmless(values[name])
-        elif column.types is tuple and column.kind == Numbers:
+        elif column.is_list and column.kind == Numbers:
             form = f"{len(values[name])}f"
             kept[name] = struct.unpack(form, struct.pack(form, *values[name]))
     return kept
@@ -48,15 +55,26 @@ def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> s
         if column.kind is int and not 0 <= value < 2**column.bits:
             shown = clean(value, at_most=30)
             return f"{name} is {shown}, which does not fit {column.bits} bits without a sign"
-        if column.is_real or column.types is tuple:
+        if column.is_real and value is not None and not math.isfinite(value):
+            return f"{name} is not finite"
+        if column.is_list:
             for of, number in _numbers(name, value, column):
-                if number is not None and not math.isfinite(number):
+                if not math.isfinite(number):
                     return f"{clean(of, at_most=60)} is not finite"
     return None
 
 
 def _harmless(text: str) -> str:
     """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
+    return _harmless_word(text) if len(text) <= _WORD else _cleaned(text)
+
+
+@lru_cache(maxsize=4096)  # Most words of a run are in every one of its rows.
+def _harmless_word(text: str) -> str:
+    return _cleaned(text)
+
+
+def _cleaned(text: str) -> str:
     is_plain = text.isprintable() and not text.startswith("::") and "##[" not in text
     return text if is_plain and len(text) <= LONGEST + _MARK else clean(text)
 
@@ -67,8 +85,6 @@ def _none_of(words: tuple[str, ...]) -> str:
     )
 
 
-def _numbers(name: str, value: Any, column: Column) -> Iterable[tuple[str, float | None]]:
-    """Return the real numbers of a value, each with what it is called."""
-    if column.kind == Settings:
-        return value
-    return [(name, value)] if column.is_real else [(name, number) for number in value]
+def _numbers(name: str, value: Any, column: Column) -> Iterable[tuple[str, float]]:
+    """Return the numbers of a list, each with what it is called."""
+    return value if column.kind == Settings else [(name, number) for number in value]

@@ -66,6 +66,16 @@ class Column:
         return _TYPES.get(self.kind, str)
 
     @cached_property
+    def exact(self) -> frozenset[type]:
+        """Types of which every value is one: a bool is no number here, though Python says so."""
+        return frozenset(self.types if isinstance(self.types, tuple) else (self.types,))
+
+    @cached_property
+    def is_list(self) -> bool:
+        """Whether a value is several."""
+        return self.types is tuple
+
+    @cached_property
     def is_real(self) -> bool:
         """Whether a value is a real number, or may be one."""
         return self.kind in {float, float | None}
@@ -83,7 +93,7 @@ class Column:
 
     def of_plain(self, value: Any) -> Any:
         """Return a value as a row has it; JSON and Arrow have lists in place of tuples."""
-        if self.types is not tuple:
+        if not self.is_list:
             return value
         if self.kind == Settings:
             return tuple((str(name), float(number)) for name, number in value or ())

@@ -180,6 +180,7 @@ COLUMNS = columns_of(Row)
 """What each field says, in the order of the file."""
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
+_LISTS = tuple(name for name, column in COLUMNS.items() if column.is_list)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
 
 
@@ -197,7 +198,8 @@ def from_dict(values: dict[str, Any]) -> Row:
     if unknown := sorted(set(values) - set(COLUMNS)):
         raise ValueError(f"unknown columns {clean(', '.join(map(str, unknown)), at_most=200)}")
     try:
-        return Row(**{name: COLUMNS[name].of_plain(value) for name, value in values.items()})
+        lists = {name: COLUMNS[name].of_plain(values[name]) for name in _LISTS if name in values}
+        return Row(**{**values, **lists})
     except (TypeError, OverflowError, struct.error) as error:
         raise ValueError(clean(error)) from error
 

@@ -2,7 +2,9 @@
 
 PASS when E_pass >= 1 / alpha_pass, REGRESSED when E_regr >= 1 / alpha_regr. A scene is named once
 E_s >= S / alpha_regr, the S scenes sharing the error; a critical one that is named is REGRESSED.
-While any E_s is 4 or more PASS waits, so that a single bad scene is less often passed over.
+While E_s is 4 or more for a scene that is not named, PASS waits, so that a single bad scene is less
+often passed over. It does not wait for one that is named: further rounds have nothing to add about
+it, and the mean passes in spite of it. Waiting only makes PASS rarer, so that no error hangs on it.
 
 By Ville's inequality a drop of max_drop or more passes with probability at most alpha_pass; one of
 at most `tolerate` is convicted by the mean with at most alpha_regr, and if no scene dropped by more
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,10 @@ from numpy.typing import NDArray
 from nw_eval.stats.bank.evidence import Values
 from nw_eval.words import Tier
 
-_SUSPECT = 4.0
+SUSPECT = 4.0
+"""E_s from which a scene may have fallen."""
+
+Truths = NDArray[np.bool_]
 
 _Word = Literal["PASS", "REGRESSED", "undecided"]
 
@@ -37,6 +42,19 @@ class Ruling:
     """Scenes that fell, whatever the word."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean would allow."""
+
+
+class Look(NamedTuple):
+    """What is to be said after one round; leading axes are panels apart."""
+
+    convicts: Truths
+    """Shape (...)."""
+    passes: Truths
+    """Shape (...). Never where it convicts."""
+    named: Truths
+    """Scenes that fell by now, shape (..., S)."""
+    waits: Truths
+    """Scenes that alone hold back a PASS that the mean would allow, shape (..., S)."""
 
 
 def decide(
@@ -66,26 +84,39 @@ def decide(
             raise ValueError(f"alpha {alpha} is not between 0 and 1; write 0.05 for 5 %")
     if "informational" in tiers:
         raise ValueError(f"scene {tiers.index('informational')} is informational and not judged")
-    critical = np.array([tier == "critical" for tier in tiers], dtype=bool)
-    named = np.zeros(len(tiers), dtype=bool)
-    waits = np.zeros(len(tiers), dtype=bool)
-
+    named = waits = np.zeros(len(tiers), dtype=bool)
     for number, values in enumerate(rounds, start=1):
         if values.scenes.shape != named.shape:
             raise ValueError(f"{len(tiers)} tiers for scenes of shape {values.scenes.shape}")
-        named = named | (values.scenes >= len(tiers) / alpha_regr)
-        enough = values.passed >= 1.0 / alpha_pass
-        waits = enough & (values.scenes >= _SUSPECT)
-        if values.regressed >= 1.0 / alpha_regr or (named & critical).any():
-            return _ruling("REGRESSED", number, named, np.zeros_like(named))
-        if enough and not waits.any():
-            return _ruling("PASS", number, named, waits)
-    return _ruling("undecided", len(rounds), named, waits)
+        seen = look(values, named, tiers, alpha_pass=alpha_pass, alpha_regr=alpha_regr)
+        named, waits = seen.named, seen.waits
+        if seen.convicts or seen.passes:
+            word = "REGRESSED" if seen.convicts else "PASS"
+            return Ruling(word=word, rounds=number, named=_which(named), waits_for=())
+    return Ruling(
+        word="undecided", rounds=len(rounds), named=_which(named), waits_for=_which(waits)
+    )
 
 
-def _ruling(word: _Word, rounds: int, named: NDArray[np.bool_], waits: NDArray[np.bool_]) -> Ruling:
-    return Ruling(word=word, rounds=rounds, named=_which(named), waits_for=_which(waits))
+def look(
+    values: Values, named: Truths, tiers: Sequence[Tier], *, alpha_pass: float, alpha_regr: float
+) -> Look:
+    """Return what a round shows; the arguments are those of `decide`.
+
+    Args:
+        values: e-values after the round, of any leading axes.
+        named: scenes that fell in earlier rounds, shape (..., S).
+        tiers: of the scenes, shape (S,).
+        alpha_pass: of PASS.
+        alpha_regr: of REGRESSED.
+    """
+    critical = np.array([tier == "critical" for tier in tiers], dtype=bool)
+    named = named | (values.scenes >= len(tiers) / alpha_regr)
+    convicts = (values.regressed >= 1.0 / alpha_regr) | (named & critical).any(axis=-1)
+    enough = (values.passed >= 1.0 / alpha_pass) & ~convicts
+    waits = enough[..., None] & (values.scenes >= SUSPECT) & ~named
+    return Look(convicts=convicts, passes=enough & ~waits.any(axis=-1), named=named, waits=waits)
 
 
-def _which(scenes: NDArray[np.bool_]) -> tuple[int, ...]:
+def _which(scenes: Truths) -> tuple[int, ...]:
     return tuple(np.flatnonzero(scenes).tolist())

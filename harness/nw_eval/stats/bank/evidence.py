@@ -14,12 +14,13 @@ and bet on all scenes at once; a scene's bets on its own trials. A mean of such 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from nw_eval.stats.bank.panel import Bank, Floats, check_successes
+from nw_eval.stats.bank.panel import Bank, Floats, Places, check_successes
 from nw_eval.stats.bank.wealth import Bets, Wealth
 
 _BETAS = (0.0, 0.5)
@@ -79,14 +80,11 @@ class Evidence:
         A baseline that nowhere scores max_drop cannot be undercut by so much: E_pass is infinite
         from the start, and says nothing of the candidate.
         """
-        highest, lowest = bank.mean - margins.max_drop, bank.mean - margins.tolerate
-        nulls_up = [highest - bank.least(beta) for beta in _BETAS]
-        nulls_down = [bank.most(beta) - lowest for beta in _BETAS]
         floors = 1.0 - (bank.means - margins.scene_drop)
         return cls(
             bank=bank,
-            passed=tuple(Wealth.before(null[..., 0], bank.starts, _UP) for null in nulls_up),
-            regressed=tuple(Wealth.before(null[..., 0], bank.starts, _DOWN) for null in nulls_down),
+            passed=against_at_least(bank, np.array(margins.max_drop)),
+            regressed=against_at_most(bank, np.array(margins.tolerate)),
             scenes=Wealth.before(floors, bank.starts, _DOWN),
         )
 
@@ -117,22 +115,29 @@ class Evidence:
         check_successes(best)
         check_successes(baseline)
 
-        bank, passed, regressed = self.bank, self.passed, self.regressed
-        above = [bank.adjusted(worst, baseline, beta) - bank.least(beta) for beta in _BETAS]
-        below = [bank.most(beta) - bank.adjusted(best, baseline, beta) for beta in _BETAS]
         return replace(
             self,
-            passed=tuple(wealth.after(y) for wealth, y in zip(passed, above, strict=True)),
-            regressed=tuple(wealth.after(y) for wealth, y in zip(regressed, below, strict=True)),
+            passed=after_each(self.passed, above(self.bank, worst, baseline)),
+            regressed=after_each(self.regressed, below(self.bank, best, baseline)),
             scenes=self.scenes.after((1.0 - best)[..., None]),
+        )
+
+    def only(self, which: Places) -> Evidence:
+        """Return the evidence of some of the panels, by their places along the first axis."""
+        return replace(
+            self,
+            bank=replace(self.bank, means=self.bank.means[which]),
+            passed=tuple(wealth.only(which) for wealth in self.passed),
+            regressed=tuple(wealth.only(which) for wealth in self.regressed),
+            scenes=self.scenes.only(which),
         )
 
     @property
     def values(self) -> Values:
         """The e-values by now."""
         return Values(
-            passed=_mean([wealth.evidence for wealth in self.passed]),
-            regressed=_mean([wealth.evidence for wealth in self.regressed]),
+            passed=mean_of(self.passed),
+            regressed=mean_of(self.regressed),
             scenes=self.scenes.evidence,
         )
 
@@ -158,5 +163,42 @@ def over_rounds(bank: Bank, candidate: Floats, baseline: Floats, margins: Margin
     return found
 
 
-def _mean(values: list[Floats]) -> Floats:
-    return np.mean(values, axis=0)
+Gamblers = tuple[Wealth, ...]
+"""One for each beta."""
+
+
+def against_at_least(bank: Bank, drop: Floats) -> Gamblers:
+    """Return who bets against "the drop is at least this", before the first round.
+
+    Args:
+        bank: of the baseline.
+        drop: shape (); or, of one bank without leading axes, any shape: so many nulls apart.
+    """
+    nulls = [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in _BETAS]
+    return tuple(Wealth.before(null, bank.starts, _UP) for null in nulls)
+
+
+def against_at_most(bank: Bank, drop: Floats) -> Gamblers:
+    """Return who bets against "the drop is at most this"; drops as for `against_at_least`."""
+    nulls = [bank.most(beta)[..., 0] - (bank.mean[..., 0] - drop) for beta in _BETAS]
+    return tuple(Wealth.before(null, bank.starts, _DOWN) for null in nulls)
+
+
+def above(bank: Bank, candidate: Floats, baseline: Floats) -> list[Floats]:
+    """Return z - z_min of a round for each beta, shape (S,): what PASS is won by."""
+    return [bank.adjusted(candidate, baseline, beta) - bank.least(beta) for beta in _BETAS]
+
+
+def below(bank: Bank, candidate: Floats, baseline: Floats) -> list[Floats]:
+    """Return z_max - z of a round for each beta, shape (S,): what REGRESSED is won by."""
+    return [bank.most(beta) - bank.adjusted(candidate, baseline, beta) for beta in _BETAS]
+
+
+def after_each(gamblers: Gamblers, values: Sequence[Floats]) -> Gamblers:
+    """Return the gamblers after one more round, each with its own y."""
+    return tuple(wealth.after(y) for wealth, y in zip(gamblers, values, strict=True))
+
+
+def mean_of(gamblers: Gamblers) -> Floats:
+    """Return the mean of their evidence, which is evidence too."""
+    return np.mean([wealth.evidence for wealth in gamblers], axis=0)

@@ -30,7 +30,7 @@ from math import inf
 
 import numpy as np
 
-from nw_eval.stats.bank.panel import Floats
+from nw_eval.stats.bank.panel import Floats, Places
 
 _TOLERANCE = 1e-9
 """How far below 0 the rest's mean must be. Sums of a null that is just true are off by 1e-14."""
@@ -98,6 +98,15 @@ class Wealth:
             accounts=np.minimum(self.accounts * gains, _MOST),
             total=self.total + values.mean(axis=-1),
             rounds=self.rounds + 1,
+        )
+
+    def only(self, which: Places) -> Wealth:
+        """Return some of the gamblers, by their places along the first axis."""
+        return replace(
+            self,
+            null=self.null[which],
+            accounts=self.accounts[which],
+            total=self.total[which],
         )
 
     @property

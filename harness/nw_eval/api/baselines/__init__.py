@@ -1,0 +1,1 @@
+"""Baselines: banks are saved, listed, shown, checked and compared."""

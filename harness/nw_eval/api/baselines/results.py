@@ -1,0 +1,71 @@
+"""Where a bank's results come from: trials that are run now, or a run that has ended."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.api.baselines.here import Here
+    from nw_eval.engine.listener import Listener
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+
+def new_results(
+    place: Here, *, workers: int | None, listener: Listener | None
+) -> tuple[RunInfo, tuple[Row, ...]]:
+    """Run what has no result yet.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted, and its results stay.
+        StoreError: results cannot be written; those that were written stay.
+    """
+    from nw_eval.engine import session
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.journal import has_begun
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import RunFolder
+
+    work = RunFolder(path=place.work)
+    is_begun = has_begun(work.journal)
+    folder = session.carry_out(
+        place.plan,
+        workers=workers,
+        out=None if is_begun else work.path,
+        resume=work.path if is_begun else None,
+        command=tuple(sys.argv),
+        listener=listener,
+    )
+    run = read_run_info(folder.run_json)
+    rows = read_trials(folder, run, place.plan.trials).rows
+    if run.interrupted and len(rows) < len(place.plan.trials):
+        if listener is not None:
+            done = f"{len(rows)} of {len(place.plan.trials)} trials are kept"
+            listener.message(f"{done}; the same command goes on with them")
+        raise KeyboardInterrupt
+    return run, rows
+
+
+def finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]]:
+    """Return what a run of a suite has.
+
+    Raises:
+        UsageError: it is no run, or none of this suite.
+        StoreError: it is damaged.
+    """
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    opened = open_run_folder(folder)
+    run = read_run_info(opened.run_json)
+    if (name := run.suite.get("name")) != suite:
+        raise UsageError(
+            f"{folder} is a run of suite {name!r}, not {suite!r}", fix="name its suite"
+        )
+    return run, read_trials(opened, run, saved_trials(run, saved_suite(run))).rows

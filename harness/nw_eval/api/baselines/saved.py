@@ -1,0 +1,161 @@
+"""Saving a bank: what is missing is run, and what a renewal moves is shown before it replaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from nw_eval.errors import UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.engine.listener import Listener
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank.changes import BankChange
+
+STARTS = 60
+"""M where nobody says: three times the rounds of a gate, so that fresh starts are covered too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedBaseline:
+    """What became of a bank."""
+
+    file: Path
+    action: Literal["new", "panel", "unchanged", "renewed", "kept"]
+    """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
+    this. renewed: it was replaced. kept: it would hold for something else, or say something else,
+    and is as it was, because nobody asked for a renewal."""
+    bank: SavedBank
+    """The bank that is there now; for `kept` the one that would be."""
+    change: BankChange | None = None
+    """What differs from the one that was there."""
+
+
+def save_baseline(
+    suite: str | Path,
+    *,
+    policy: str | None = None,
+    starts: int | None = None,
+    name: str | None = None,
+    note: str = "",
+    from_run: str | Path | None = None,
+    renew: bool = False,
+    root: Path | None = None,
+    workers: int | None = None,
+    listener: Listener | None = None,
+    **changes: Any,
+) -> SavedBaseline:
+    """Save what a policy scores from every start of a panel: the baseline of later gates.
+
+    Trials that are missing are run, into a folder in `reports/` from which an interrupted save goes
+    on, and a later one with more starts.
+
+    Args:
+        suite: a suite file or the name of a shipped one.
+        policy: as for `run`; the suite's own if None.
+        starts: in each scene; if None, as many as the bank has, and 60 for a new one.
+        name: the bank's; the policy's if None.
+        note: why it is saved; if empty, as before.
+        from_run: the folder of a run to take the results from; nothing is run.
+        renew: whether a bank that is there is replaced, with the panels of all machines.
+        root: the folder of banks; `reports/baselines` if None.
+        workers: processes; one for each core if None.
+        listener: hears of progress.
+        changes: of `Request`: checkpoint, render, time_limit, allow_code.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: nothing was run.
+        KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
+        TrialError: a trial came to no result; no bank was written.
+        StoreError: results cannot be written, or the bank that is there is damaged.
+        IncomparableError: the run makes no bank.
+    """
+    from nw_eval.api.baselines.author import author
+    from nw_eval.api.baselines.here import card_reference, here
+    from nw_eval.api.baselines.results import finished_results, new_results
+    from nw_eval.results.bank.build import bank_of_run
+    from nw_eval.results.bank.file import read_bank
+    from nw_eval.suite import load_suite
+
+    if starts is not None and starts < 1:
+        raise UsageError(f"--starts {starts}", fix="give at least 1")
+    place, run, rows = None, None, ()
+    if from_run is None:
+        place = here(suite, policy=policy, **changes)
+        folder, own = place.plan.suite.name, place.policy.name
+    else:
+        _check_decided({"policy": policy, "starts": starts, "workers": workers, **changes})
+        folder = load_suite(suite).name
+        run, rows = finished_results(Path(from_run), folder)
+        own = run.policy.name
+    file = _file(root, folder, name or own)
+    earlier = read_bank(file) if file.exists() else None
+    if place is not None:
+        starts = starts or (earlier.manifest.starts if earlier else STARTS)
+        if earlier is not None and not renew and place.is_in(earlier, starts):
+            return SavedBaseline(file=file, action="unchanged", bank=earlier)
+        run, rows = new_results(place.with_starts(starts), workers=workers, listener=listener)
+    assert run is not None, "results are of a run, new or finished"
+    found = bank_of_run(
+        rows,
+        run,
+        name=file.stem,
+        card=card_reference(run.policy.card),
+        by=author(),
+        note=note or (earlier.manifest.note if earlier else ""),
+    )
+    return _written(file, earlier, found, renew=renew)
+
+
+def _check_decided(wanted: dict[str, Any]) -> None:
+    """Refuse what is asked for besides a run that has decided it.
+
+    Raises:
+        UsageError: something is.
+    """
+    if decided := [option for option, value in wanted.items() if value]:
+        raise UsageError(
+            f"--from and --{decided[0].replace('_', '-')}: the run has decided that",
+            fix="drop one of them",
+        )
+
+
+def _file(root: Path | None, suite: str, name: str) -> Path:
+    """Return where a bank belongs.
+
+    Raises:
+        UsageError: its name is none.
+    """
+    from nw_eval.results.bank.check import fault_of_name
+    from nw_eval.results.bank.file import SUFFIX
+    from nw_eval.results.bank.find import BANKS
+
+    if fault := fault_of_name(name):
+        raise UsageError(f"a bank's name: {fault}", fix="give another with --name")
+    return (root or BANKS) / suite / (name + SUFFIX)
+
+
+def _written(
+    file: Path, earlier: SavedBank | None, found: SavedBank, *, renew: bool
+) -> SavedBaseline:
+    """Write a bank unless it would silently become another one."""
+    from nw_eval.results.bank.build import with_panel
+    from nw_eval.results.bank.changes import bank_change
+    from nw_eval.results.bank.file import write_bank
+
+    if earlier is None:
+        write_bank(file, found)
+        return SavedBaseline(file=file, action="new", bank=found)
+    change = bank_change(earlier, found)
+    known = earlier.panel_of(found.panels[0].machine)
+    if not change.fields and known == found.panels[0]:
+        return SavedBaseline(file=file, action="unchanged", bank=earlier)
+    if not renew and not change.fields and known is None:
+        whole = with_panel(earlier, found)
+        write_bank(file, whole)
+        return SavedBaseline(file=file, action="panel", bank=whole, change=change)
+    if not renew:
+        return SavedBaseline(file=file, action="kept", bank=found, change=change)
+    write_bank(file, found)
+    return SavedBaseline(file=file, action="renewed", bank=found, change=change)

@@ -1,0 +1,45 @@
+"""Ledgers of verdicts: read, and reckoned up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.api.running.reports import RunReport
+    from nw_eval.gate.ledger.report import LedgerReport
+
+
+def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
+    """Add the verdict on a run to a ledger, and wait until it is on disk.
+
+    Args:
+        judged: the run.
+        ledger: the file, which is begun if there is none.
+
+    Returns:
+        The file.
+
+    Raises:
+        StoreError: the ledger is damaged, or cannot be written.
+    """
+    from nw_eval.gate.ledger.file import append_verdict
+
+    append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, bank=judged.bank)
+    return Path(ledger)
+
+
+def read_ledger(file: str | Path) -> LedgerReport:
+    """Reckon up a ledger: gates a year, false alarms, re-rolls, and the best of many.
+
+    Args:
+        file: of the ledger.
+
+    Raises:
+        StoreError: it is missing or damaged.
+    """
+    from nw_eval.gate.ledger import file as ledger_file
+    from nw_eval.gate.ledger.report import ledger_report
+
+    contents = ledger_file.read_ledger(Path(file))
+    return ledger_report(contents.entries, dropped=contents.dropped)

@@ -1,0 +1,126 @@
+"""Which bank a run is compared with: the one that is asked for, the suite's own, or none."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import IncomparableError
+from nw_eval.request import Request
+
+if TYPE_CHECKING:
+    from nw_eval.results.bank.against import Against
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite import Suite
+
+NO_BASELINE = "none"
+"""What is asked for where a suite names a bank and none is wanted."""
+
+
+def wanted_bank(request: Request, suite: Suite) -> Against | None:
+    """Return the bank to compare with; None if there is to be none.
+
+    Raises:
+        UsageError: there is no such bank.
+        StoreError: it is damaged.
+        IncomparableError: it is none, or of another version.
+    """
+    from nw_eval.results.bank.find import find_bank
+
+    reference = suite.gate.baseline if request.baseline is None else request.baseline
+    if reference is None or reference == NO_BASELINE:
+        return None
+    return _opened(find_bank(reference, suite=suite.name))
+
+
+def kept_bank(folder: RunFolder, info: RunInfo) -> Against | None:
+    """Return the bank that a run was begun with, from the copy in its folder, or where it was.
+
+    Raises:
+        IncomparableError: it is in neither place, or not as it was.
+    """
+    if info.baseline is None:
+        return None
+    for path in (folder.bank(info.baseline.name), Path(info.baseline.path)):
+        if path.is_file() and _digest(path.read_bytes()) == info.baseline.sha256:
+            against = _opened(path)
+            return against.of_run(info.baseline)
+    raise IncomparableError(
+        f"run {info.id} is compared with bank {info.baseline.name}, and neither its copy of it nor "
+        f"{info.baseline.path} is there as it was",
+        fix="restore the file",
+    )
+
+
+def judging_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
+) -> Against | None:
+    """Return the bank to judge the rows of a run against; None if there is to be none.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        reference: the bank that is asked for; if None, that which the run was begun against, or
+            else the one that the suite names.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`.
+    """
+    if reference is None and info.baseline is not None:
+        return kept_bank(folder, info)
+    return wanted_bank(Request(baseline=reference), suite)
+
+
+def resumed_bank(folder: RunFolder, info: RunInfo, request: Request) -> Against | None:
+    """Return the bank to go on with in a run: the one that it was begun with.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`; or another bank is asked for now.
+    """
+    from nw_eval.api.running.saved_run import saved_suite
+
+    kept = kept_bank(folder, info)
+    if request.baseline is None:
+        return kept
+    wanted = wanted_bank(request, saved_suite(info))
+    if wanted is None or kept is None or wanted.info.sha256 == kept.info.sha256:
+        return wanted
+    raise IncomparableError(
+        f"run {info.id} was begun against bank {kept.info.name} ({kept.info.sha256[:8]}), not "
+        f"{request.baseline} ({wanted.info.sha256[:8]})",
+        fix="start a new run without --resume",
+    )
+
+
+def check_rounds(against: Against, rounds: int, suite: str) -> None:
+    """Refuse more rounds than a bank has starts.
+
+    Raises:
+        IncomparableError: it has fewer.
+    """
+    name, starts = against.info.name, against.bank.manifest.starts
+    if rounds > starts:
+        raise IncomparableError(
+            f"bank {name} has {starts} starts in each scene, {rounds} rounds draw more",
+            fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
+            f"{3 * rounds}`",
+        )
+
+
+def _opened(path: Path) -> Against:
+    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.provenance import BaselineInfo
+
+    bank, content = read_bank(path), path.read_bytes()
+    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
+    return Against(info=info, bank=bank, content=content)
+
+
+def _digest(content: bytes) -> str:
+    return sha256(content).hexdigest()

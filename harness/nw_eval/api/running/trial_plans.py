@@ -1,0 +1,177 @@
+"""How many trials a gate against a baseline takes, and what it can see. Nothing is run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import IncomparableError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.engine.plan import Plan
+    from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.stats.bank import CurvePoint, Progress
+    from nw_eval.suite import Suite
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialPlan:
+    """What a gate against a baseline takes and sees, by simulation."""
+
+    suite: str
+    source: str
+    """What it is reckoned from: a bank or a run, in words."""
+    outset: Outset
+    """What is known before the first round: the baseline's scores, margins, budget."""
+    detect: float
+    """The drop that is asked about."""
+    dropped: Progress
+    """How soon policies of that drop are judged, with as many rounds as the bank has starts."""
+    equal: Progress
+    """How soon equal ones are."""
+    curve: tuple[CurvePoint, ...]
+    resolved: Plan
+    """What a run of the suite would be."""
+    workers: int | None
+
+    def minutes(self, trials: float) -> float:
+        """Return about how many minutes so many trials take at most."""
+        from nw_eval.engine.forecast import minutes_of
+
+        return minutes_of(trials, self.resolved, workers=self.workers)
+
+
+def plan_trials(
+    suite: str | Path | Suite,
+    *,
+    detect: float | None = None,
+    baseline: str | None = None,
+    run: str | Path | None = None,
+    png: Path | None = None,
+    workers: int | None = None,
+) -> TrialPlan:
+    """Return how many trials it takes to convict a drop, and what else the suite's gate sees.
+
+    `plan` resolves a request to its trials; this one says how many would be needed.
+
+    Args:
+        suite: a file, the name of a shipped one, or one that was read already.
+        detect: drop of mean success; the suite's `gate.max_drop` if None.
+        baseline: the bank to compare with, by name or path; the suite's if None.
+        run: a run's folder in place of a bank: what it scored is taken for the baseline's success.
+        png: file to draw the curve into.
+        workers: processes to reckon minutes with; one for each core if None.
+
+    Raises:
+        UsageError: there is neither a bank nor a run, or no policy can drop by `detect`.
+        SuiteError, PolicyError: as `plan`.
+        StoreError: the bank or the run is damaged, or the picture cannot be written.
+        IncomparableError: the bank or the run has other scenes than the suite.
+    """
+    from nw_eval.api.running.baselines import NO_BASELINE
+    from nw_eval.api.running.plans import check_workers, plan
+
+    check_workers(workers)
+    if baseline is not None and run is not None:
+        raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
+    resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
+    source, outset = (
+        _of_bank(resolved, baseline or resolved.suite.gate.baseline)
+        if run is None
+        else _of_run(resolved, Path(run))
+    )
+    drop = outset.rules.margins.max_drop if detect is None else detect
+    if not 0.0 < drop < outset.baseline:
+        raise UsageError(
+            f"--detect {drop:g}: the baseline's mean success is {outset.baseline:.3f}",
+            fix="give a drop between 0 and that",
+        )
+    planned = TrialPlan(
+        suite=resolved.suite.name,
+        source=source,
+        outset=outset,
+        detect=drop,
+        dropped=outset.progress(drop),
+        equal=outset.progress(0.0),
+        curve=outset.curve(),
+        resolved=resolved,
+        workers=workers,
+    )
+    if png is not None:
+        _draw(planned, png)
+    return planned
+
+
+def _draw(planned: TrialPlan, png: Path) -> None:
+    from nw_eval.reporting.curve_picture import draw_curve
+
+    rules, scenes = planned.outset.rules, planned.outset.scenes
+    budget = f"at most {rules.rounds} rounds of {scenes} trials"
+    draw_curve(
+        planned.curve,
+        png,
+        margins=rules.margins,
+        scenes=scenes,
+        title=f"{planned.suite}, success {planned.outset.baseline:.3f}: {budget}",
+    )
+
+
+def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
+    """Return what a bank is, in words, and what is known with it."""
+    from nw_eval.api.running.baselines import NO_BASELINE
+    from nw_eval.gate.baseline.foresee import outset_of_bank
+    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.bank.find import find_bank
+
+    suite = resolved.suite
+    if reference is None or reference == NO_BASELINE:
+        raise UsageError(
+            f"suite {suite.name!r} names no bank to plan with",
+            fix="name one with --baseline, or a run of the suite with --run",
+        )
+    bank = read_bank(find_bank(reference, suite=suite.name))
+    manifest = bank.manifest
+    source = f"bank {manifest.name} of {manifest.policy.name}"
+    _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
+    return source, outset_of_bank(bank.panels[0], suite.gate)
+
+
+def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
+    """Return what a run is, in words, and what is known with it."""
+    from nw_eval.api.baselines.saved import STARTS
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.gate.baseline.foresee import outset_of_rows
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    opened = open_run_folder(folder)
+    info = read_run_info(opened.run_json)
+    rows = read_trials(opened, info, saved_trials(info, saved_suite(info))).rows
+    source = f"run {info.id} of {info.policy.name}"
+    scenes = {name: scene.digest for name, scene in info.scenes.items()}
+    _check(resolved, source, info.suite_digest, scenes)
+    return source, outset_of_rows(rows, resolved.suite.gate, STARTS)
+
+
+def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, str]) -> None:
+    """Refuse trials of another suite.
+
+    Raises:
+        IncomparableError: naming what differs.
+    """
+    suite, ours = resolved.suite, {scene.name: scene.digest for scene in resolved.scenes}
+    differing = sorted(name for name, _ in {*ours.items()} ^ {*scenes.items()})
+    if differing:
+        fault = f"scene {differing[0]} is in one of them only, or has changed"
+    elif suite_digest != suite.digest:
+        fault = f"its suite digest is {suite_digest[:8]}, here it is {suite.digest[:8]}"
+    else:
+        return
+    raise IncomparableError(
+        f"{source} is not of suite {suite.name!r} as it is: {fault}",
+        fix=f"make it anew with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
+    )

@@ -1,0 +1,240 @@
+"""A series of checkpoints: which of them fell first."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nw_eval.api.running.reports import RunReport
+    from nw_eval.engine.listener import Listener
+    from nw_eval.gate.bisection import Bisection, Decision
+    from nw_eval.request import Request
+
+_REPORTS = Path("reports")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BisectedSeries:
+    """A series, as far as it was judged against the checkpoint that was known to be good."""
+
+    bank: str
+    """Of the good one."""
+    checkpoints: tuple[str, ...]
+    """In order of age, the bad one last."""
+    runs: Mapping[int, RunReport]
+    """By place in the series: those that were judged."""
+    found: Bisection | None
+    """None if the search was interrupted."""
+    folder: Path
+
+    @property
+    def trials(self) -> int:
+        """Trials that it took, without those of the bank."""
+        return sum(len(run.rows) for run in self.runs.values())
+
+    @property
+    def exit_code(self) -> int:
+        """1 if one fell, 0 if none did, 3 if nothing was decided, 130 if it was interrupted."""
+        if self.found is None:
+            return 130
+        if self.found.first_fallen is not None:
+            return 1
+        return 3 if "INCONCLUSIVE" in self.found.words.values() else 0
+
+
+def bisect(
+    suite: str | Path,
+    checkpoints: Sequence[str | Path],
+    *,
+    good: str | Path,
+    bad: str | Path,
+    policy: str | None = None,
+    everyone: bool = False,
+    starts: int | None = None,
+    out: Path | None = None,
+    workers: int | None = None,
+    listener: Listener | None = None,
+    progress: Callable[[str, str], None] | None = None,
+    **changes: Any,
+) -> BisectedSeries:
+    """Find which checkpoint of a series is the first that is worse than a good one.
+
+    Each that is asked for is judged against the bank of the good one, in rounds, as `run` does it;
+    the suite's bar is left out, since all of a series may lie on one side of it.
+
+    Args:
+        suite: a suite file or the name of a shipped one.
+        checkpoints: the series in order of age: files of weights for the card of `policy`, or
+            bundles.
+        good: a bank; or a checkpoint that is older than the series, of which one is saved first.
+        bad: the checkpoint that is known to be worse, younger than the series.
+        policy: whose card the weights are for; the suite's own if None.
+        everyone: judge all of them in place of searching.
+        starts: in each scene, of a bank that is saved.
+        out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
+            `reports/` that is named by the suite.
+        workers: processes; one for each core if None.
+        listener: hears of the progress of each run.
+        progress: hears which checkpoint is judged, and its verdict.
+        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit...
+
+    Raises:
+        UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
+        IncomparableError: the bank does not hold here, or moved on this machine.
+        TrialError: a trial came to no result.
+        StoreError: results cannot be written.
+    """
+    from nw_eval.gate import bisection
+    from nw_eval.request import Request
+    from nw_eval.suite import load_suite
+
+    series = tuple(str(one) for one in (*checkpoints, bad))
+    read = load_suite(suite)
+    request = Request.of(suite, policy=policy, record="none", **changes)
+    for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
+        _check_place(one)
+    folder = out or _REPORTS / f"bisect-{read.name}"
+    bank = _bank_of(good, request, read.name, starts, workers, listener)
+    runs: dict[int, RunReport] = {}
+
+    def word(place: int) -> Decision:
+        name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
+        asked_for = _of(request, series[place], bank)
+        runs[place] = _judged(asked_for, folder / name, workers=workers, listener=listener)
+        finding = _finding(runs[place])
+        if progress is not None:
+            progress(series[place], finding)
+        return finding
+
+    found = None
+    with suppress(_InterruptedSeriesError):
+        found = bisection.bisect(len(series), word, everyone=everyone)
+    return BisectedSeries(
+        bank=bank, checkpoints=series, runs=dict(sorted(runs.items())), found=found, folder=folder
+    )
+
+
+class _InterruptedSeriesError(Exception):
+    """A signal ended the run of a checkpoint."""
+
+
+def _is_bank(good: str | Path, suite: str) -> bool:
+    """Whether a name or path means a bank, and no checkpoint."""
+    from nw_eval.errors import UsageError
+    from nw_eval.results.bank.find import find_bank
+
+    try:
+        return find_bank(good, suite=suite).suffix == ".parquet"
+    except UsageError:
+        return False
+
+
+def _check_place(checkpoint: str | Path) -> None:
+    """Refuse what is neither a file of weights nor a policy, before anything runs.
+
+    Raises:
+        UsageError: there is no such file.
+        PolicyError: there is no such bundle.
+    """
+    from nw_eval.policies import find_card
+
+    if not Path(checkpoint).is_file():
+        find_card(str(checkpoint))
+
+
+def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
+    """Return what runs one checkpoint: weights for the card of a policy, or a policy of its own."""
+    if Path(checkpoint).is_file() and Path(checkpoint).suffix not in {".yaml", ".yml"}:
+        return replace(request, checkpoint=Path(checkpoint), baseline=bank)
+    return replace(request, policy=checkpoint, baseline=bank)
+
+
+def _bank_of(
+    good: str | Path,
+    request: Request,
+    suite: str,
+    starts: int | None,
+    workers: int | None,
+    listener: Listener | None,
+) -> str:
+    """Return the bank of the good checkpoint, saved first if there is none."""
+    from nw_eval.api.baselines.saved import save_baseline
+
+    if _is_bank(good, suite):
+        return str(good)
+    wanted = _of(request, str(good))
+    saved = save_baseline(
+        suite if request.suite is None else request.suite,
+        policy=wanted.policy,
+        checkpoint=wanted.checkpoint,
+        starts=starts,
+        name=re.sub(r"[^A-Za-z0-9_.]+", "-", Path(good).stem),
+        note="the good end of a bisection",
+        render=request.render,
+        time_limit=request.time_limit,
+        allow_code=request.allow_code,
+        workers=workers,
+        listener=listener,
+    )
+    return str(saved.file)
+
+
+def _judged(
+    request: Request, folder: Path, *, workers: int | None, listener: Listener | None
+) -> RunReport:
+    """Return the judged run of a checkpoint, begun or gone on with."""
+    from nw_eval.api.running.plans import plan_of
+    from nw_eval.api.running.runs import judged, roll_out
+    from nw_eval.api.running.saved_run import continued
+    from nw_eval.results.journal import has_begun
+    from nw_eval.suite import draft_of, load_suite
+
+    assert request.suite is not None, "a series is of a suite"
+    begun = has_begun(folder / "journal.jsonl")
+    if begun:
+        plan = continued(folder, replace(request, suite=None))
+    else:
+        suite = load_suite(request.suite)
+        gate = suite.gate.model_copy(update={"success_rate": None})
+        plan = plan_of(request, draft_of(suite.model_copy(update={"gate": gate})))
+    return judged(
+        roll_out(
+            plan,
+            workers=workers,
+            out=None if begun else folder,
+            resume=folder if begun else None,
+            in_process=False,
+            listener=listener,
+        )
+    )
+
+
+def _finding(run: RunReport) -> Decision:
+    """Return what a run found of its checkpoint.
+
+    Raises:
+        IncomparableError: the bank's own policy moved on this machine.
+        TrialError: trials have no result.
+        _InterruptedSeriesError: a signal ended it.
+    """
+    from nw_eval.errors import IncomparableError, TrialError
+
+    verdict = run.verdict
+    if run.interrupted and verdict.verdict == "INFRASTRUCTURE":
+        raise _InterruptedSeriesError
+    if verdict.verdict == "INVALID":
+        raise IncomparableError(
+            f"nothing is charged to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
+            fix="renew the bank of the good checkpoint",
+        )
+    if verdict.verdict == "INFRASTRUCTURE" or verdict.against is None:
+        raise TrialError(
+            f"{run.typed_folder}: {'; '.join(verdict.reasons)}",
+            fix="the same command goes on with what is missing",
+        )
+    return verdict.against.word

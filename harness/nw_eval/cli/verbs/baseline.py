@@ -1,0 +1,171 @@
+"""`nw-eval baseline`: what a policy scores from every start, saved to be compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from nw_eval.words import Backend
+
+
+@dataclass(frozen=True, kw_only=True)
+class Save:
+    """Run what is missing of a bank, and save it as reports/baselines/<suite>/<name>.parquet.
+
+    An interrupted save goes on when the same command is given again. A bank that is there gets this
+    class of machine, too. One that holds for something else is replaced with --renew only, after
+    what moved is shown (exit code 5 without it).
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    starts: int | None = None
+    """Starts in each scene; as many as the bank has, and 60 for a new one, when absent."""
+    name: str | None = None
+    """The bank's name; the policy's when absent."""
+    note: str = ""
+    """Why it is saved."""
+    from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """The folder of a finished run to save as a bank; nothing is run."""
+    renew: bool = False
+    """Replace the bank that is there, with its panels of all classes of machine."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    time_limit: float | None = None
+    """Seconds of wall time after which a trial counts as hung."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.progress import RunProgress
+        from nw_eval.cli.text.baseline_changes import saved_page
+        from nw_eval.errors import IncomparableError
+
+        with RunProgress() as progress:
+            saved = api.save_baseline(
+                self.suite,
+                policy=self.policy,
+                starts=self.starts,
+                name=self.name,
+                note=self.note,
+                from_run=self.from_run,
+                renew=self.renew,
+                workers=self.workers,
+                listener=progress,
+                checkpoint=self.checkpoint,
+                render=self.render,
+                time_limit=self.time_limit,
+                allow_code=self.allow_code,
+            )
+        print(saved_page(saved))
+        return IncomparableError.exit_code if saved.action == "kept" else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the banks of the project and those that are shipped."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.baselines import baseline_table
+
+        print(baseline_table(api.list_baselines()))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say what a bank holds for, who saved it and why, and what it holds, scene by scene."""
+
+    bank: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    suite: str | None = None
+    """The suite's name, where several have a bank of that name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.baselines import baseline_page
+
+        print(baseline_page(api.show_baseline(self.bank, suite=self.suite)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Say whether a bank still holds here: suite, scenes, protocol, simulator, policy.
+
+    Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
+    """
+
+    bank: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    suite: str | None = None
+    """The suite's file, where its name does not find it."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Where the bank's policy lies; where the bank says when absent."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.baseline_changes import checked_page
+
+        checked = api.check_baseline(
+            self.bank,
+            suite=self.suite,
+            policy=self.policy,
+            checkpoint=self.checkpoint,
+            render=self.render,
+            allow_code=self.allow_code,
+        )
+        print(checked_page(checked))
+        return checked.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diff:
+    """Compare two banks: what they hold for, means scene by scene, starts that went another way."""
+
+    then: tyro.conf.Positional[str]
+    """The earlier one: a name, suite/name, or a path."""
+    now: tyro.conf.Positional[str]
+    """The later one."""
+    suite: str | None = None
+    """The suite's name, where several have a bank of such a name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.baseline_changes import change_page
+
+        print(change_page(api.diff_baselines(self.then, self.now, suite=self.suite)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """Save what a policy scores from every start, list, show, check or compare such banks."""
+
+    action: (
+        Annotated[Save, tyro.conf.subcommand("save")]
+        | Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Diff, tyro.conf.subcommand("diff")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()

@@ -1,0 +1,73 @@
+"""`nw-eval bisect`: which checkpoint of a series fell first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class BisectSeries:
+    """Find the first checkpoint of a series that is worse than a good one.
+
+    Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
+    that is asked for is judged against the bank of the good one, as `run --baseline` does, but for
+    the suite's bar. Exit code 1 if one fell, 0 if the bad one did not, 3 if nothing was decided.
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    checkpoints: tyro.conf.Positional[tuple[str, ...]]
+    """The series between the good and the bad one."""
+    good: str
+    """A bank, or the checkpoint before the series, of which a bank is saved first."""
+    bad: str
+    """The checkpoint after the series."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Whose card the weights are for; the suite's own policy when absent."""
+    everyone: bool = False
+    """Judge every checkpoint: searching alone seldom sees that a series is not monotone."""
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    """Only scenes that match one of these globs."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """The most rounds for each checkpoint; those of the suite's gate when absent."""
+    starts: int | None = None
+    """Starts in each scene of a bank that is saved; 60 when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    out: Path | None = None
+    """The folder of the runs, in which an interrupted search goes on; `reports/bisect-<suite>`
+    when absent."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+        from nw_eval.cli.text.series import series_page
+
+        with RunProgress() as progress:
+            series = api.bisect(
+                self.suite,
+                self.checkpoints,
+                good=self.good,
+                bad=self.bad,
+                policy=self.policy,
+                everyone=self.everyone,
+                scenes=self.scenes,
+                trials=self.trials,
+                starts=self.starts,
+                allow_code=self.allow_code,
+                out=self.out,
+                workers=self.workers,
+                listener=progress,
+                progress=lambda name, word: progress.message(f"{name}: {word}"),
+            )
+        print(series_page(series))
+        if series.found is None:
+            tell("interrupted; the same command goes on")
+        return series.exit_code

@@ -1,0 +1,43 @@
+"""`nw-eval gate`: judge rows that exist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateRun:
+    """Judge a run's rows by its suite's bar and against a baseline, without running anything."""
+
+    run: tyro.conf.Positional[Path]
+    """A run's folder."""
+    baseline: str | None = None
+    """The bank to compare with: its name, its file, or none. When absent, that which the run was
+    begun against, or else the one that its suite names."""
+    max_drop: float | None = None
+    """Drop of mean success against the baseline that must not pass; the suite's own when absent."""
+    tolerate: float | None = None
+    """Drop against the baseline that must not be convicted; the suite's own when absent."""
+    out: Path | None = None
+    """Where to write the report in Markdown; nowhere when absent."""
+    ledger: Path | None = None
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.summary import summary
+
+        outcome = api.judge(
+            self.run,
+            baseline=self.baseline,
+            max_drop=self.max_drop,
+            tolerate=self.tolerate,
+            out=self.out,
+        )
+        print(summary(outcome))
+        if self.ledger is not None:
+            api.record_verdict(outcome, self.ledger)
+        return outcome.exit_code

@@ -1,0 +1,23 @@
+"""`nw-eval ledger`: what many verdicts are worth together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ledger:
+    """Reckon up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
+
+    file: tyro.conf.Positional[Path]
+    """The ledger."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.ledger import ledger_page
+
+        print(ledger_page(api.read_ledger(self.file)))
+        return 0

@@ -1,0 +1,96 @@
+"""The bar and the baseline in one verdict: both must pass."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+from nw_eval.gate.absolute import judge
+from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.known import known_rows
+from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.results.bank.against import Against
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+from nw_eval.suite.model import Gate
+
+
+def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+    """Judge the rows of a run by the bar, and against a bank if there is one.
+
+    Where the bank's own policy did other than the bank says on the machine of the run, the verdict
+    is INVALID: nothing is charged to the candidate.
+
+    Args:
+        rows: of the run's plan.
+        run: what they are of.
+        gate: the settings to judge by.
+        against: the bank.
+
+    Raises:
+        IncomparableError, StoreError: as `compare`.
+    """
+    if against is None:
+        return judge(rows, gate, run.planned)
+    begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
+    if begun is not None and begun.moved:
+        return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
+    checked = None if begun is None else begun.checked
+    found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
+    if found.basis == "same" and run.stopped_after == 0:
+        # Nothing had to run: what the policy scores from these starts is in the bank.
+        rows = known_rows(run, against.bank)
+        return combined(judge(rows, gate, Counter(row.scene for row in rows), against=found), found)
+    return combined(judge(rows, gate, run.planned, against=found), found)
+
+
+def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
+    """Return the verdict on a run that was judged by its suite's bar and against a baseline.
+
+    A run with holes stays INFRASTRUCTURE, but for one of the baseline's own policy of which nothing
+    ran, since nothing had to.
+
+    Args:
+        verdict: by the bar; RAN where the suite has none.
+        comparison: of the same rows with the baseline.
+    """
+    needs_no_trial = comparison.basis == "same" and not verdict.n and not verdict.errors
+    if needs_no_trial:
+        word, reasons = comparison.word, comparison.reasons
+    else:
+        word = _word(verdict.verdict, comparison.word)
+        reasons = (*comparison.reasons, *verdict.reasons)
+        if verdict.verdict == word != comparison.word:
+            reasons = (*verdict.reasons, *comparison.reasons)
+    return replace(verdict, verdict=word, reasons=reasons, against=comparison)
+
+
+def without_bank(verdict: Verdict, why: str) -> Verdict:
+    """Return the verdict on a run that was to be compared with a bank, and cannot be: INVALID.
+
+    Args:
+        verdict: by the bar alone, which is told, and does not count.
+        why: in what the bank fails.
+    """
+    alone = (f"the bar alone: {verdict.verdict}", *verdict.reasons) if verdict.n else ()
+    return replace(verdict, verdict="INVALID", reasons=(why, *alone))
+
+
+def settled(verdict: Verdict, comparison: Comparison) -> bool:
+    """Return whether more rounds would not change the word: one convicts, or both pass.
+
+    Args:
+        verdict: by the bar, of the rounds so far as if no more had been planned.
+        comparison: of the same rounds.
+    """
+    words = {verdict.verdict, comparison.word}
+    return "REGRESSED" in words or words <= {"PASS", "RAN"}
+
+
+def _word(bar: Word, baseline: Word) -> Word:
+    if bar in {"INFRASTRUCTURE", "INVALID"}:
+        return bar
+    both = {bar, baseline}
+    return next((word for word in ("REGRESSED", "INCONCLUSIVE") if word in both), "PASS")

@@ -1,0 +1,185 @@
+"""What a gate against a baseline would show of policies that it has not met, by simulation.
+
+From a bank, or from the rows of a plain run: then for a bank that is not there yet, as if what the
+run scored were the baseline's true success.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.baseline.finding import margins_of
+from nw_eval.gate.outlook import percent
+from nw_eval.plural import plural
+from nw_eval.results.bank import Panel, Start, score
+from nw_eval.results.bank.start import Stratum
+from nw_eval.results.row import Row
+from nw_eval.stats import SceneCounts
+from nw_eval.stats.bank import (
+    CurvePoint,
+    GateRules,
+    Progress,
+    operating_curve,
+    progress_at,
+    rounds_for,
+)
+from nw_eval.stats.bank.simulate import success_of
+from nw_eval.suite.model import Gate
+
+_FEW = 400
+"""Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outset:
+    """What is known of a gate before its first round."""
+
+    seen: tuple[SceneCounts, ...]
+    """The baseline's trials in each scene (and cell of perturbations) that counts."""
+    rules: GateRules
+    starts: int
+    """M."""
+    known: bool
+    """Whether `seen` is the bank; else banks are drawn from it."""
+
+    @property
+    def baseline(self) -> float:
+        """B, mean success."""
+        return success_of(self.seen)
+
+    @property
+    def scenes(self) -> int:
+        """S: trials of a round."""
+        return len(self.seen)
+
+    def curve(self) -> tuple[CurvePoint, ...]:
+        """Return what the gate convicts, passes and leaves open at drops of .00 to .30."""
+        return operating_curve(self.seen, self.rules, starts=self._drawn)
+
+    def progress(self, drop: float) -> Progress:
+        """Return after how many rounds policies of this drop are judged, with all starts run."""
+        return progress_at(self.seen, self.rules, drop, starts=self._drawn)
+
+    def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
+        """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
+        worst = self.rules.margins.max_drop
+        drops = (0.0, worst / 2, worst)
+        same, half, worse = operating_curve(
+            self.seen, self.rules, starts=self._drawn, drops=drops, repetitions=_FEW
+        )
+        return same, half, worse
+
+    @property
+    def _drawn(self) -> int | None:
+        return None if self.known else self.starts
+
+
+def outset_of_bank(panel: Panel, gate: Gate) -> Outset:
+    """Return the outset of a gate against a bank.
+
+    Args:
+        panel: of the bank, on one class of machine.
+        gate: of the suite.
+
+    Raises:
+        IncomparableError: no scene of the bank counts, or its success is not above max_drop.
+    """
+    starts = min(len(found) for found in panel.by_stratum.values())
+    return _outset(panel.by_stratum, gate, starts, known=True)
+
+
+def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
+    """Return the outset of a gate against a bank that would score as a run did.
+
+    Args:
+        rows: of the run, each once.
+        gate: of the suite.
+        starts: M of the bank.
+
+    Raises:
+        StoreError: no trial of the run has a result.
+        IncomparableError: as `outset_of_bank`.
+    """
+    groups: dict[Stratum, list[Row]] = {}
+    for row in rows:
+        if row.success is not None:
+            groups.setdefault((row.scene, row.perturbation), []).append(row)
+    if not groups:
+        raise StoreError("no trial of the run has a result", fix="--resume tries them again")
+    return _outset(groups, gate, starts, known=False)
+
+
+def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
+    """Return the points of `Outset.foresee` in words."""
+    same, half, worse = points
+    return (
+        f"passes an equal policy in {percent(same.passed)}; {_fate(half)}; {_fate(worse)} "
+        "(simulated)"
+    )
+
+
+def about_more_rounds(progress: Progress, scenes: int) -> str:
+    """Return in words about how many more rounds would settle a run: a spread, never one number.
+
+    Args:
+        progress: of simulated ends of the run, after each further round that the bank has.
+        scenes: S.
+    """
+    settled, left = progress.settled, len(progress.settled)
+    if not left:
+        return "the bank has no more starts: save a larger one"
+    half, most = rounds_for(settled, 0.5), rounds_for(settled, 0.9)
+    whole = f"all {plural(left, 'round')} that the bank has left"
+    if half is None:
+        return f"chance that {whole} settle it: {percent(settled[-1])}"
+    within = f"{plural(half, 'more round')} ({plural(half * scenes, 'trial')})"
+    if most is None:
+        return f"an even chance that {within} settle it; {whole} do in {percent(settled[-1])}"
+    return f"an even chance that {within} settle it, nine in ten that {most} do"
+
+
+def _outset(
+    groups: Mapping[Stratum, Sequence[Start] | Sequence[Row]],
+    gate: Gate,
+    starts: int,
+    *,
+    known: bool,
+) -> Outset:
+    judged = sorted(place for place in groups if gate.tier(place[0]) != "informational")
+    if not judged:
+        raise IncomparableError(
+            "no scene counts against the baseline: all are informational",
+            fix="make one supporting or critical",
+        )
+    seen = tuple(_counts(groups[place]) for place in judged)
+    margins = margins_of(gate)
+    if not success_of(seen) > margins.max_drop:
+        raise IncomparableError(
+            f"the baseline's mean success is {success_of(seen):.3f}: no policy can be worse by "
+            f"max_drop {margins.max_drop:g}",
+            fix="lower max_drop, or compare with a better policy",
+        )
+    rules = GateRules(
+        tiers=tuple(gate.tier(scene) for scene, _ in judged),
+        margins=margins,
+        alpha_pass=1.0 - gate.confidence,
+        alpha_regr=gate.false_alarm,
+        rounds=min(gate.rounds, starts),
+    )
+    return Outset(seen=seen, rules=rules, starts=starts, known=known)
+
+
+def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
+    counted = ((score(trial) or 0.0, trial.waypoints_total) for trial in trials)
+    reached = [round(success * waypoints) for success, waypoints in counted]
+    return SceneCounts.of(reached, [trial.waypoints_total for trial in trials])
+
+
+def _fate(point: CurvePoint) -> str:
+    left = f", leaves {percent(point.undecided)} open" if point.undecided >= 0.01 else ""
+    return (
+        f"one {point.drop:.2g} worse: convicts {percent(point.regressed)}, passes "
+        f"{percent(point.passed)}{left}"
+    )

@@ -1,0 +1,107 @@
+"""What of a bank does not match a run: each field by name, with both values and what renews it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from shlex import quote
+
+from nw_eval.errors import IncomparableError
+from nw_eval.results.bank import SavedBank
+from nw_eval.results.bank.manifest import key_of
+from nw_eval.results.provenance import RunInfo
+from nw_eval.suite.model import Suite, new_suite
+
+_NAMED = 3  # scenes that a sentence names before it says "and more"
+
+
+def check_match(run: RunInfo, bank: SavedBank) -> None:
+    """Refuse a bank that does not hold for a run.
+
+    A run on a fresh panel differs in its seed, and may; one that was asked for some scenes only may
+    lack the others.
+
+    Raises:
+        IncomparableError: naming every field that differs.
+    """
+    faults = [*_suite_faults(run, bank), *_scene_faults(run, bank), *_simulator_faults(run, bank)]
+    if faults:
+        raise IncomparableError(
+            f"bank {bank.manifest.name} does not hold for run {run.id}: {'; '.join(faults)}",
+            fix=f"renew the bank with `{renewing(run, bank)}`",
+        )
+
+
+def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
+    """Return the command that makes a bank anew for the suite of a run.
+
+    Args:
+        run: the run.
+        bank: the bank.
+        options: what the command is to say besides, in place of --renew.
+    """
+    suite = bank.manifest.suite
+    if run.request is not None and run.request.suite is not None:
+        suite = str(run.request.suite)
+    policy = bank.manifest.policy.card or bank.manifest.policy.name
+    words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
+    return " ".join(quote(word) for word in words)
+
+
+def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run), bank.manifest.key
+    if ours.seed != theirs.seed and run.panel == "pinned":
+        yield f"its seed is {ours.seed}, the bank's {theirs.seed}"
+    if ours.protocol != theirs.protocol:
+        yield f"its protocol is {ours.protocol}, the bank's {theirs.protocol}"
+    if ours.seed == theirs.seed and run.panel == "fresh":
+        yield f"its seed {ours.seed} is the bank's, so its starts are not fresh"
+    if ours.suite_digest == theirs.suite_digest:
+        return
+    # Whatever differs besides seed and protocol is in the digest alone.
+    alike = new_suite({**run.suite, "seed": theirs.seed, "protocol": theirs.protocol})
+    if alike.digest != theirs.suite_digest:
+        digests = f"{ours.suite_digest[:8]}, the bank's {theirs.suite_digest[:8]}"
+        yield f"its suite digest is {digests}: {_what_else(alike, bank)}"
+
+
+def _what_else(suite: Suite, bank: SavedBank) -> str:
+    """Return which settings differ, as far as a bank knows its own."""
+    ours = sorted(suite.perturb.cells)
+    theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
+    if ours == theirs:
+        return "robot or episode differ"
+    return f"perturb is {_cells(ours)}, the bank's {_cells(theirs)}"
+
+
+def _cells(cells: list[tuple[tuple[str, float], ...]]) -> str:
+    return ", ".join(
+        " ".join(f"{axis} {value:g}" for axis, value in cell) or "nothing" for cell in cells
+    )
+
+
+def _scene_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run).scenes, bank.manifest.key.scenes
+    if unknown := sorted(set(ours) - set(theirs)):
+        yield f"{_scenes(unknown)} not in the bank"
+    restricted = run.request is not None and run.request.scenes is not None
+    if (absent := sorted(set(theirs) - set(ours))) and not restricted:
+        yield f"{_scenes(absent)} in the bank and not in the run"
+    changed = sorted(name for name in set(ours) & set(theirs) if ours[name] != theirs[name])
+    if changed:
+        first = changed[0]
+        digests = f"{ours[first][:8]} now, {theirs[first][:8]} in the bank"
+        more = f", and {len(changed) - 1} more" if len(changed) > 1 else ""
+        yield f"scene {first} has changed ({digests}){more}"
+
+
+def _scenes(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    plural = "s" if len(names) > 1 else ""
+    return f"scene{plural} {', '.join(names[:_NAMED])}{more} {'are' if plural else 'is'}"
+
+
+def _simulator_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run).simulator, bank.manifest.key.simulator
+    for name in sorted({*ours, *theirs}):
+        if ours.get(name) != theirs.get(name):
+            yield f"its {name} is {ours.get(name, 'none')}, the bank's {theirs.get(name, 'none')}"

@@ -1,0 +1,164 @@
+"""What a ledger keeps of one verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from hashlib import sha256
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
+
+from nw_eval.gate.baseline.comparison import Basis
+from nw_eval.gate.outlook import courses
+from nw_eval.gate.scores import by_scene
+from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.results.provenance import BaselineInfo, RunInfo
+from nw_eval.results.row import Row
+from nw_eval.stats import SceneCounts
+from nw_eval.words import PanelKind
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class SeenScene(_Line):
+    """One scene that counts: trials that ended with 0, 1, ..., k waypoints reached."""
+
+    counts: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = Field(
+        min_length=2, max_length=10_000
+    )
+    alone: bool = False
+
+    @model_validator(mode="after")
+    def _with_trials(self) -> Self:
+        if not any(self.counts):
+            raise ValueError("a scene without trials")
+        return self
+
+
+class BaselineEntry(_Line):
+    """The comparison that a verdict rests on."""
+
+    bank: str
+    digest: str
+    """Of the bank's file."""
+    basis: Basis
+    word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
+    rounds: int = Field(ge=0)
+    drop: float | None
+    max_drop: float
+    tolerate: float
+    alpha_pass: float = Field(gt=0.0, lt=1.0)
+    alpha_regr: float = Field(gt=0.0, lt=1.0)
+
+
+class LedgerEntry(_Line):
+    """One verdict: who was judged, on which starts, against what, and how."""
+
+    time: AwareDatetime
+    """When it was given."""
+    run: str
+    """The run's name."""
+    suite: str
+    suite_digest: str
+    """With the seed in it: it names the panel."""
+    panel: PanelKind
+    candidate: str
+    """The policy's name."""
+    candidate_digest: str
+    """Of checkpoint and card."""
+    word: Word
+    trials: int = Field(ge=0)
+    success: float | None
+    """Mean success, scenes weighted equally."""
+    bar: float | None
+    confidence: float = Field(gt=0.0, lt=1.0)
+    """Of each of the bar's bounds."""
+    seen: tuple[SeenScene, ...] = ()
+    baseline: BaselineEntry | None = None
+
+    @property
+    def is_test(self) -> bool:
+        """Whether chance could have given another word: not without trials, nor by a hole."""
+        is_same = self.baseline is not None and self.baseline.basis == "same"
+        return self.word in {"PASS", "REGRESSED", "INCONCLUSIVE"} and not is_same
+
+    @property
+    def scenes(self) -> list[SceneCounts]:
+        """What was seen, for `stats`."""
+        return [
+            SceneCounts(counts=np.array(scene.counts, dtype=np.int64), alone=scene.alone)
+            for scene in self.seen
+        ]
+
+    @property
+    def test(self) -> tuple[object, ...]:
+        """What is equal for two verdicts on the same trials by the same rules: one test.
+
+        More trials of a run are no other test, since the bounds hold at any look.
+        """
+        rules = self.baseline and self.baseline.model_dump(
+            include={"digest", "max_drop", "tolerate", "alpha_pass", "alpha_regr"}
+        )
+        panel = (self.candidate_digest, self.suite_digest, self.panel)
+        return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()))
+
+
+def entry_of(
+    verdict: Verdict,
+    run: RunInfo,
+    rows: Sequence[Row],
+    *,
+    time: datetime,
+    bank: BaselineInfo | None = None,
+) -> LedgerEntry:
+    """Return what a ledger keeps of a verdict.
+
+    Args:
+        verdict: that was given.
+        run: what it is on.
+        rows: that it rests on.
+        time: when it was given, with its time zone.
+        bank: that the run was compared with; the one that it was begun against if None.
+    """
+    who = f"{run.policy.checkpoint_digest}/{run.policy.card_digest}"
+    seen = courses(by_scene(rows, run.planned), verdict.per_scene)
+    return LedgerEntry(
+        time=time,
+        run=run.id,
+        suite=str(run.suite.get("name", "")),
+        suite_digest=run.suite_digest,
+        panel=run.panel,
+        candidate=run.policy.name,
+        candidate_digest=sha256(who.encode()).hexdigest(),
+        word=verdict.verdict,
+        trials=verdict.n,
+        success=verdict.effect,
+        bar=verdict.bar,
+        confidence=verdict.confidence,
+        seen=tuple(
+            SeenScene(counts=tuple(scene.counts.tolist()), alone=scene.alone) for scene in seen
+        ),
+        baseline=_baseline(verdict, bank or run.baseline),
+    )
+
+
+def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | None:
+    found = verdict.against
+    if found is None:
+        return None
+    return BaselineEntry(
+        bank=found.bank,
+        digest="" if bank is None else bank.sha256,
+        basis=found.basis,
+        word=found.word,
+        rounds=found.rounds,
+        drop=found.drop,
+        max_drop=found.max_drop,
+        tolerate=found.tolerate,
+        alpha_pass=found.alpha_pass,
+        alpha_regr=found.alpha_regr,
+    )

@@ -1,0 +1,236 @@
+"""`nw-eval baseline`: banks of a robot that stands for a fifth of a second, and what they say."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nw_eval import api, cli
+from nw_eval.engine.listener import Silence
+from nw_eval.errors import StoreError, TrialError, UsageError
+from nw_eval.results.bank.file import read_bank
+from nw_eval.results.provenance import read_run_info, write_run_info
+
+SUITE = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: stand
+trials: 2
+seed: 5
+episode: {duration: 0.2}
+scenes: [flat/carpet_room]
+record: none
+gate: {max_drop: 0.2, baseline: stand}
+"""
+
+
+@pytest.fixture(scope="module")
+def first_save(tmp_path_factory):
+    """A project with a suite, its bank of four starts, and the work folder of its trials."""
+    folder = tmp_path_factory.mktemp("project")
+    (folder / "quick.yaml").write_text(SUITE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        saved = api.save_baseline("quick.yaml", starts=4, note="the first", workers=2)
+    assert saved.action == "new"
+    return folder
+
+
+@pytest.fixture
+def project(first_save, tmp_path, monkeypatch):
+    """A copy of the project as the working directory."""
+    folder = tmp_path / "project"
+    shutil.copytree(first_save, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def work():
+    (folder,) = Path("reports").glob("bank-quick-*")
+    return folder
+
+
+def run_of(name, **engine):
+    """A copy of the work folder whose run.json says that it was made with other versions."""
+    folder = Path(shutil.copytree(work(), name))
+    run = read_run_info(folder / "run.json")
+    write_run_info(folder / "run.json", run.model_copy(update={"engine": {**run.engine, **engine}}))
+    return folder
+
+
+def printed(capsys, *arguments, code=0):
+    with pytest.raises(SystemExit) as left:
+        cli.main(["baseline", *arguments])
+    shown = capsys.readouterr()
+    assert left.value.code == code, shown.err
+    return shown.out + shown.err
+
+
+def test_a_bank_lies_where_a_gate_looks_for_it_and_says_where_its_policy_is(project):
+    bank = read_bank(Path("reports/baselines/quick/stand.parquet"))
+    assert bank.manifest.starts == 4
+    assert bank.manifest.note == "the first"
+    assert bank.manifest.policy.card == "stand"
+    assert [start.seed_index for start in bank.panels[0].starts] == [0, 1, 2, 3]
+    assert str(project) not in bank.manifest.model_dump_json()
+
+
+def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
+    file = project / "reports/baselines/quick/stand.parquet"
+    before = file.read_bytes()
+    shutil.rmtree(work())
+    saved = api.save_baseline("quick.yaml")
+    assert (saved.action, file.read_bytes()) == ("unchanged", before)
+    assert not list(Path("reports").glob("bank-quick-*"))
+
+
+@pytest.mark.usefixtures("project")
+def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bank():
+    class Impatient(Silence):
+        def trial(self, row):  # noqa: ARG002  # The first one is enough.
+            os.kill(os.getpid(), signal.SIGINT)
+
+    file = Path("reports/baselines/quick/stand.parquet")
+    before = read_bank(file)
+    file.unlink()
+    journal = work() / "journal.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:2]))
+    with pytest.raises(KeyboardInterrupt):
+        api.save_baseline("quick.yaml", starts=4, workers=1, listener=Impatient())
+    assert not file.exists()
+    assert 3 <= len(journal.read_bytes().splitlines()) < 5
+    saved = api.save_baseline("quick.yaml", starts=4, workers=1)
+    assert saved.action == "new"
+    assert saved.bank.panels == before.panels
+    assert len(journal.read_bytes().splitlines()) == 5
+
+
+@pytest.mark.usefixtures("project")
+def test_a_run_that_is_not_whole_leaves_no_file():
+    run = run_of("half")
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (run / "journal.jsonl").write_bytes(b"".join(lines[:3]))
+    write_run_info(
+        run / "run.json", read_run_info(run / "run.json").model_copy(update={"rows_digest": ""})
+    )
+    with pytest.raises(TrialError, match="has 2 of its 4 trials"):
+        api.save_baseline("quick.yaml", from_run=run, name="half")
+    assert not Path("reports/baselines/quick/half.parquet").exists()
+
+
+@pytest.mark.usefixtures("project")
+def test_a_run_on_another_class_of_machine_is_a_second_panel(capsys):
+    shown = printed(capsys, "save", "quick.yaml", "--from", str(run_of("there", cpu="haswell")))
+    assert "which has this class of machine now, too (2 panels): cpu haswell" in shown
+    file = Path("reports/baselines/quick/stand.parquet")
+    assert [panel.machine["cpu"] for panel in read_bank(file).panels][1] == "haswell"
+    assert "0 of 4 starts went another way than on panel 1" in printed(capsys, "show", "stand")
+
+
+@pytest.mark.usefixtures("project")
+def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_was_shown(capsys):
+    run = str(run_of("newer", mujoco="4.9.9"))
+    file = Path("reports/baselines/quick/stand.parquet")
+    before = file.read_bytes()
+    shown = printed(capsys, "save", "quick.yaml", "--from", run, code=5)
+    assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
+    assert "--renew replaces it" in shown
+    assert file.read_bytes() == before
+    shown = printed(capsys, "save", "quick.yaml", "--from", run, "--renew", "--note", "new MuJoCo")
+    assert "renewed reports/baselines/quick/stand.parquet" in shown
+    assert read_bank(file).manifest.key.simulator["mujoco"] == "4.9.9"
+    assert read_bank(file).manifest.note == "new MuJoCo"
+    # Here it is MuJoCo 4.0.0 still.
+    shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
+    assert shown.splitlines()[:2] == [
+        "INVALID: bank stand does not hold here",
+        "simulator mujoco  4.9.9 -> 4.0.0",
+    ]
+    assert "renew it with `nw-eval baseline save quick.yaml --policy stand --renew`" in shown
+
+
+def test_a_check_names_what_the_suite_says_otherwise_and_whether_the_machine_is_known(
+    project, capsys
+):
+    shown = printed(capsys, "check", "quick/stand", "--suite", "quick.yaml")
+    assert "holds here: suite, scenes, protocol, simulator, policy" in shown
+    assert "it has a panel of this class of machine" in shown
+    (project / "quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
+    shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
+    assert "suite seed    5 -> 6" in shown
+    (project / "quick.yaml").write_text(SUITE.replace("max_drop: 0.2", "max_drop: 0.3"))
+    printed(capsys, "check", "stand", "--suite", "quick.yaml")
+
+
+@pytest.mark.usefixtures("project")
+def test_banks_are_listed_with_what_is_wrong_with_one(capsys):
+    folder = Path("reports/baselines/quick")
+    shutil.copy(folder / "stand.parquet", folder / "copied.parquet")
+    (folder / "torn.parquet").write_bytes((folder / "stand.parquet").read_bytes()[:-9])
+    lines = printed(capsys, "list").splitlines()
+    shown = {line.split()[0]: line for line in lines if line.startswith("quick/")}
+    assert "1 scene x 4" in shown["quick/stand"]
+    assert shown["quick/stand"].endswith("the first")
+    assert "its manifest calls it stand, its file is copied.parquet" in shown["quick/copied"]
+    assert "torn.parquet is damaged" in shown["quick/torn"]
+
+
+@pytest.mark.usefixtures("project")
+def test_two_banks_are_compared_scene_by_scene(capsys):
+    api.save_baseline("quick.yaml", from_run=run_of("newer", mujoco="4.9.9"), name="newer")
+    shown = printed(capsys, "diff", "stand", "newer")
+    assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
+    assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4            none" in shown
+    assert "No start went another way." in shown
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"from_run": "there", "starts": 3}, "--from and --starts: the run has decided that"),
+        ({"name": "a/b"}, "a bank's name: 'a/b' is no name"),
+        ({"starts": 0}, "--starts 0; give at least 1"),
+        ({"from_run": "nowhere"}, "nowhere is not the folder of a run"),
+    ],
+)
+@pytest.mark.usefixtures("project")
+def test_what_cannot_be_saved_is_refused_before_anything_runs(options, sentence):
+    with pytest.raises(UsageError, match=sentence):
+        api.save_baseline("quick.yaml", **options)
+
+
+def test_a_run_of_another_suite_is_refused(project):
+    run = run_of("there")
+    (project / "slow.yaml").write_text(SUITE.replace("name: quick", "name: slow"))
+    with pytest.raises(UsageError, match="there is a run of suite 'quick', not 'slow'"):
+        api.save_baseline("slow.yaml", from_run=run)
+
+
+@pytest.mark.usefixtures("project")
+def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
+    code = (
+        "import sys\nfrom nw_eval import cli\n"
+        "for words in (['list'], ['show', 'stand'], ['diff', 'stand', 'stand']):\n"
+        "    try: cli.main(['baseline', *words])\n"
+        "    except SystemExit as left: assert left.code == 0\n"
+        "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'embreex', 'pyarrow'}\n"
+        "print(sorted(heavy & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.usefixtures("project")
+def test_a_bank_that_is_damaged_is_not_written_over():
+    file = Path("reports/baselines/quick/stand.parquet")
+    run = run_of("there")
+    file.write_bytes(file.read_bytes()[:-9])
+    with pytest.raises(StoreError, match="is damaged"):
+        api.save_baseline("quick.yaml", from_run=run)

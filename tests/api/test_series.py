@@ -1,0 +1,74 @@
+"""Which checkpoint of a series fell first, by real trials in one scene."""
+
+import shutil
+
+import numpy as np
+import onnx
+import pytest
+from onnx import numpy_helper
+
+from nw_eval import api
+from nw_eval.cli.text.series import series_page
+from nw_eval.errors import PolicyError
+from nw_eval.policies import load_bundle
+
+SUITE = """\
+nw-eval: 1
+name: one
+robot: go1
+policy: go1-parkour
+trials: 2
+seed: 7
+episode: {duration: 8.0}
+scenes: [hurdles/one_low_carpet]
+gate: {success_rate: 0.99, max_drop: 0.3, rounds: 4}
+"""
+
+
+@pytest.fixture
+def series(tmp_path, monkeypatch):
+    """A good checkpoint, two copies of it, and two whose network answers nothing."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.yaml").write_text(SUITE)
+    good = load_bundle("go1-parkour").checkpoint
+    for name in ("good", "second", "third"):
+        shutil.copy(good, tmp_path / f"{name}.onnx")
+    graph = onnx.load(good)
+    for weights in graph.graph.initializer:
+        array = numpy_helper.to_array(weights)
+        if array.dtype == np.float32:
+            weights.CopyFrom(numpy_helper.from_array(np.zeros_like(array), weights.name))
+    for name in ("fourth", "last"):
+        onnx.save(graph, tmp_path / f"{name}.onnx")
+    return ["second.onnx", "third.onnx", "fourth.onnx"]
+
+
+@pytest.mark.slow
+def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_was(series):
+    heard = []
+    settings = {"good": "good.onnx", "bad": "last.onnx", "starts": 12, "workers": 2}
+    found = api.bisect(
+        "one.yaml", series, progress=lambda name, word: heard.append((name, word)), **settings
+    )
+    assert heard == [
+        ("last.onnx", "REGRESSED"), ("third.onnx", "PASS"), ("fourth.onnx", "REGRESSED"),
+        ("second.onnx", "PASS"),
+    ]  # fmt: skip
+    assert found.found.last_good == 1
+    assert list(found.found.suspects) == [2]
+    assert found.exit_code == 1
+    assert found.trials <= 8, "what is as good as the bank costs nothing"
+    page = series_page(found)
+    assert "the first that fell: fourth.onnx; third.onnx before it passed" in page
+    again = api.bisect("one.yaml", series, **settings)
+    assert again.bank == found.bank
+    rows = [[row.state_digest for row in run.rows] for run in found.runs.values()]
+    assert rows == [[row.state_digest for row in run.rows] for run in again.runs.values()]
+    assert [run.info.started for run in again.runs.values()] == [
+        run.info.started for run in found.runs.values()
+    ]
+
+
+def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
+    with pytest.raises(PolicyError, match=r"fifth\.onnx"):
+        api.bisect("one.yaml", [*series, "fifth.onnx"], good="good.onnx", bad="last.onnx")

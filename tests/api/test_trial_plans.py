@@ -1,0 +1,251 @@
+"""How many trials a gate needs: from a bank, and from the rows of a run; nothing is run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from nw_eval import api
+from nw_eval.cli import main
+from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank.manifest import BankPolicy
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, write_run_info
+from nw_eval.results.row import Row
+from nw_eval.results.run_folder import RunFolder
+
+SUITE = """\
+nw-eval: 1
+name: two
+robot: go1
+policy: stand
+trials: 30
+seed: 7
+episode: {duration: 6.0}
+scenes: [flat/carpet_room, hurdles/one_low_carpet]
+gate: {max_drop: 0.2, rounds: 20}
+"""
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("suite") / "two.yaml"
+    path.write_text(SUITE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def plan(suite: Path):
+    return api.plan(suite)
+
+
+def reached(index: int) -> int:
+    """One trial of ten misses a waypoint."""
+    return 3 if index % 10 == 4 else 4
+
+
+@pytest.fixture(scope="module")
+def run(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the suite with 57 of 60 trials whole."""
+    folder = RunFolder(path=tmp_path_factory.mktemp("runs") / "week")
+    folder.path.mkdir()
+    suite = plan.suite
+    info = RunInfo(
+        id="week",
+        started="2026-11-21T11:00:05Z",
+        suite_file="two.yaml",
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=PolicyInfo(name="trot", checkpoint_digest="cc" * 32),
+        scenes={
+            scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=30)
+            for scene in plan.scenes
+        },
+        code=code_info(),
+        machine=machine_info(),
+        versions={"mujoco": "4.0.0"},
+    )
+    header = JournalHeader(
+        suite_digest=suite.digest,
+        policy_digest="p",
+        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
+    )
+    rows = [row(trial) for trial in plan.trials]
+    write_run_info(folder.run_json, info)
+    with Journal.create(folder.journal, header) as journal:
+        for each in rows:
+            journal.append(each)
+    write_run_info(folder.run_json, write_trials(folder, info, rows))
+    return folder.path
+
+
+def row(trial: Any) -> Row:
+    success = reached(trial.index) / 4
+    return Row(
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        task=trial.task,
+        seed_index=trial.index,
+        seed=trial.seed,
+        policy="trot",
+        status="ok",
+        outcome="completed" if success == 1.0 else "fell",
+        end_reason="waypoints",
+        completed=success == 1.0,
+        robot="go1",
+        success=success,
+        waypoints_reached=reached(trial.index),
+        waypoints_total=4,
+        steps=200,
+        sim_s=4.0,
+        physics_s=0.5,
+        render_s=1.0,
+        policy_s=0.1,
+        log_s=0.2,
+        wall_s=2.0,
+        checkpoint_digest="cc" * 32,
+        scene_digest=trial.scene_digest,
+    )
+
+
+@pytest.fixture(scope="module")
+def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bank of the suite with 30 starts in each scene."""
+    path = tmp_path_factory.mktemp("banks") / "shipped.parquet"
+    manifest = Manifest(
+        name="shipped",
+        suite="two",
+        starts=30,
+        key=BankKey(
+            suite_digest=plan.suite.digest,
+            seed=7,
+            protocol="strict",
+            scenes={scene.name: scene.digest for scene in plan.scenes},
+            simulator={"mujoco": "4.0.0"},
+        ),
+        policy=BankPolicy(name="trot", card_digest="ca" * 32, checkpoint_digest="cc" * 32),
+        panels=(PanelInfo(machine={"cpu": "x"}, saved="now", by="us", rows_digest="00" * 32),),
+    )
+    starts = sorted(
+        (
+            Start(
+                scene=trial.scene,
+                task=trial.task,
+                seed_index=trial.index,
+                success=reached(trial.index) / 4,
+                completed=reached(trial.index) == 4,
+                waypoints_reached=reached(trial.index),
+                waypoints_total=4,
+                outcome="completed" if reached(trial.index) == 4 else "fell",
+                end_reason="waypoints",
+                trajectory="0" * 16,
+            )
+            for trial in plan.trials
+        ),
+        key=lambda start: (start.scene, start.seed_index),
+    )
+    panel = Panel(machine={"cpu": "x"}, starts=tuple(starts))
+    write_bank(path, SavedBank(manifest=manifest, panels=(panel,)))
+    return path
+
+
+def test_a_bank_says_how_many_rounds_convict_a_drop(suite: Path, bank: Path) -> None:
+    planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
+    assert planned.source == "bank shipped of trot"
+    assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
+    assert planned.outset.baseline == pytest.approx(0.975)
+    assert planned.outset.rules.rounds == 20
+    assert len(planned.dropped.regressed) == 30
+    assert planned.dropped.regressed[-1] > 0.95
+    assert planned.dropped.regressed[0] < 0.5
+    at_margin = next(point for point in planned.curve if point.drop == 0.2)
+    assert at_margin.passed <= 0.05 + 0.021
+    # 60 trials of at most 6 s, two at a time, at .06 s a second; and the start.
+    assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
+
+
+def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
+    suite: Path, run: Path
+) -> None:
+    planned = api.plan_trials(suite, run=run, workers=2)
+    assert planned.source == "run week of trot"
+    assert (planned.outset.starts, planned.outset.known) == (60, False)
+    assert planned.detect == 0.2
+    again = api.plan_trials(suite, run=run, workers=2)
+    assert (planned.curve, planned.dropped) == (again.curve, again.dropped)
+
+
+def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run: Path) -> None:
+    with pytest.raises(UsageError, match="names no bank to plan with; name one with --baseline"):
+        api.plan_trials(suite)
+    with pytest.raises(UsageError, match="has no bank 'gone'"):
+        api.plan_trials(suite, baseline="gone")
+    with pytest.raises(UsageError, match="exclude each other"):
+        api.plan_trials(suite, baseline="gone", run=run)
+
+
+@pytest.mark.parametrize("drop", [0.0, -0.1, 0.975, float("nan")])
+def test_a_drop_that_no_policy_has_is_refused(suite: Path, bank: Path, drop: float) -> None:
+    with pytest.raises(UsageError, match=r"mean success is 0\.975; give a drop between"):
+        api.plan_trials(suite, baseline=str(bank), detect=drop)
+
+
+def test_a_run_or_a_bank_of_other_scenes_is_refused(suite: Path, run: Path, bank: Path) -> None:
+    other = suite.with_name("other.yaml")
+    other.write_text(SUITE.replace("flat/carpet_room, ", ""))
+    for source in ({"run": run}, {"baseline": str(bank)}):
+        with pytest.raises(IncomparableError, match="flat/carpet_room is in one of them only"):
+            api.plan_trials(other, **source)
+    other.write_text(SUITE.replace("seed: 7", "seed: 8"))
+    with pytest.raises(IncomparableError, match="its suite digest is"):
+        api.plan_trials(other, run=run)
+
+
+def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: Path) -> None:
+    other = suite.with_name("lax.yaml")
+    other.write_text(SUITE.replace("max_drop: 0.2", "max_drop: 0.98"))
+    with pytest.raises(IncomparableError, match=r"no policy can be worse by max_drop 0\.98"):
+        api.plan_trials(other, run=run)
+
+
+def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
+    other = suite.with_name("named.yaml")
+    other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
+    with pytest.raises(UsageError, match="has no bank 'gone'"):
+        api.plan_trials(other)
+    assert api.plan_trials(other, run=run).source == "run week of trot"
+
+
+def test_the_page_says_rounds_minutes_and_the_curve(
+    suite: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    png = tmp_path / "curve.png"
+    with pytest.raises(SystemExit) as left:
+        main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--png", str(png)])
+    assert left.value.code == 0
+    page = capsys.readouterr().out
+    assert "two: at most 20 rounds of 2 trials" in page
+    assert "a drop of 0.4 is convicted in 80 % within" in page
+    assert "drop  REGRESSED" in page
+    assert page.count("\n0.") == 16
+    with Image.open(png) as picture:
+        assert picture.size == (800, 560)
+    assert png.stat().st_size < 100_000
+
+
+def test_a_drop_that_no_number_of_rounds_convicts_is_called_so(
+    suite: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["plan", str(suite), "--run", str(run), "--detect", "0.04"])
+    page = capsys.readouterr().out
+    assert "a drop of 0.04 is convicted in no more than" in page
+    assert "however many of the starts are run" in page

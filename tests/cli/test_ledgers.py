@@ -1,0 +1,44 @@
+"""`--ledger` keeps the verdicts on runs, and `nw-eval ledger` reckons them up."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from nw_eval import api, cli
+from nw_eval.errors import StoreError
+from nw_eval.gate.ledger.file import read_ledger
+
+
+def left(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(word) for word in arguments])
+    return ended.value.code
+
+
+def test_verdicts_of_runs_and_gates_are_kept_and_reckoned_up(
+    regressed_run, tmp_path, monkeypatch, capsys
+):
+    shutil.copytree(regressed_run, tmp_path / "again")
+    monkeypatch.chdir(tmp_path)
+    assert left("run", "--resume", "again", "-j", 1, "--ledger", "all/ledger.jsonl") == 1
+    assert left("gate", "again", "--ledger", "all/ledger.jsonl") == 1
+    first, second = read_ledger(tmp_path / "all/ledger.jsonl").entries
+    assert (first.candidate, first.word, first.trials) == ("stand", "REGRESSED", 2)
+    assert first.test == second.test, "the same trials by the same rules"
+    report = api.read_ledger("all/ledger.jsonl")
+    assert (report.entries, report.judged_again) == (2, 1)
+    capsys.readouterr()
+    assert left("ledger", "all/ledger.jsonl") == 0
+    assert "2 verdicts (2 REGRESSED)" in capsys.readouterr().out
+
+
+def test_a_ledger_that_cannot_be_written_costs_no_verdict(regressed_run, tmp_path, capsys):
+    (tmp_path / "ledger.jsonl").mkdir()
+    assert left("gate", regressed_run, "--ledger", tmp_path / "ledger.jsonl") == 4
+    shown = capsys.readouterr()
+    assert "REGRESSED" in shown.out
+    assert "cannot write" in shown.err
+    with pytest.raises(StoreError, match="no ledger at"):
+        api.read_ledger(tmp_path / "ledger.jsonl")

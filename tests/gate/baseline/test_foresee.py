@@ -1,0 +1,122 @@
+"""What a gate would show of policies that it has not met, from banks and from rows."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.baseline.foresee import (
+    about_more_rounds,
+    in_a_sentence,
+    outset_of_bank,
+    outset_of_rows,
+)
+from nw_eval.stats.bank import CurvePoint, Progress
+from nw_eval.suite.model import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Make = Callable[..., Any]
+
+GOOD = [1.0] * 29 + [0.75]
+GATE = Gate.model_validate({"max_drop": 0.2, "tiers": {"d": "informational", "b": "critical"}})
+
+
+@pytest.fixture
+def panel(make_run: Make, make_bank: Make) -> Any:
+    run = make_run("abcd", 30)
+    return make_bank(run, dict.fromkeys("abcd", GOOD)).panels[0]
+
+
+def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel: Any) -> None:
+    outset = outset_of_bank(panel, GATE)
+    assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 0, 1, 29]] * 3
+    assert outset.rules.tiers == ("supporting", "critical", "supporting")
+    assert (outset.scenes, outset.starts, outset.known) == (3, 30, True)
+    assert outset.baseline == pytest.approx(1 - 0.25 / 30)
+    assert (outset.rules.alpha_pass, outset.rules.alpha_regr) == (pytest.approx(0.05), 0.01)
+    assert (outset.rules.margins.max_drop, outset.rules.rounds) == (0.2, 20)
+
+
+def test_no_more_rounds_are_foreseen_than_a_bank_has_starts(
+    make_run: Make, make_bank: Make
+) -> None:
+    small = make_bank(make_run("ab", 8), {name: [1.0] * 8 for name in "ab"}).panels[0]
+    assert outset_of_bank(small, GATE).rules.rounds == 8
+
+
+def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel: Any) -> None:
+    failed = dataclasses.replace(panel.starts[0], outcome="policy_failed", success=0.5)
+    changed = dataclasses.replace(panel, starts=(failed, *panel.starts[1:]))
+    assert outset_of_bank(changed, GATE).seen[0].counts.tolist() == [1, 0, 0, 1, 28]
+
+
+def test_rows_are_counted_where_they_have_a_result(make_run: Make, run_rows: Make) -> None:
+    rows = run_rows(make_run("ab", 5), {"a": [1.0, None, 0.5, 1.0, 1.0], "b": [1.0] * 5})
+    outset = outset_of_rows(rows, GATE, starts=60)
+    assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 1, 0, 3], [0, 0, 0, 0, 5]]
+    assert (outset.starts, outset.known) == (60, False)
+    assert outset.baseline == pytest.approx((0.875 + 1.0) / 2)
+    crashed = run_rows(make_run("a", 2), {"a": [None, None]})
+    with pytest.raises(StoreError, match="no trial of the run has a result"):
+        outset_of_rows(crashed, GATE, starts=60)
+
+
+def test_cells_of_perturbations_are_scenes_of_their_own(make_run: Make, run_rows: Make) -> None:
+    icy = ("a", (("friction", 0.5),))
+    run = make_run("a", 2, suite={"perturb": {"friction": (0.5, 1.0)}})
+    rows = run_rows(run, {icy: [0.5, 0.5], ("a", (("friction", 1.0),)): [1.0, 1.0]})
+    outset = outset_of_rows(rows, GATE, starts=60)
+    assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 2, 0, 0], [0, 0, 0, 0, 2]]
+
+
+def test_what_nobody_can_drop_from_is_refused(panel: Any) -> None:
+    with pytest.raises(IncomparableError, match="no scene counts"):
+        outset_of_bank(panel, Gate.model_validate({"tiers": {"*": "informational"}}))
+    with pytest.raises(IncomparableError, match=r"mean success is 0\.992: no policy can be worse"):
+        outset_of_bank(panel, Gate.model_validate({"max_drop": 0.995}))
+
+
+def test_three_points_are_foreseen_and_said(panel: Any) -> None:
+    outset = outset_of_bank(panel, GATE)
+    same, half, worse = outset.foresee()
+    assert (same.drop, half.drop, worse.drop) == (0.0, 0.1, 0.2)
+    assert same.passed > 0.95
+    assert worse.passed <= 0.05 + 0.033
+    assert outset.foresee() == (same, half, worse)
+    points = [
+        CurvePoint(drop=0.0, passed=0.998, regressed=0.0, rounds=3.0),
+        CurvePoint(drop=0.05, passed=0.66, regressed=0.3, rounds=9.0),
+        CurvePoint(drop=0.1, passed=0.03, regressed=0.97, rounds=6.0),
+    ]
+    assert in_a_sentence((points[0], points[1], points[2])) == (
+        "passes an equal policy in over 99 %; one 0.05 worse: convicts 30 %, passes 66 %, leaves "
+        "4 % open; one 0.1 worse: convicts 97 %, passes 3 % (simulated)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("passed", "words"),
+    [
+        ((), "the bank has no more starts: save a larger one"),
+        ((0.0, 0.2), "chance that all 2 rounds that the bank has left settle it: 20 %"),
+        (
+            (0.1, 0.5, 0.7),
+            (
+                "an even chance that 2 more rounds (32 trials) settle it; "
+                "all 3 rounds that the bank has left do in 70 %"
+            ),
+        ),
+        (
+            (0.6, 0.8, 0.95),
+            "an even chance that 1 more round (16 trials) settle it, nine in ten that 3 do",
+        ),
+    ],
+)
+def test_about_how_many_more_rounds_is_a_spread(passed: tuple[float, ...], words: str) -> None:
+    progress = Progress(passed=passed, regressed=tuple(0.0 for _ in passed))
+    assert about_more_rounds(progress, 16) == words

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval.errors import IncomparableError
+from nw_eval.gate.baseline.match import check_match
+from nw_eval.request import Request
+from nw_eval.results.provenance import SceneInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.provenance import RunInfo
+
+    Make = Callable[..., Any]
+
+RENEW = "; renew the bank with `nw-eval baseline save hurdles --policy go1-act-rgb --renew`"
+
+
+@pytest.fixture
+def run(make_run: Make) -> RunInfo:
+    return make_run(["a", "b"], 10)
+
+
+@pytest.fixture
+def bank(run: RunInfo, make_bank: Make) -> SavedBank:
+    return make_bank(run, {"a": [1.0] * 30, "b": [1.0] * 30})
+
+
+def refusal(run: RunInfo, bank: SavedBank) -> str:
+    with pytest.raises(IncomparableError) as caught:
+        check_match(run, bank)
+    assert caught.value.exit_code == 5
+    prefix = f"bank shipped does not hold for run {run.id}: "
+    message = str(caught.value)
+    assert message.startswith(prefix)
+    assert message.endswith(RENEW)
+    assert "\n" not in message
+    return message.removeprefix(prefix).removesuffix(RENEW)
+
+
+def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: SavedBank) -> None:
+    check_match(run, bank)
+    # The class of machine is no part of it, nor are the number of trials and the gate.
+    elsewhere = {**run.engine, "cpu": "haswell", "torch": "2.9", "code": "0" * 16}
+    changed = {**run.suite, "trials": 3, "gate": {**run.suite["gate"], "max_drop": 0.3}}
+    check_match(run.model_copy(update={"engine": elsewhere, "suite": changed}), bank)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"seed": 5}, "its seed is 5, the bank's 20261"),
+        ({"protocol": "neverwhere-2026"}, "its protocol is neverwhere-2026, the bank's strict"),
+    ],
+)
+def test_what_names_the_starts_is_named_with_both_values(
+    make_run: Make, bank: SavedBank, settings: dict[str, Any], words: str
+) -> None:
+    assert refusal(make_run(["a", "b"], 10, suite=settings), bank) == words
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"robot": "go2"}, "robot or episode differ"),
+        ({"episode": {"duration": 20.0}}, "robot or episode differ"),
+        ({"perturb": {"friction": (0.6, 1.0)}}, "perturb is friction 0.6, friction 1, the bank's "),
+    ],
+)
+def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_told(
+    make_run: Make, bank: SavedBank, settings: dict[str, Any], words: str
+) -> None:
+    run = make_run(["a", "b"], 10, suite=settings)
+    digests = f"{run.suite_digest[:8]}, the bank's {bank.manifest.key.suite_digest[:8]}"
+    assert refusal(run, bank).startswith(f"its suite digest is {digests}: {words}")
+
+
+@pytest.mark.parametrize("name", ["mujoco", "embreex", "renderer"])
+def test_another_version_of_the_simulator_is_another_world(
+    run: RunInfo, bank: SavedBank, name: str
+) -> None:
+    newer = run.model_copy(update={"engine": {**run.engine, name: "9.9"}})
+    assert refusal(newer, bank) == f"its {name} is 9.9, the bank's {run.engine[name]}"
+    without = {key: value for key, value in run.engine.items() if key != name}
+    assert refusal(run.model_copy(update={"engine": without}), bank).startswith(
+        f"its {name} is none, the bank's "
+    )
+
+
+def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
+    run: RunInfo, bank: SavedBank, make_run: Make
+) -> None:
+    assert refusal(make_run(["a", "b", "c"], 10), bank) == "scene c is not in the bank"
+    fewer = make_run(["a"], 10)
+    assert refusal(fewer, bank) == "scene b is in the bank and not in the run"
+    changed = {**run.scenes, "b": SceneInfo(digest="99" * 32, task="hurdles", trials=10)}
+    assert refusal(run.model_copy(update={"scenes": changed}), bank) == (
+        "scene b has changed (99999999 now, dddddddd in the bank)"
+    )
+
+
+def test_a_run_that_was_asked_for_some_scenes_is_compared_in_those(
+    make_run: Make, bank: SavedBank
+) -> None:
+    run = make_run(["a"], 10, request=Request(suite="hurdles", scenes=("a",)))
+    check_match(run, bank)
+
+
+def test_every_fault_is_told_at_once(make_run: Make, bank: SavedBank) -> None:
+    run = make_run(["a", "c"], 10, suite={"seed": 5}, engine={})
+    words = refusal(run, bank)
+    for part in ("seed is 5", "scene c is not", "scene b is in the bank", "mujoco is none"):
+        assert part in words
+
+
+def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
+    make_run: Make, bank: SavedBank
+) -> None:
+    check_match(make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5}), bank)
+    same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
+    assert same == "its seed 20261 is the bank's, so its starts are not fresh"
+    other = make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5, "robot": "go2"})
+    assert refusal(other, bank).endswith("robot or episode differ")
+
+
+def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
+    make_run: Make, make_bank: Make
+) -> None:
+    run = make_run(["a"], 10, request=Request(suite="my suites/own.yaml"))
+    bank = make_bank(run, {"a": [1.0]})
+    policy = bank.manifest.policy.model_copy(update={"card": "policies/own/policy.yaml"})
+    bank = replace(bank, manifest=bank.manifest.model_copy(update={"policy": policy}))
+    with pytest.raises(IncomparableError) as caught:
+        check_match(run.model_copy(update={"engine": {}}), bank)
+    assert str(caught.value).endswith(
+        "`nw-eval baseline save 'my suites/own.yaml' --policy policies/own/policy.yaml --renew`"
+    )

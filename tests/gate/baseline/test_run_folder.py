@@ -1,0 +1,232 @@
+"""From a run's folder and a bank's file to the verdict, as `nw-eval gate` and `report` take it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval import api
+from nw_eval.cli import main
+from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.results.bank.file import write_bank
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.provenance import BaselineInfo, write_run_info
+from nw_eval.results.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+    Make = Callable[..., Any]
+
+BANK = Path("reports/baselines/hurdles/shipped.parquet")
+GATE = {"gate": {"max_drop": 0.1}}
+
+
+def write_run(run: RunInfo, rows: Iterable[Row]) -> str:
+    """Write a run that has ended with these rows; their seeds become those of its trials."""
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+
+    folder = RunFolder(path=Path("run"))
+    folder.path.mkdir()
+    seeds = {trial.id: trial.seed for trial in saved_trials(run, saved_suite(run))}
+    kept = [replace(row, seed=seeds[row.trial_id]) for row in rows]
+    header = JournalHeader(
+        suite_digest=run.suite_digest,
+        policy_digest=run.policy.card_digest,
+        scene_digests={name: scene.digest for name, scene in run.scenes.items()},
+        engine=run.engine,
+    )
+    with Journal.create(folder.journal, header) as journal:
+        for row in kept:
+            journal.append(row)
+    write_run_info(folder.run_json, write_trials(folder, run, kept))
+    return "run"
+
+
+def keep(bank: SavedBank, path: Path = BANK) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bank(path, bank)
+
+
+@pytest.fixture(autouse=True)
+def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def run(make_run: Make) -> RunInfo:
+    return make_run(["a", "b", "c", "d"], 20, drawn_from=60, suite=GATE)
+
+
+@pytest.fixture
+def bank(run: RunInfo, make_bank: Make) -> SavedBank:
+    return make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60})
+
+
+def like(low: float = 1.0) -> dict[str, list[float]]:
+    return {"a": [low] * 20, "b": [1.0] * 20, "c": [0.5, 1.0] * 10, "d": [1.0] * 20}
+
+
+def gate(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["gate", *words])
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_asked_for(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep(bank)
+    folder = write_run(run, drawn_rows(run, like()))
+    assert gate(folder, "--baseline", str(BANK), "--out", "page.md") == 0
+    out = capsys.readouterr().out
+    assert "PASS \u00b7 baseline shipped 0.938, drop " in out
+    assert out.endswith("report: page.md\n")
+    assert Path("page.md").read_text(encoding="utf-8").startswith("# PASS \u00b7 baseline shipped")
+    assert not Path("run/report.md").exists()
+
+
+def test_a_drop_regresses_and_names_the_scene(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep(bank)
+    folder = write_run(run, drawn_rows(run, like(low=0.25)))
+    assert gate(folder, "--baseline", "shipped") == 1
+    out = capsys.readouterr().out
+    assert "report:" not in out
+    reasons = " ".join(out.partition("REGRESSED")[2].split())
+    assert "* a fell from 1.00 to 0.25, from waypoint 2 on" in reasons
+    assert "80 trials ran and no bar was judged" in reasons
+    # The suite's own margins give way to those that are asked for.
+    judged = api.judge(folder, baseline="shipped", max_drop=0.6, tolerate=0.3)
+    assert judged.verdict.verdict == "PASS"
+    assert judged.verdict.against is not None
+    assert (judged.verdict.against.max_drop, judged.verdict.against.tolerate) == (0.6, 0.3)
+    with pytest.raises(UsageError, match=r"tolerate 0.3 is over max_drop 0.1"):
+        api.judge(folder, baseline="shipped", tolerate=0.3)
+    with pytest.raises(UsageError, match=r"--max-drop 2.0: "):
+        api.judge(folder, baseline="shipped", max_drop=2.0)
+
+
+def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(
+    run: RunInfo, drawn_rows: Make
+) -> None:
+    folder = write_run(run, drawn_rows(run, like()))
+    for judged in (api.judge(folder), api.judge(folder, baseline="none"), api.report(folder)):
+        assert (judged.verdict.verdict, judged.verdict.against) == ("RAN", None)
+        assert judged.verdict.reasons[-1] == (
+            "max_drop 0.1 was not judged: there is no baseline to compare with; `nw-eval baseline "
+            "save hurdles --policy POLICY` makes one, --baseline names it"
+        )
+
+
+def test_the_bank_that_a_suite_names_is_the_default(
+    make_run: Make, make_bank: Make, drawn_rows: Make
+) -> None:
+    run = make_run(["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped"}})
+    keep(make_bank(run, {"a": [1.0] * 60}))
+    folder = write_run(run, drawn_rows(run, {"a": [1.0] * 20}))
+    assert api.judge(folder).verdict.against is not None
+    assert api.judge(folder, baseline="none").verdict.against is None
+    # A report is of the run as it was begun: against nothing.
+    assert api.report(folder).verdict.against is None
+
+
+def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, make_bank: Make
+) -> None:
+    keep(bank)
+    content = BANK.read_bytes()
+    info = BaselineInfo(
+        name="shipped", path=str(BANK.resolve()), sha256=sha256(content).hexdigest()
+    )
+    begun = run.model_copy(update={"baseline": info})
+    folder = write_run(begun, drawn_rows(run, like(low=0.25)))
+    copy = RunFolder(path=Path(folder)).bank("shipped")
+    copy.parent.mkdir()
+    copy.write_bytes(content)
+    # Whatever becomes of the file, the run's own copy is what it was judged by.
+    keep(make_bank(run, {name: [0.25] * 60 for name in "abcd"}))
+    judged = api.report(folder)
+    assert judged.verdict.verdict == "REGRESSED"
+    assert api.judge(folder).verdict == judged.verdict
+    assert "## Against the baseline" in Path("run/report.md").read_text(encoding="utf-8")
+    assert api.judge(folder, baseline="shipped").verdict.verdict == "PASS"
+    copy.unlink()
+    gone = api.report(folder).verdict
+    assert (gone.verdict, gone.exit_code) == ("INVALID", 5)
+    assert "neither its copy of it nor" in gone.reasons[0]
+    with pytest.raises(IncomparableError, match="neither its copy of it nor"):
+        api.judge(folder)
+
+
+def test_a_machine_on_which_the_baseline_has_moved_makes_a_run_invalid(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make
+) -> None:
+    keep(bank)
+    digest = sha256(BANK.read_bytes()).hexdigest()
+    moved = ("the bank's own policy scores worse here",)
+    info = BaselineInfo(name="shipped", path=str(BANK.resolve()), sha256=digest, moved=moved)
+    begun = run.model_copy(update={"baseline": info, "stopped_after": 0})
+    judged = api.report(write_run(begun, drawn_rows(run, {})))
+    assert (judged.verdict.verdict, judged.exit_code) == ("INVALID", 5)
+    assert judged.verdict.reasons == moved
+
+
+def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    key = bank.manifest.key
+    newer = key.model_copy(update={"simulator": {**key.simulator, "mujoco": "9.9"}})
+    keep(replace(bank, manifest=bank.manifest.model_copy(update={"key": newer})))
+    folder = write_run(run, drawn_rows(run, like()))
+    assert gate(folder, "--baseline", "shipped") == 5
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "its mujoco is 4.0.0, the bank's 9.9" in err
+    assert "nw-eval baseline save hurdles --policy go1-act-rgb --renew" in err
+    assert gate(folder, "--baseline", "other") == 2
+    assert gate("nowhere", "--baseline", "shipped") == 2
+
+
+def test_damaged_rows_and_rows_that_are_none_are_named(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make
+) -> None:
+    keep(bank)
+    folder = write_run(run, drawn_rows(run, like()))
+    journal = Path("run/journal.jsonl")
+    Path("run/trials.parquet").unlink()
+    journal.write_text(
+        journal.read_text(encoding="utf-8").replace('"success":1.0', '"success":NaN'),
+        encoding="utf-8",
+    )
+    with pytest.raises(StoreError):
+        api.judge(folder, baseline="shipped")
+
+
+def test_judging_needs_no_simulator(run: RunInfo, bank: SavedBank, drawn_rows: Make) -> None:
+    keep(bank)
+    folder = write_run(run, drawn_rows(run, like()))
+    code = (
+        "import sys\n"
+        "from nw_eval.cli import main\n"
+        "try:\n"
+        f"    main(['gate', {folder!r}, '--baseline', 'shipped', '--out', 'page.md'])\n"
+        "finally:\n"
+        "    heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'embreex', 'matplotlib'}\n"
+        "    print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "[]"), done.stderr

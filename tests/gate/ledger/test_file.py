@@ -1,0 +1,169 @@
+"""A ledger keeps every verdict, also where gates are killed or end at once."""
+
+from __future__ import annotations
+
+import json
+import random
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval.errors import StoreError
+from nw_eval.gate.absolute import judge
+from nw_eval.gate.ledger.file import append_entry, append_verdict, read_ledger
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.seal import seal
+from nw_eval.suite.model import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from nw_eval.gate.ledger.entry import LedgerEntry
+    from nw_eval.results.row import Row
+
+
+@pytest.fixture
+def entries(make_entry: Callable[..., LedgerEntry]) -> list[LedgerEntry]:
+    return [make_entry(days=day, checkpoint=day) for day in range(4)]
+
+
+@pytest.fixture
+def ledger(tmp_path: Path, entries: list[LedgerEntry]) -> Path:
+    path = tmp_path / "gates" / "ledger.jsonl"
+    for entry in entries:
+        append_entry(path, entry)
+    return path
+
+
+def test_verdicts_come_back_in_their_order(ledger: Path, entries: list[LedgerEntry]) -> None:
+    contents = read_ledger(ledger)
+    assert contents.entries == tuple(entries)
+    assert contents.dropped is None
+    assert len(ledger.read_bytes().splitlines()) == 5
+
+
+def test_a_torn_line_is_dropped_and_cut_off_before_the_next(
+    ledger: Path, entries: list[LedgerEntry]
+) -> None:
+    ledger.write_bytes(ledger.read_bytes()[:-30])
+    contents = read_ledger(ledger)
+    assert contents.entries == tuple(entries[:3])
+    assert "ledger.jsonl:5: dropped a line that was cut off" in str(contents.dropped)
+    append_entry(ledger, entries[3])
+    assert read_ledger(ledger).entries == tuple(entries)
+
+
+def test_a_first_line_that_was_torn_is_begun_again(
+    tmp_path: Path, entries: list[LedgerEntry]
+) -> None:
+    path = tmp_path / "l.jsonl"
+    path.write_bytes(b'{"ledg')
+    append_entry(path, entries[0])
+    assert read_ledger(path).entries == (entries[0],)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3])
+def test_a_verdict_that_one_would_rather_forget_is_missed(ledger: Path, place: int) -> None:
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    del lines[place]
+    ledger.write_bytes(b"".join(lines))
+    with pytest.raises(StoreError, match=rf"ledger\.jsonl:{place + 1}: damaged \(its checksum is"):
+        read_ledger(ledger)
+
+
+def test_nothing_is_appended_to_a_ledger_that_is_damaged(
+    ledger: Path, entries: list[LedgerEntry]
+) -> None:
+    damaged = ledger.read_bytes().replace(b'"word":"PASS"', b'"word":"RAN"', 1)
+    ledger.write_bytes(damaged)
+    with pytest.raises(StoreError, match="damaged"):
+        append_entry(ledger, entries[0])
+    assert ledger.read_bytes() == damaged
+
+
+def test_three_hundred_kinds_of_damage_are_never_read_as_other_verdicts(
+    ledger: Path, entries: list[LedgerEntry]
+) -> None:
+    whole, rng, refused = ledger.read_bytes(), random.Random(4), 0
+    for _ in range(300):
+        data = bytearray(whole)
+        at = rng.randrange(len(data))
+        match rng.choice(["flip", "cut", "remove"]):
+            case "flip":
+                data[at] ^= 1 << rng.randrange(8)
+            case "cut":
+                del data[at:]
+            case "remove":
+                del data[at : at + rng.choice([1, 9, 300])]
+        ledger.write_bytes(bytes(data))
+        try:
+            found = read_ledger(ledger).entries
+        except StoreError:
+            refused += 1
+        else:
+            assert found == tuple(entries[: len(found)])
+    assert refused > 150
+
+
+@pytest.mark.parametrize(
+    ("record", "sentence"),
+    [
+        ({"row": {}}, "is no ledger"),
+        ({"ledger": 2}, "a ledger of version 2, this nw-eval reads 1"),
+        (["ledger"], "damaged"),
+    ],
+)
+def test_another_kind_of_file_is_told_apart(tmp_path: Path, record: Any, sentence: str) -> None:
+    path = tmp_path / "l.jsonl"
+    text = json.dumps(record) if isinstance(record, list) else seal(json.dumps(record))[0]
+    path.write_text(text.rstrip() + "\n")
+    with pytest.raises(StoreError, match=sentence):
+        read_ledger(path)
+
+
+def test_a_value_that_no_verdict_has_is_named(tmp_path: Path, entries: list[LedgerEntry]) -> None:
+    path = tmp_path / "l.jsonl"
+    head, last_sum = seal(json.dumps({"ledger": 1}))
+    values = {**entries[0].model_dump(mode="json"), "confidence": 7}
+    path.write_text(head + seal(json.dumps({"verdict": values}), last_sum)[0])
+    with pytest.raises(StoreError, match=r"l\.jsonl:2: confidence: input should be less than 1"):
+        read_ledger(path)
+
+
+def test_gates_that_end_at_once_all_get_their_line(tmp_path: Path, entries: list) -> None:
+    path = tmp_path / "l.jsonl"
+    with ThreadPoolExecutor(2) as gates:  # Locks are of open files, not of processes.
+        list(gates.map(lambda entry: append_entry(path, entry), entries[:2] * 20))
+    found = read_ledger(path).entries
+    assert [found.count(entry) for entry in entries[:2]] == [20, 20]
+
+
+def test_a_verdict_is_kept_with_who_was_judged_on_what_and_how(
+    tmp_path: Path, run_scene: Callable[..., list[Row]]
+) -> None:
+    rows = [*run_scene("a", [4, 4, 2]), *run_scene("b", [0, 4, 4])]
+    run = RunInfo(
+        id="r1",
+        started="2026-11-22T09:00:00+00:00",
+        suite_file="suites/hurdles.yaml",
+        suite={"name": "hurdles"},
+        suite_digest="aa" * 32,
+        policy=PolicyInfo(name="p", card_digest="bb" * 32, checkpoint_digest="cc" * 32),
+        scenes={name: SceneInfo(digest="dd" * 32, task="t", trials=3) for name in "ab"},
+        code=code_info(),
+        machine=machine_info(),
+    )
+    gate = Gate(success_rate=0.5, tiers={"b": "critical"})
+    verdict = judge(rows, gate, run.planned)
+    bank = BaselineInfo(name="b", path="b.parquet", sha256="ee" * 32)
+    kept = append_verdict(tmp_path / "l.jsonl", verdict, run, rows, bank=bank)
+    (entry,) = read_ledger(tmp_path / "l.jsonl").entries
+    assert entry == kept
+    assert (entry.word, entry.trials, entry.success) == (verdict.verdict, 6, verdict.effect)
+    assert [scene.counts for scene in entry.seen] == [(0, 0, 1, 0, 2), (1, 0, 0, 0, 2)]
+    assert [scene.alone for scene in entry.seen] == [False, True]
+    assert (entry.suite, entry.candidate, entry.run, entry.bar) == ("hurdles", "p", "r1", 0.5)
+    assert entry.baseline is None, "the verdict rests on no comparison"

@@ -1,0 +1,123 @@
+"""What a ledger's verdicts are worth together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from nw_eval.cli.text.ledger import ledger_page
+from nw_eval.gate.ledger.report import ledger_report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.gate.ledger.entry import LedgerEntry
+
+
+def test_false_alarms_are_at_most_the_sum_of_what_each_test_was_set_to(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    report = ledger_report([make_entry(days=day, checkpoint=day) for day in range(101)])
+    assert report.against_baselines.tests == 101
+    assert report.against_baselines.regressed == pytest.approx(1.01)
+    assert report.against_baselines.passed == pytest.approx(5.05)
+    assert report.against_bars.tests == 0
+    assert report.per_year == pytest.approx(365.25)
+    page = ledger_page(report)
+    assert "from 2026-11-01 to 2027-02-09: 365 gates a year at this rate" in page
+    assert "1 false REGRESSED (3.7 a year) if no candidate is worse than is tolerated" in page
+    assert "5 false PASS if every candidate is worse by max_drop" in page
+
+
+def test_a_bar_with_critical_scenes_convicts_wrongly_twice_as_often(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    plain = make_entry(bar=0.75, baseline=None)
+    alone = tuple(scene.model_copy(update={"alone": True}) for scene in plain.seen)
+    critical = make_entry(bar=0.75, baseline=None, seen=alone, checkpoint=1)
+    assert ledger_report([plain]).against_bars.regressed == pytest.approx(0.05)
+    assert ledger_report([critical]).against_bars.regressed == pytest.approx(0.10)
+    assert ledger_report([critical]).against_bars.passed == pytest.approx(0.05)
+
+
+def test_what_chance_has_no_part_in_is_no_test(make_entry: Callable[..., LedgerEntry]) -> None:
+    same = make_entry().baseline.model_copy(update={"basis": "same"})
+    entries = [
+        make_entry(baseline=same),
+        make_entry(word="INFRASTRUCTURE", checkpoint=1),
+        make_entry(word="INVALID", checkpoint=2),
+    ]
+    report = ledger_report(entries)
+    assert (report.entries, report.against_baselines.tests) == (3, 0)
+    assert report.against_baselines.regressed == 0.0
+
+
+def test_judging_the_same_trials_again_is_no_reroll_and_another_panel_or_rule_is(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    first = make_entry(word="REGRESSED")
+    again = make_entry(word="REGRESSED", days=1, run="resumed", trials=80)
+    report = ledger_report([first, again])
+    assert (report.judged_again, report.rerolls) == (1, ())
+    looser = first.baseline.model_copy(update={"max_drop": 0.2})
+    tries = [
+        first,
+        make_entry(word="INCONCLUSIVE", days=1, suite_digest="ab" * 32),
+        make_entry(word="PASS", days=2, baseline=looser),
+    ]
+    (reroll,) = ledger_report(tries).rerolls
+    assert reroll.tests == 3
+    assert reroll.words == ("REGRESSED", "INCONCLUSIVE", "PASS")
+    assert reroll.false_regressed == pytest.approx(0.03)
+    assert reroll.false_passed == pytest.approx(0.15)
+    page = ledger_page(ledger_report(tries))
+    assert "step-0 (00000000) on hurdles: 3 tests (1 REGRESSED, 1 INCONCLUSIVE, 1 PASS)" in page
+    assert "REGRESSED at most 3 %, PASS at most 15 %" in page
+
+
+def test_with_bar_and_baseline_either_convicts_and_both_must_pass(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    tries = [make_entry(bar=0.75), make_entry(bar=0.75, suite_digest="ab" * 32)]
+    (reroll,) = ledger_report(tries).rerolls
+    assert reroll.false_regressed == pytest.approx(2 * (0.05 + 0.01))
+    assert reroll.false_passed == pytest.approx(2 * 0.05)
+
+
+def test_the_best_of_many_on_one_panel_shows_more_than_it_is(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    entries = [
+        make_entry(checkpoint=number, bar=0.75, success=0.9 + 0.01 * (number == 3))
+        for number in range(8)
+    ]
+    (best,) = ledger_report(entries).best_of_many
+    assert (best.candidates, best.best, best.shown) == (8, "step-3", 0.91)
+    # Eight normal draws of standard deviation .3 / sqrt(40): 1.42 times that, less for the limit 1.
+    assert 0.03 < best.overstated < 0.07
+    assert best.any_passes is not None
+    assert best.any_passes < 0.05 * 8
+    page = ledger_page(ledger_report(entries))
+    assert "of 8 candidates the best, step-3, shows 0.910" in page
+    assert "`--panel fresh` judges the one that was chosen" in page
+    assert ledger_report(entries[:1]).best_of_many == ()
+
+
+def test_candidates_on_panels_of_their_own_are_no_choice(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    entries = [
+        make_entry(checkpoint=number, panel="fresh", suite_digest=f"{number:064x}")
+        for number in range(3)
+    ]
+    assert ledger_report(entries).best_of_many == ()
+
+
+def test_an_empty_ledger_says_so_and_a_short_one_foretells_no_year(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    assert ledger_page(ledger_report([])) == "no verdicts"
+    short = ledger_report([make_entry(), make_entry(days=2, checkpoint=1)])
+    assert short.per_year is None
+    assert "too short a time to foretell a year" in ledger_page(short)

@@ -1,0 +1,202 @@
+"""What reports say of a comparison with a baseline."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rich.console import Console
+
+from nw_eval.gate import judge
+from nw_eval.gate.baseline.combine import combined
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.reporting import print_summary, render_markdown
+from nw_eval.stats import Interval
+from nw_eval.stats.bank import CurvePoint
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.gate.verdict import Verdict
+
+    Make = Callable[..., Any]
+
+FELL = SceneDrop(
+    scene="hurdles/three_low",
+    tier="critical",
+    baseline=0.95,
+    candidate=0.4,
+    trials=5,
+    evidence=2.5e6,
+    named=True,
+    waypoint=2,
+)
+FINE = SceneDrop(
+    scene="a",
+    perturbation=(("friction", 0.6),),
+    tier="supporting",
+    baseline=0.9,
+    candidate=0.95,
+    trials=5,
+    evidence=0.3,
+    named=False,
+)
+TOY = SceneDrop(
+    scene="toy",
+    tier="informational",
+    baseline=0.5,
+    candidate=0.0,
+    trials=5,
+    evidence=1.0,
+    named=False,
+)
+FOUND = Comparison(
+    word="REGRESSED",
+    bank="shipped",
+    policy="go1-act-rgb",
+    basis="panel",
+    claim="panel and fresh",
+    rounds=5,
+    budget=20,
+    starts=60,
+    baseline=0.925,
+    drop=0.25,
+    interval=Interval(0.12, 0.41),
+    max_drop=0.1,
+    tolerate=0.02,
+    scene_drop=0.1,
+    alpha_pass=0.05,
+    alpha_regr=0.01,
+    scenes=(FINE, FELL, TOY),
+    reasons=("worse than the baseline shipped",),
+    curve=(
+        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, rounds=4.0),
+        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, rounds=8.0),
+        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, rounds=6.0),
+    ),
+)
+
+
+@pytest.fixture
+def page(make_row: Make, make_run: Make) -> Callable[..., str]:
+    """The report of a run that was compared so; nothing ran where `rows` is 0."""
+
+    def make(found: Comparison, *, rows: int = 3, **facts: Any) -> str:
+        trials = [make_row("a", index, 4) for index in range(rows)]
+        verdict = combined(judge(trials, Gate(), {"a": rows}, against=found), found)
+        run = make_run({"a": rows}, suite={"name": "hurdles", "seed": 7}, **facts)
+        return render_markdown(run, trials, verdict, Path("reports/x"))
+
+    return make
+
+
+def table(text: str) -> list[list[str]]:
+    (section,) = re.findall(r"## Against the baseline\n\n(.*?)\n## ", text, re.DOTALL)
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:1] + lines[2:]]
+
+
+def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(page: Make) -> None:
+    first, _, second, *_ = page(FOUND).splitlines()
+    assert first.startswith(
+        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (at least 0.120, at most 0.410) "
+        "in 5 of 20 rounds \u00b7 success 1.000"
+    )
+    assert second.endswith(
+        "on the starts of this panel (seed 7) it is known: 1.000. Against the baseline this gate "
+        "passes an equal policy in over 99 %; one 0.05 worse: convicts 36 %, passes 64 %; one 0.1 "
+        "worse: convicts 90 %, passes 4 %, leaves 6 % open (simulated)."
+    )
+
+
+def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_last(
+    page: Make,
+) -> None:
+    text = page(FOUND)
+    assert table(text) == [
+        ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "fell",
+         "from waypoint"],
+        ["hurdles/three_low", "critical", "5", "0.950", "0.400", "0.550", "over 1000000", "yes",
+         "2"],
+        ["a friction 0.6", "supporting", "5", "0.900", "0.950", "-0.050", "0.3", "", ""],
+        ["toy", "informational", "5", "0.500", "0.000", "0.500", "", "", ""],
+    ]  # fmt: skip
+    # Two scenes count: each shares half of 1 %.
+    assert "200 names it as fallen (2 scenes share an error of 1 %), and from 4 on a PASS" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "it speaks of these starts exactly, and of fresh ones in these scenes"),
+        ({"claim": "panel", "starts": 40}, "since 20 rounds would need a bank of 60"),
+        ({"claim": "fresh"}, "a sample of starts (their order was not drawn for this candidate)"),
+        ({"claim": "fresh", "basis": "sample"}, "(this class of machine gives other bits"),
+        ({"claim": "fresh", "basis": "fresh"}, "(the candidate met none of them)"),
+    ],
+)  # fmt: skip
+def test_every_report_says_of_which_starts_it_speaks(
+    page: Make, changes: dict[str, Any], words: str
+) -> None:
+    how_sure = page(replace(FOUND, **changes)).split("## How sure")[1]
+    assert words in how_sure.replace("\\", "")
+    assert "a drop of 0.1 or more passes with a probability of at most 5 %" in how_sure
+    assert "1 critical scene can convict alone adds as much again" in how_sure
+
+
+def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
+    pinned, fresh = page(FOUND), page(FOUND, panel="fresh")
+    assert "The panel of starts is pinned, the suite's own." in pinned
+    assert "--panel fresh draws the checkpoint's own" in pinned
+    assert "The panel of starts is fresh: it follows from the checkpoint's digest" in fresh
+    assert "on the starts of this fresh panel (seed 7) it is known" in fresh
+    assert "same starts), fresh |" in " ".join(fresh.split())
+
+
+def test_the_same_policy_needed_no_trial(page: Make) -> None:
+    same = replace(
+        FOUND, basis="same", word="PASS", rounds=0, drop=None, interval=None, curve=None,
+        reasons=("the same policy",), scenes=(replace(FINE, candidate=None, trials=0),),
+    )  # fmt: skip
+    first, _, second, _, reason, *_ = page(same, rows=0).splitlines()
+    assert first.startswith("# PASS \u00b7 baseline shipped is the same policy \u00b7 0 trials")
+    assert second == "Checkpoint and card are those of the baseline, so no trial had to run."
+    assert reason == "* the same policy"
+    assert table(page(same, rows=0))[1][:5] == ["a friction 0.6", "0", "0.900", "none", ""]
+
+
+def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
+    make_row: Make, make_run: Make
+) -> None:
+    failed = {"outcome": "policy_failed", "end_reason": "action", "error_type": "policy_error"}
+    rows = [make_row("a", 0, 2, **failed)]
+    for against, end in ((None, "then."), (FOUND, "then; against the baseline they count as 0.")):
+        verdict = replace(judge(rows, Gate(), {"a": 1}), against=against)
+        text = render_markdown(make_run({"a": 1}), rows, verdict, Path("x"))
+        assert f"results, and count with the waypoints reached until {end}" in text
+
+
+def test_without_a_baseline_nothing_of_one_is_said(make_row: Make, make_run: Make) -> None:
+    rows = [make_row("a", 0, 4)]
+    text = render_markdown(make_run({"a": 1}), rows, judge(rows, Gate(), {"a": 1}), Path("x"))
+    assert "baseline" not in text
+
+
+def test_the_terminal_shows_the_same_table_and_the_verdict_last(
+    make_row: Make, make_run: Make
+) -> None:
+    rows = [make_row("a", index, 4) for index in range(3)]
+    verdict: Verdict = combined(judge(rows, Gate(), {"a": 3}, against=FOUND), FOUND)
+    stream = StringIO()
+    console = Console(file=stream, width=140)
+    print_summary(console, make_run({"a": 3}), rows, verdict, Path("x"))
+    text = stream.getvalue()
+    assert text.index("Against the baseline") < text.index("Success by scene")
+    assert re.search(r"three_low +critical +5 +0.950 +0.400 +0.550 +over 1000000 +yes +2", text)
+    assert text.rstrip().endswith("* 3 trials ran and no bar was judged: the suite sets no "
+                                  "gate.success_rate")  # fmt: skip
