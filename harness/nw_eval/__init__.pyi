@@ -23,6 +23,7 @@ from nw_eval.api import (
     check_baseline,
     check_policy,
     check_scenes,
+    compare,
     diff_baselines,
     draw_sensors,
     evaluate,
@@ -72,6 +73,7 @@ from nw_eval.errors import (
 )
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.ledger.report import LedgerReport
+from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
@@ -108,6 +110,7 @@ __all__ = [
     "ListedSuite",
     "NwEvalError",
     "Plan",
+    "PolicyComparison",
     "PolicyError",
     "PrerequisiteError",
     "ProbeReport",
@@ -137,6 +140,7 @@ __all__ = [
     "check_baseline",
     "check_policy",
     "check_scenes",
+    "compare",
     "diff_baselines",
     "draw_sensors",
     "evaluate",

@@ -56,6 +56,8 @@ def test_rows_are_a_table_and_two_runs_pair_start_by_start(printed):
     assert "a RAN" in printed[3]
     assert "b RAN" in printed[3]
     assert re.search(r"^hurdles/three_low .* 2$", printed[3], re.MULTILINE)
+    # Two starts in each of two scenes decide no rank.
+    assert len(re.findall(r"^\S.* [01]\.\d+ 1 2$", printed[4], re.MULTILINE)) == 2
 
 
 def test_every_function_has_its_line_and_what_it_returns_is_public():

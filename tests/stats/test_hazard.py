@@ -12,6 +12,7 @@ import pytest
 from nw_eval.stats.binomial import fisher, newcombe
 from nw_eval.stats.hazard import (
     differences,
+    differences_over,
     first_parting,
     first_partings,
     hazards,
@@ -55,12 +56,12 @@ def test_without_trials_a_share_may_be_anything():
 
 @pytest.mark.parametrize(("first", "second", "expected"), FISHER)
 def test_fishers_test_is_scipys(first, second, expected):
-    assert fisher(first, second) == pytest.approx(expected, rel=1e-12)
+    assert fisher((first, second)) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 5), (4, 4), (6, 2)])
 def test_fishers_test_errs_no_oftener_than_it_says_whatever_the_share(n, m):
-    tables = [(x, y, fisher((x, n), (y, m))) for x in range(n + 1) for y in range(m + 1)]
+    tables = [(x, y, fisher(((x, n), (y, m)))) for x in range(n + 1) for y in range(m + 1)]
     for share in (Fraction(1, 20), Fraction(3, 10), Fraction(1, 2)):
         for level in sorted({p for _, _, p in tables}):
             refuted = sum(
@@ -71,10 +72,45 @@ def test_fishers_test_errs_no_oftener_than_it_says_whatever_the_share(n, m):
             assert refuted <= level + 1e-12
 
 
+def test_with_strata_fishers_test_is_the_sum_over_all_their_tables():
+    strata = [((3, 4), (1, 5)), ((2, 2), (3, 6)), ((0, 3), (2, 3))]
+    likelihood = {0: Fraction(1)}
+    for (x, n), (y, m) in strata:
+        tables = {
+            k: Fraction(comb(n, k) * comb(m, x + y - k), comb(n + m, x + y))
+            for k in range(n + 1)
+            if 0 <= x + y - k <= m
+        }
+        likelihood = {
+            total: sum(p * tables.get(total - before, 0) for before, p in likelihood.items())
+            for total in range(1 + sum(n for (_, n), _ in strata))
+        }
+    seen = sum(x for (x, _), _ in strata)
+    expected = sum(p for p in likelihood.values() if p <= likelihood[seen])
+    assert fisher(*strata) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_a_hard_scene_that_one_met_more_often_is_no_difference_between_policies():
+    # Misses of the first waypoint: all in the hard scene, none in the easy one, for both.
+    scenes = [([9, 1], [0, 0]), ([0, 2], [0, 20])]
+    (over,) = differences_over([([9, 0], [1, 0]), ([0, 1], [0, 9])])
+    assert over.p == 1.0
+    assert (over.first.failed, over.first.trials) == (9, 10)
+    assert (over.second.failed, over.second.trials) == (1, 10)
+    assert fisher(((9, 10), (1, 10))) < 0.01
+    assert differences_over(scenes[:1]) == differences(*scenes[0])
+
+
+def test_over_scenes_of_other_lengths_those_that_are_longer_speak_of_their_ends():
+    _, second = differences_over([([0, 5], [0, 5]), ([0, 5, 1], [0, 0, 6])])
+    assert (second.waypoint, second.first.trials, second.first.failed) == (2, 6, 5)
+    assert second.p == differences([0, 5, 1], [0, 0, 6])[1].p
+
+
 @pytest.mark.parametrize("counts", [((3, 2), (0, 1)), ((-1, 2), (0, 1)), ((1, 2), (2, 1))])
 def test_counts_that_cannot_be_are_refused(counts):
     with pytest.raises(ValueError, match="successes of"):
-        fisher(*counts)
+        fisher(counts)
 
 
 def test_hazards_are_the_shares_of_those_that_came_so_far():

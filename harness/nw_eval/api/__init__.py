@@ -38,6 +38,7 @@ from nw_eval.api.policies import (
     show_policy,
 )
 from nw_eval.api.replays import replay
+from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
@@ -75,6 +76,7 @@ __all__ = [
     "check_baseline",
     "check_policy",
     "check_scenes",
+    "compare",
     "diff_baselines",
     "draw_sensors",
     "evaluate",

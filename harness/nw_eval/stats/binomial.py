@@ -5,15 +5,18 @@ from __future__ import annotations
 from math import comb, sqrt
 from statistics import NormalDist
 
+import numpy as np
+
 from nw_eval.stats.interval import Interval, check_confidence
 
 
-def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
+def wilson(successes: float, n: int, confidence: float = 0.95) -> Interval:
     """Return Wilson's two-sided score interval for a proportion.
 
     It stays within [0, 1], never has zero width, and its mean coverage is close to nominal at any
     `n`, though single proportions near 0 or 1 can fall a few points short; for display, not for
-    verdicts. Without observations it is [0, 1].
+    verdicts. Without observations it is [0, 1]. `successes` may be a sum of shares within [0, 1]:
+    these spread less than successes and failures do, so that the interval is rather too wide.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
     JASA 22 (1927); recommended for small n by Brown, Cai and DasGupta, Statist. Sci. 16 (2001).
@@ -36,7 +39,9 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     return Interval(low, high)
 
 
-def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float = 0.95) -> Interval:
+def newcombe(
+    first: tuple[float, int], second: tuple[float, int], confidence: float = 0.95
+) -> Interval:
     """Return Newcombe's hybrid score interval for the second share less the first.
 
     It is made of the two Wilson intervals, stays within [-1, 1] and covers close to nominally also
@@ -64,27 +69,32 @@ def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float 
     )
 
 
-def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
+def fisher(*strata: tuple[tuple[int, int], tuple[int, int]]) -> float:
     """Return the two-sided p-value of Fisher's exact test that two shares are equal.
 
-    The sum, over all tables with these totals, of the probabilities of those that are no likelier
-    than what was seen; in whole numbers, so that equal ones are equal.
+    Where there are several strata, such as scenes, the shares are equal within each and may differ
+    between them; what is looked at is the sum of the first's successes. The p-value is the sum,
+    over all tables with these totals, of the probabilities of those that are no likelier than what
+    was seen.
 
     Args:
-        first: successes, and trials, of independent trials.
-        second: likewise.
+        *strata: for each, successes and trials of the first, and of the second; trials independent.
 
-    Source: R. A. Fisher, "The logic of inductive inference", J. Roy. Statist. Soc. 98 (1935).
+    Source: R. A. Fisher, "The logic of inductive inference", J. Roy. Statist. Soc. 98 (1935); with
+    strata J. J. Gart, "Point and interval estimation of the common odds ratio in the combination of
+    2 x 2 tables with fixed marginals", Biometrika 57 (1970).
 
     Raises:
         ValueError: counts are impossible.
     """
-    for successes, n in (first, second):
-        if not 0 <= successes <= n:
-            raise ValueError(f"{successes} successes of {n}")
-    (successes, n), (others, m) = first, second
-    total = successes + others
-    possible = range(max(0, total - m), min(n, total) + 1)
-    ways = [comb(n, one) * comb(m, total - one) for one in possible]
-    seen = comb(n, successes) * comb(m, others)
-    return sum(way for way in ways if way <= seen) / comb(n + m, total)
+    likelihood, seen = np.ones(1), 0
+    for (successes, n), (others, m) in strata:
+        if not (0 <= successes <= n and 0 <= others <= m):
+            raise ValueError(f"{successes} successes of {n}, {others} of {m}")
+        total = successes + others
+        least, most = max(0, total - m), min(n, total)
+        ways = [comb(n, one) * comb(m, total - one) for one in range(least, most + 1)]
+        likelihood = np.convolve(likelihood, [way / comb(n + m, total) for way in ways])
+        seen += successes - least
+    # Equally likely tables may differ by rounding.
+    return min(1.0, float(likelihood[likelihood <= likelihood[seen] * (1.0 + 1e-9)].sum()))

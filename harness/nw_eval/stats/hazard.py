@@ -88,12 +88,9 @@ def hazards(ends: Ends, confidence: float = 0.95) -> tuple[Hazard, ...]:
     check_confidence(confidence)
     if len(ends) < 2 or any(count < 0 for count in ends):
         raise ValueError(f"{list(ends)} are no numbers of trials that ended after 0, 1, .. K")
-    found: list[Hazard] = []
-    for k, failed in enumerate(ends[:-1]):
-        trials = int(sum(ends[k:]))
-        interval = wilson(int(failed), trials, confidence)
-        found.append(Hazard(waypoint=k + 1, trials=trials, failed=int(failed), interval=interval))
-    return tuple(found)
+    return tuple(
+        _hazard(k, ends[k - 1], sum(ends[k - 1 :]), confidence) for k in range(1, len(ends))
+    )
 
 
 def differences(
@@ -111,10 +108,49 @@ def differences(
             first=one,
             second=two,
             interval=newcombe((one.failed, one.trials), (two.failed, two.trials), confidence),
-            p=fisher((one.failed, one.trials), (two.failed, two.trials)),
+            p=fisher(((one.failed, one.trials), (two.failed, two.trials))),
         )
         for one, two in zip(hazards(first, confidence), hazards(second, confidence), strict=True)
     )
+
+
+def differences_over(
+    scenes: Sequence[tuple[Ends, Ends]], confidence: float = 0.95
+) -> tuple[HazardDifference, ...]:
+    """Return how two policies differ at the first, second, .. waypoint of all scenes together.
+
+    Numbers of trials, and the intervals, are of all scenes that have so many waypoints as if they
+    were one; p compares only within scenes, so that no scene's difficulty is taken for a policy's.
+
+    Args:
+        scenes: ends of both policies in each scene, at least one.
+        confidence: of each interval.
+
+    Raises:
+        ValueError: as `differences`.
+    """
+    looked_at = [differences(*pair, confidence) for pair in scenes]
+    found: list[HazardDifference] = []
+    for k in range(max(map(len, looked_at))):
+        here = [scene[k] for scene in looked_at if k < len(scene)]
+        one, two = (
+            (sum(side.failed for side in sides), sum(side.trials for side in sides))
+            for sides in ([each.first for each in here], [each.second for each in here])
+        )
+        found.append(
+            HazardDifference(
+                first=_hazard(k + 1, *one, confidence),
+                second=_hazard(k + 1, *two, confidence),
+                interval=newcombe(one, two, confidence),
+                p=fisher(
+                    *(
+                        ((a.failed, a.trials), (b.failed, b.trials))
+                        for a, b in ((each.first, each.second) for each in here)
+                    )
+                ),
+            )
+        )
+    return tuple(found)
 
 
 def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | None:
@@ -143,16 +179,34 @@ def first_partings(
     Raises:
         ValueError: as `differences`.
     """
-    found = {place: differences(*pair, 1.0 - error) for place, pair in pairs.items()}
-    adjusted = holm(tuple(each.p for place in found for each in found[place]))
+    return first_shown(
+        {place: differences(*pair, 1.0 - error) for place, pair in pairs.items()}, error
+    )
+
+
+def first_shown(
+    looked_at: Mapping[Place, Sequence[HazardDifference]], error: float = 0.05
+) -> dict[Place, Parting]:
+    """Return the first waypoint that is shown in each place, all that were looked at together.
+
+    Args:
+        looked_at: every waypoint that could be named, in order, by place.
+        error: as in `first_partings`.
+    """
+    adjusted = holm([each.p for waypoints in looked_at.values() for each in waypoints])
     ps = iter(adjusted)
     partings: dict[Place, Parting] = {}
-    for place, waypoints in found.items():
+    for place, waypoints in looked_at.items():
         shown = [(each, p) for each in waypoints if (p := next(ps)) <= error]
         if shown:
             each, p = shown[0]
             partings[place] = Parting(**vars(each), adjusted_p=p, compared=len(adjusted))
     return partings
+
+
+def _hazard(waypoint: int, failed: int, trials: int, confidence: float) -> Hazard:
+    interval = wilson(failed, trials, confidence)
+    return Hazard(waypoint=waypoint, trials=trials, failed=failed, interval=interval)
 
 
 def holm(ps: Sequence[float]) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from nw_eval import __version__
 from nw_eval.cli.verbs.baseline import Baseline
 from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
+from nw_eval.cli.verbs.compare import Compare
 from nw_eval.cli.verbs.gate import GateRun
 from nw_eval.cli.verbs.ledger import Ledger
 from nw_eval.cli.verbs.plan import PlanTrials
@@ -35,6 +36,7 @@ Verb = (
     | Annotated[Ledger, tyro.conf.subcommand("ledger")]
     | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]

@@ -1,0 +1,107 @@
+"""Comparing policies: runs and banks in, ranks and where they part out. Needs no simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.gate.side_by_side.entrant import Entrant
+    from nw_eval.gate.side_by_side.result import PolicyComparison
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+
+def compare(
+    runs: Sequence[str | Path],
+    *,
+    out: str | Path | None = None,
+    picture: str | Path | None = None,
+    confidence: float = 0.95,
+) -> PolicyComparison:
+    """Compare the policies of two or more runs or banks of one suite, side by side.
+
+    They are compared on the starts that all have a result from. Nothing is judged.
+
+    Args:
+        runs: folders of runs, and banks by path or, beside a run, by name. Where policies part is
+            where each parts from the first one.
+        out: a Markdown page to write.
+        picture: a PNG of all scenes and policies to write.
+        confidence: of each interval alone; of all ranks together.
+
+    Raises:
+        UsageError: there are fewer than two, one is neither a run nor a bank, or the confidence is
+            not between 0 and 1.
+        IncomparableError: they differ in suite, scenes, starts or simulator; each field is named.
+        StoreError: rows are damaged, or a page cannot be written.
+    """
+    from nw_eval.gate.side_by_side.compare import side_by_side
+
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"confidence {confidence} is not between 0 and 1", fix="0.95 is 95 %")
+    found = side_by_side(_entrants(runs), confidence)
+    if out is not None:
+        from nw_eval.reporting.markdown import write_report
+        from nw_eval.reporting.side_by_side.page import comparison_page
+
+        write_report(Path(out), comparison_page(found))
+    if picture is not None:
+        from nw_eval.reporting.side_by_side.picture import draw_comparison
+
+        draw_comparison(found, Path(picture))
+    return found
+
+
+def _entrants(sources: Sequence[str | Path]) -> list[Entrant]:
+    from nw_eval.gate.side_by_side.entrant import entrant_of_run
+
+    runs = {str(source): _run(Path(source)) for source in sources}
+    infos = [run[0] for run in runs.values() if run is not None]
+    return [
+        _bank(source, infos) if run is None else entrant_of_run(source, *run)
+        for source, run in ((str(source), runs[str(source)]) for source in sources)
+    ]
+
+
+def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
+    """Return a run's provenance and rows; None for what is no run's folder."""
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    try:
+        folder = open_run_folder(path)
+    except UsageError:
+        if path.is_dir():
+            raise
+        return None
+    info = read_run_info(folder.run_json)
+    return info, read_trials(folder, info, saved_trials(info, saved_suite(info))).rows
+
+
+def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
+    """Return a bank, on the class of machine of the first run if it has been there."""
+    from nw_eval.gate.side_by_side.entrant import entrant_of_bank
+    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank.manifest import machine_of
+
+    if not runs and "/" not in source and not source.endswith(".parquet"):
+        raise UsageError(
+            f"{source} is no run's folder, and without a run no bank is known by its name",
+            fix="name the bank's file",
+        )
+    try:
+        path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
+    except UsageError as error:
+        raise UsageError(
+            f"{source} is no run's folder, and {error.message}", fix=error.fix
+        ) from None
+    bank = read_bank(path)
+    panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]
+    return entrant_of_bank(source, bank, panel)

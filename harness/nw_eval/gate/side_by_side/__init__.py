@@ -1,0 +1,1 @@
+"""Policies side by side: runs and banks in, ranks and where they part out."""

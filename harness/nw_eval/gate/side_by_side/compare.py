@@ -1,0 +1,167 @@
+"""Several policies on the starts that all of them have a result from.
+
+On these starts success is known. What is left to chance, and what intervals and ranks speak of, is
+fresh starts in the same scenes. Every scene counts alike, whatever its tier.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.gate.side_by_side.entrant import Entrant, StartName, check_alike
+from nw_eval.gate.side_by_side.result import (
+    ComparedPolicy,
+    ComparedScene,
+    PolicyComparison,
+    SceneParting,
+)
+from nw_eval.stats import mean_of_scenes
+from nw_eval.stats.hazard import (
+    Ends,
+    HazardDifference,
+    differences,
+    differences_over,
+    first_shown,
+)
+from nw_eval.stats.ranks import Ranks, possible_ranks
+
+
+def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyComparison:
+    """Return what policies show side by side.
+
+    Args:
+        entrants: at least two; where they part is where each parts from the first.
+        confidence: of each interval alone; of all ranks together; of all partings together.
+
+    Raises:
+        UsageError: there are fewer than two.
+        IncomparableError: they differ in suite, scenes, starts or simulator; or a scene has no
+            start that all have a result from.
+    """
+    if len(entrants) < 2:
+        raise UsageError("one policy has nothing to compare with", fix="name two runs or more")
+    check_alike(entrants)
+    starts = _common(entrants)
+    groups = [[_successes(entrant, names) for names in starts.values()] for entrant in entrants]
+    ranks = possible_ranks(groups, 1.0 - confidence)
+    partings, waypoints = _partings(entrants, starts, confidence)
+    return PolicyComparison(
+        suite=entrants[0].suite,
+        confidence=confidence,
+        policies=tuple(
+            _policy(entrant, label, values, ranks[index], confidence)
+            for index, (entrant, label, values) in enumerate(
+                zip(entrants, _labels(entrants), groups, strict=True)
+            )
+        ),
+        scenes=tuple(
+            ComparedScene(
+                scene=scene,
+                starts=len(names),
+                means=tuple(float(values[index].mean()) for values in groups),
+            )
+            for index, (scene, names) in enumerate(starts.items())
+        ),
+        partings=partings,
+        waypoints=waypoints,
+        left_out=len({name for each in entrants for name in each.results})
+        - sum(map(len, starts.values())),
+    )
+
+
+def _common(entrants: Sequence[Entrant]) -> Mapping[str, list[StartName]]:
+    """Return the starts that all have a result from, in order, by scene."""
+    shared = set(entrants[0].results).intersection(*(each.results for each in entrants[1:]))
+    starts: dict[str, list[StartName]] = {scene: [] for scene in sorted(entrants[0].key.scenes)}
+    for name in sorted(shared):
+        starts[name[0]].append(name)
+    if bare := [scene for scene, names in starts.items() if not names]:
+        raise IncomparableError(
+            f"no start of scene {bare[0]} has a result from every one of "
+            f"{', '.join(each.source for each in entrants)}",
+            fix="--resume the runs that lack it, or run them with as many --trials",
+        )
+    return starts
+
+
+def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
+    # Neither a bank nor a trial that came to a result is without one.
+    return np.array([entrant.results[name].success for name in names], dtype=np.float64)
+
+
+def _policy(
+    entrant: Entrant,
+    label: str,
+    groups: Sequence[NDArray[np.float64]],
+    ranks: Ranks,
+    confidence: float,
+) -> ComparedPolicy:
+    estimate = mean_of_scenes(groups, confidence)
+    return ComparedPolicy(
+        label=label,
+        policy=entrant.policy,
+        source=entrant.source,
+        mean=estimate.mean,
+        interval=estimate.interval,
+        completed=sum(int((group == 1.0).sum()) for group in groups),
+        ranks=ranks,
+    )
+
+
+def _labels(entrants: Sequence[Entrant]) -> list[str]:
+    """Return a name for each policy that no other one has."""
+    policies = Counter(each.policy for each in entrants)
+    labels = [
+        each.policy if policies[each.policy] == 1 else f"{each.policy} ({_short(each.source)})"
+        for each in entrants
+    ]
+    clashing = Counter(labels)
+    return [
+        label if clashing[label] == 1 else f"{label} #{place}"
+        for place, label in enumerate(labels, 1)
+    ]
+
+
+def _short(source: str) -> str:
+    return source.rstrip("/").rpartition("/")[2]
+
+
+def _partings(
+    entrants: Sequence[Entrant], starts: Mapping[str, list[StartName]], confidence: float
+) -> tuple[tuple[SceneParting, ...], int]:
+    """Return where each policy parts from the first, and how many waypoints were looked at."""
+    first, *others = [
+        {scene: _ends(entrant, names) for scene, names in starts.items()} for entrant in entrants
+    ]
+    together: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
+    alone: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
+    for place, scenes in enumerate(others, 1):
+        # A trail without waypoints has none to part at.
+        pairs = {scene: (first[scene], ends) for scene, ends in scenes.items() if len(ends) > 1}
+        if len(pairs) > 1:
+            together[place, None] = differences_over(list(pairs.values()), confidence)
+        for scene, pair in pairs.items():
+            alone[place, scene] = differences(*pair, confidence)
+    # The few waypoints of all scenes together are not to pay for the many of single ones.
+    error = (1.0 - confidence) / (2 if together else 1)
+    shown = {**first_shown(together, error), **first_shown(alone, error)}
+    found: list[SceneParting] = []
+    for where, waypoints in (together | alone).items():
+        suspect = next((each for each in waypoints if each.p <= 1.0 - confidence), None)
+        if at := shown.get(where, suspect):
+            place, scene = where
+            found.append(SceneParting(scene=scene, policy=place, at=at, shown=where in shown))
+    found.sort(key=lambda each: (not each.shown, each.policy, each.scene or ""))
+    return tuple(found), sum(map(len, (together | alone).values()))
+
+
+def _ends(entrant: Entrant, names: Sequence[StartName]) -> Ends:
+    results = [entrant.results[name] for name in names]
+    most = max(each.waypoints_total for each in results)
+    reached = np.array([each.waypoints_reached for each in results], dtype=np.int64)
+    return [int(count) for count in np.bincount(reached, minlength=most + 1)]

@@ -1,0 +1,1 @@
+"""Policies side by side, as tables, as a page and as a picture."""

@@ -1,0 +1,101 @@
+"""The tables of a comparison of policies."""
+
+from __future__ import annotations
+
+from nw_eval.gate.side_by_side.result import ComparedPolicy, PolicyComparison, SceneParting
+from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import Table, span
+from nw_eval.stats.hazard import Hazard
+
+_MOST = 12
+"""Suspect waypoints that a table names."""
+
+
+def comparison_tables(found: PolicyComparison) -> tuple[Table, ...]:
+    """Return the policies, the scenes and where they part; the last is left out if it is empty."""
+    tables = [_policies(found), _scenes(found)]
+    return (*tables, _partings(found)) if found.partings else tuple(tables)
+
+
+def ranks_text(policy: ComparedPolicy) -> str:
+    """Return the ranks that a policy may have, such as `2` or `1 to 3`."""
+    ranks = policy.ranks
+    return str(ranks.best) if ranks.decided else f"{ranks.best} to {ranks.worst}"
+
+
+def _policies(found: PolicyComparison) -> Table:
+    percent = f"{100 * found.confidence:.4g} %"
+    order = sorted(found.policies, key=lambda each: -each.mean)
+    return Table(
+        title=f"Policies on {found.suite}",
+        columns=("policy", "rank", "success", f"{percent} each alone", "completed", "from"),
+        rows=tuple(
+            (
+                each.label,
+                ranks_text(each),
+                f"{each.mean:.3f}",
+                span(each.interval),
+                f"{each.completed} of {found.starts}",
+                each.source,
+            )
+            for each in order
+        ),
+        numbers=frozenset({"success"}),
+        note="Success is the mean over scenes of the share of waypoints reached, from the "
+        f"{plural(found.starts, 'start')} that all have a result from{_left_out(found)}. On these "
+        "starts it is known; intervals and ranks are what fresh starts in the same scenes may give "
+        "(a Bayesian bootstrap, and bets on the differences start by start). A range of ranks is "
+        f"not decided yet; with {percent} confidence no policy's true rank is outside its own "
+        "(Mogstad, Romano, Shaikh and Wilhelm, 2024, with Holm's procedure).",
+    )
+
+
+def _left_out(found: PolicyComparison) -> str:
+    return f"; {plural(found.left_out, 'start')} of some only left out" if found.left_out else ""
+
+
+def _scenes(found: PolicyComparison) -> Table:
+    labels = tuple(each.label for each in found.policies)
+    return Table(
+        title="Success by scene",
+        columns=("scene", "starts", *labels),
+        rows=tuple(
+            (each.scene, str(each.starts), *(f"{mean:.3f}" for mean in each.means))
+            for each in found.scenes
+        ),
+        numbers=frozenset({"starts", *labels}),
+    )
+
+
+def _partings(found: PolicyComparison) -> Table:
+    shown = [each for each in found.partings if each.shown]
+    suspect = [each for each in found.partings if not each.shown]
+    first = found.policies[0].label
+    percent = f"{100 * found.confidence:.4g} %"
+    more = f" {len(suspect) - _MOST} more are suspect." if len(suspect) > _MOST else ""
+    return Table(
+        title=f"The first waypoint at which a policy parts from {first}",
+        columns=("policy", "scene", "waypoint", f"{first} missed it", "policy missed it", "sure"),
+        rows=tuple(_parting(found, each) for each in (*shown, *suspect[:_MOST])),
+        numbers=frozenset({"waypoint"}),
+        note=f"Missed it: of the trials that came so far. {len(shown)} shown among "
+        f"{plural(found.waypoints, 'waypoint')} looked at, with {percent} confidence for all of "
+        "them (Fisher's exact test within scenes, Holm's procedure for all scenes together and for "
+        "single ones, half of the error each). Suspect: sure if this waypoint were the only one, "
+        f"which among so many means little.{more}",
+    )
+
+
+def _parting(found: PolicyComparison, each: SceneParting) -> tuple[str, ...]:
+    return (
+        found.policies[each.policy].label,
+        each.scene or "all together",
+        str(each.at.waypoint),
+        _missed(each.at.first),
+        _missed(each.at.second),
+        "yes" if each.shown else "suspect",
+    )
+
+
+def _missed(hazard: Hazard) -> str:
+    return f"{hazard.failed} of {hazard.trials}"

@@ -1,0 +1,178 @@
+"""Runs and banks of one suite are compared, by function and by verb, without a simulator."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import nw_eval
+from nw_eval.api.running.saved_run import saved_trials
+from nw_eval.cli import main
+from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.provenance import (
+    CodeInfo,
+    MachineInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    write_run_info,
+)
+from nw_eval.results.row import Row
+from nw_eval.suite import new_suite
+
+SCENE, DIGEST, CHECKPOINT, STARTS = "flat/room", "dd" * 32, "cc" * 32, 3
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """A folder with two runs on the same starts, one on others, and a bank of a better policy."""
+    folder = tmp_path_factory.mktemp("reports")
+    info = save_run(folder / "a", seed=7)
+    save_run(folder / "b", seed=7)
+    save_run(folder / "other", seed=8)
+    write_bank(folder / "first.parquet", better_bank(info))
+    return folder
+
+
+def save_run(path, *, seed):
+    """Save a run whose trials reached no waypoint."""
+    settings = {"name": "tiny", "robot": "go1", "policy": "stand", "scenes": [SCENE]}
+    suite = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
+    info = RunInfo(
+        id=path.name,
+        started="2026-11-21T11:00:05Z",
+        suite_file="tiny.yaml",
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=PolicyInfo(name="stand", checkpoint_digest=CHECKPOINT),
+        scenes={SCENE: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)},
+        code=CodeInfo(version="0.1.0", digest="ee" * 32),
+        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
+        engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
+    )
+    path.mkdir()
+    write_run_info(path / "run.json", info)
+    header = JournalHeader(
+        suite_digest=suite.digest, policy_digest="p", scene_digests={SCENE: DIGEST}
+    )
+    with Journal.create(path / "journal.jsonl", header) as journal:
+        for trial in saved_trials(info, suite):
+            journal.append(row_of(trial))
+    return info
+
+
+def row_of(trial):
+    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
+    return Row(
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        task=trial.task,
+        seed_index=trial.index,
+        seed=trial.seed,
+        policy="stand",
+        status="ok",
+        outcome="timeout",
+        end_reason="time",
+        completed=False,
+        success=0.0,
+        waypoints_reached=0,
+        waypoints_total=4,
+        steps=50,
+        checkpoint_digest=CHECKPOINT,
+        scene_digest=trial.scene_digest,
+        robot="go1",
+        **times,
+    )
+
+
+def better_bank(info):
+    """A bank on the starts of a run, of a policy that reached everything."""
+    starts = tuple(
+        Start(
+            scene=SCENE,
+            task="flat",
+            seed_index=index,
+            success=1.0,
+            completed=True,
+            waypoints_reached=4,
+            waypoints_total=4,
+            outcome="completed",
+            end_reason="",
+            trajectory="0" * 16,
+        )
+        for index in range(STARTS)
+    )
+    machine = machine_of(info)
+    panel = PanelInfo(machine=machine, saved="2026-11-22T10:00:00Z", by="anna", rows_digest="dd")
+    manifest = Manifest(
+        name="first",
+        suite="tiny",
+        starts=STARTS,
+        key=key_of(info),
+        policy=BankPolicy(name="shipped", card_digest="bb", checkpoint_digest="cc"),
+        panels=(panel,),
+    )
+    return SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
+
+
+def test_two_runs_and_a_bank_stand_side_by_side(reports):
+    found = nw_eval.compare([reports / "a", reports / "b", reports / "first.parquet"])
+    assert [each.label for each in found.policies] == ["stand (a)", "stand (b)", "shipped"]
+    assert [each.mean for each in found.policies] == [0.0, 0.0, 1.0]
+    assert found.starts == 3
+    # Three starts decide nothing, however far apart.
+    assert {(each.ranks.best, each.ranks.worst) for each in found.policies} == {(1, 3)}
+
+
+def test_a_page_and_a_picture_are_written_where_they_are_wanted(reports, tmp_path):
+    page, picture = tmp_path / "side.md", tmp_path / "side.png"
+    nw_eval.compare([reports / "a", reports / "b"], out=page, picture=picture)
+    assert "stand (b)" in page.read_text("utf-8")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_runs_on_other_starts_are_invalid_and_the_field_is_named(reports):
+    with pytest.raises(IncomparableError, match="its seed is 8, there 7"):
+        nw_eval.compare([reports / "a", reports / "other"])
+
+
+def test_what_is_neither_a_run_nor_a_bank_is_named(reports):
+    with pytest.raises(UsageError, match=r"nowhere is no run's folder, and suite 'tiny' has no"):
+        nw_eval.compare([reports / "a", "nowhere"])
+    with pytest.raises(UsageError, match="name the bank's file"):
+        nw_eval.compare(["nowhere", "elsewhere"])
+    with pytest.raises(UsageError, match="not the folder of a run"):
+        nw_eval.compare([reports, reports / "a"])
+    with pytest.raises(UsageError, match=r"confidence 95 .*0\.95 is 95 %"):
+        nw_eval.compare([reports / "a", reports / "b"], confidence=95)
+
+
+@pytest.mark.parametrize(
+    ("names", "code"), [(("a", "first.parquet"), 0), (("a", "other"), 5), (("a",), 2)]
+)
+def test_the_verb_prints_tables_and_ends_with_the_errors_code(reports, names, code, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["compare", *(str(reports / name) for name in names)])
+    assert int(left.value.code or 0) == code
+    printed = capsys.readouterr()
+    assert ("Policies on tiny" in printed.out) == (code == 0)
+    assert printed.err.count("\n") == (code != 0)
+
+
+def test_comparing_imports_no_simulation_and_draws_only_when_asked(reports):
+    code = (
+        "import sys, nw_eval; nw_eval.compare(sys.argv[1:]); "
+        "print({'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'} & {*sys.modules})"
+    )
+    runs = [str(reports / name) for name in ("a", "b", "first.parquet")]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *runs], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "set()\n"

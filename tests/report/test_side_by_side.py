@@ -1,0 +1,91 @@
+"""A comparison reads as it is: on the terminal, as Markdown, and as a picture."""
+
+from __future__ import annotations
+
+import pytest
+from matplotlib import colormaps
+from PIL import Image
+
+from nw_eval.cli.text.comparison import comparison_text
+from nw_eval.gate.side_by_side.result import (
+    ComparedPolicy,
+    ComparedScene,
+    PolicyComparison,
+    SceneParting,
+)
+from nw_eval.reporting.side_by_side.page import comparison_page
+from nw_eval.reporting.side_by_side.picture import draw_comparison
+from nw_eval.stats import Interval
+from nw_eval.stats.hazard import differences
+from nw_eval.stats.ranks import Ranks
+
+
+def policy(label, mean, best, worst):
+    return ComparedPolicy(
+        label=label,
+        policy=label,
+        source=f"reports/{label}",
+        mean=mean,
+        interval=Interval(mean - 0.1, min(1.0, mean + 0.1)),
+        completed=round(20 * mean),
+        ranks=Ranks(best=best, worst=worst),
+    )
+
+
+@pytest.fixture
+def found():
+    _, at = differences([0, 0, 10], [0, 10, 0])
+    _, weak = differences([0, 0, 10], [0, 5, 5])
+    return PolicyComparison(
+        suite="hurdles",
+        confidence=0.95,
+        policies=(policy("old", 0.9, 1, 2), policy("new|er", 0.95, 1, 2), policy("x", 0.2, 3, 3)),
+        scenes=(
+            ComparedScene(scene="hurdles/a", starts=10, means=(0.8, 0.9, 0.4)),
+            ComparedScene(scene="hurdles/b", starts=10, means=(1.0, 1.0, 0.0)),
+        ),
+        partings=(
+            SceneParting(scene="hurdles/b", policy=2, at=at, shown=True),
+            SceneParting(scene=None, policy=1, at=weak, shown=False),
+        ),
+        waypoints=18,
+        left_out=3,
+    )
+
+
+def test_the_terminal_has_ranks_scenes_and_partings(found):
+    lines = comparison_text(found).splitlines()
+    rows = {line.split()[0]: line.split() for line in lines if line}
+    # The best first; what is undecided is a range.
+    assert [line.split()[0] for line in lines[3:6]] == ["new|er", "old", "x"]
+    assert rows["old"][1:5] == ["1", "to", "2", "0.900"]
+    assert rows["hurdles/b"] == ["hurdles/b", "10", "1.000", "1.000", "0.000"]
+    assert "x       hurdles/b            2  0 of 10        10 of 10          yes" in lines
+    assert "new|er  all together         2  0 of 10        5 of 10           suspect" in lines
+    assert "3 starts of some only left out" in " ".join(lines)
+
+
+def test_a_page_of_markdown_escapes_what_would_break_its_tables(found):
+    page = comparison_page(found)
+    assert page.startswith("# Policies on hurdles\n")
+    assert "## Success by scene\n" in page
+    assert "## The first waypoint at which a policy parts from old\n" in page
+    assert "new\\|er" in page
+    assert "new|er" not in page.replace("new\\|er", "")
+
+
+def test_the_picture_has_a_cell_for_each_scene_and_policy(found, tmp_path):
+    draw_comparison(found, tmp_path / "seen.png")
+    with Image.open(tmp_path / "seen.png") as picture:
+        counts = picture.convert("RGB").getcolors(maxcolors=1 << 24)
+    large = {colour for count, colour in counts if count > 9000}
+    for mean in (0.8, 0.9, 0.4, 1.0, 0.0):
+        assert tuple(map(int, colormaps["cividis"](mean, bytes=True)[:3])) in large
+    assert not {(0, 0, 0), (255, 0, 0)} & large
+
+
+def test_names_from_anywhere_are_no_formula_in_the_picture(found, tmp_path):
+    scenes = (ComparedScene(scene="$\\frac{", starts=1, means=(0.1, 0.2, 0.3)),)
+    broken = vars(found) | {"suite": "$x^{", "scenes": scenes, "partings": ()}
+    draw_comparison(PolicyComparison(**broken), tmp_path / "seen.png")
+    assert (tmp_path / "seen.png").stat().st_size > 1000
