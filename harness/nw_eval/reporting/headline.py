@@ -39,10 +39,11 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     )
     if verdict.whole:
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
+        starts = f"the starts of this {_panel(run)}" if run.drawn_from is None else "these starts"
+        sentence += f"; on {starts} it is known: {verdict.effect:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. Against the baseline this gate {in_a_sentence(verdict.against.curve)}."
-    if verdict.drop_passes is None:
+    if verdict.drop_passes is None or verdict.against is not None:
         return f"{sentence}."
     return (
         f"{sentence}. A policy {verdict.drop:.2f} worse would still PASS in "
