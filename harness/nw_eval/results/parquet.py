@@ -50,7 +50,7 @@ def _other_version(path: Path, version: str | None) -> StoreError:
 def read_rows(path: Path) -> tuple[list[Row], dict[str, str]]:
     """Read rows and their metadata, keys without the `nw.` prefix.
 
-    NamedColumns that this version does not know are left out: later versions may add some.
+    Columns that this version does not know are left out: later versions may add some.
 
     Raises:
         StoreError: the file is missing, too large, damaged, of another schema version, or no file

@@ -101,7 +101,7 @@ class Column:
 
 
 class NamedColumns(dict[str, Column]):
-    """NamedColumns by name, in the order of the file; and by what their values are, to check many."""
+    """Columns by name, in the order of the file; and by what their values are, to check many."""
 
     @cached_property
     def texts(self) -> tuple[str, ...]:
