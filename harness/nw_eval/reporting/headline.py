@@ -39,8 +39,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     )
     if verdict.whole and _met_all(run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        starts = f"the starts of this {_panel(run)}" if run.drawn_from is None else "these starts"
-        sentence += f"; on {starts} it is known: {verdict.effect:.3f}"
+        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. Against the baseline this gate {in_a_sentence(verdict.against.curve)}."
     if verdict.drop_passes is None or verdict.against is not None:
