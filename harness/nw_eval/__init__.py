@@ -33,6 +33,7 @@ _ROOMS = MappingProxyType(
             "TrialPlan",
             "WarmUp",
             "WrittenSplat",
+            "agree",
             "bisect",
             "check",
             "check_baseline",
@@ -100,6 +101,7 @@ _ROOMS = MappingProxyType(
         "scenes.figures": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
         "splat.describe": ("SplatFigures",),
+        "stats.agreement.agree": ("Agreement",),
     }
 )
 """Where each public name is at home."""

@@ -18,6 +18,7 @@ from nw_eval.api import (
     TrialPlan,
     WarmUp,
     WrittenSplat,
+    agree,
     bisect,
     check,
     check_baseline,
@@ -85,11 +86,13 @@ from nw_eval.rollout.replaying.report import ReplayReport
 from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.describe import SplatFigures
+from nw_eval.stats.agreement.agree import Agreement
 
 __version__: str
 
 __all__ = [
     "ActingPolicy",
+    "Agreement",
     "BankChange",
     "BisectedSeries",
     "Card",
@@ -135,6 +138,7 @@ __all__ = [
     "WarmUp",
     "WrittenSplat",
     "__version__",
+    "agree",
     "bisect",
     "check",
     "check_baseline",

@@ -124,6 +124,9 @@ def test_rows_of_rounds_are_those_of_a_plain_run_and_end_when_it_is_settled(proj
     assert judged.verdict.against.rounds == rounds
     assert f"{8 - 2 * rounds} of 8 trials need not run" in ears.lines[-1]
     assert api.report("run").verdict == judged.verdict
+    page = Path("run/report.md").read_text()
+    assert f"round {rounds} was enough, and {8 - 2 * rounds} of 8 need not run" in page
+    assert "it is known" not in page, "a part of the panel was drawn"
     assert len(api.read_rows("run")) == 2 * rounds
 
 
@@ -173,6 +176,8 @@ def test_the_policy_of_the_bank_passes_without_a_trial_by_what_the_bank_holds(ca
     assert (judged.verdict.effect, judged.verdict.interval) == (whole.effect, whole.interval)
     assert judged.verdict.n == 8
     assert "the same policy" in Path("same/report.md").read_text()
+    assert "it is known: " in Path("same/report.md").read_text()
+    assert "Where the time went" not in Path("same/report.md").read_text()
     assert not Path("same/mcap").exists()
     assert api.run(None, resume=Path("same")).verdict == judged.verdict
 

@@ -38,6 +38,7 @@ from nw_eval.api.policies import (
     show_policy,
 )
 from nw_eval.api.replays import replay
+from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.plans import check, plan
@@ -71,6 +72,7 @@ __all__ = [
     "TrialPlan",
     "WarmUp",
     "WrittenSplat",
+    "agree",
     "bisect",
     "check",
     "check_baseline",

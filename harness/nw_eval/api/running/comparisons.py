@@ -41,9 +41,8 @@ def compare(
     """
     from nw_eval.gate.side_by_side.compare import side_by_side
 
-    if not 0.0 < confidence < 1.0:
-        raise UsageError(f"confidence {confidence} is not between 0 and 1", fix="0.95 is 95 %")
-    found = side_by_side(_entrants(runs), confidence)
+    check_share(confidence)
+    found = side_by_side(entrants(runs), confidence)
     if out is not None:
         from nw_eval.reporting.markdown import write_report
         from nw_eval.reporting.side_by_side.page import comparison_page
@@ -56,7 +55,22 @@ def compare(
     return found
 
 
-def _entrants(sources: Sequence[str | Path]) -> list[Entrant]:
+def check_share(confidence: float) -> None:
+    """Refuse a confidence that is no probability, such as 95.
+
+    Raises:
+        UsageError: it is not between 0 and 1.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"confidence {confidence} is not between 0 and 1", fix="0.95 is 95 %")
+
+
+def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
+    """Return the policies of runs and banks, in this order.
+
+    Raises:
+        UsageError, IncomparableError, StoreError: as `compare`.
+    """
     from nw_eval.gate.side_by_side.entrant import entrant_of_run
 
     runs = {str(source): _run(Path(source)) for source in sources}

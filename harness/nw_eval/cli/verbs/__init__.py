@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.agree import Agree
 from nw_eval.cli.verbs.baseline import Baseline
 from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
@@ -37,6 +38,7 @@ Verb = (
     | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Agree, tyro.conf.subcommand("agree")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]

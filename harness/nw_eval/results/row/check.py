@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import LONGEST, clean
-from nw_eval.results.row.column import Column, ColumnSet, Numbers, Settings
+from nw_eval.results.row.column import Column, NamedColumns, Numbers, Settings
 
 _MARK = 60  # characters at most with which `clean` says what it cut
 _WORD = 100  # characters of what is likely to come again
@@ -32,7 +32,7 @@ def _is_kin(value: Any, column: Column) -> bool:
     return not is_other and isinstance(value, column.types)
 
 
-def as_kept(values: Mapping[str, Any], columns: ColumnSet) -> dict[str, Any]:
+def as_kept(values: Mapping[str, Any], columns: NamedColumns) -> dict[str, Any]:
     """Return texts and lists as files keep them: harmless and short, and in single precision.
 
     Raises:
@@ -46,7 +46,7 @@ def as_kept(values: Mapping[str, Any], columns: ColumnSet) -> dict[str, Any]:
     return kept
 
 
-def out_of_bounds(values: Mapping[str, Any], columns: ColumnSet) -> str | None:
+def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | None:
     """Return which number no file of rows can hold, or None."""
     for name, too_large in columns.wholes:
         if not 0 <= values[name] < too_large:

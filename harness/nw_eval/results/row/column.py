@@ -100,7 +100,7 @@ class Column:
         return tuple(value or ())
 
 
-class ColumnSet(dict[str, Column]):
+class NamedColumns(dict[str, Column]):
     """Columns by name, in the order of the file; and by what their values are, to check many."""
 
     @cached_property
@@ -124,13 +124,13 @@ class ColumnSet(dict[str, Column]):
         return tuple((name, column) for name, column in self.items() if column.is_list)
 
 
-def columns_of(row: type) -> ColumnSet:
+def columns_of(row: type) -> NamedColumns:
     """Return the columns of a dataclass each of whose fields is annotated with one.
 
     Raises:
         TypeError: a field has no column, or a column that came later has no default.
     """
-    columns = ColumnSet()
+    columns = NamedColumns()
     for name, hint in get_type_hints(row, include_extras=True).items():
         kind, *says = get_args(hint) or (hint,)
         if not (says and isinstance(says[0], Column)):

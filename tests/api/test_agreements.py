@@ -1,0 +1,165 @@
+"""A robot's results beside those of runs, from a CSV to what can be said of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import nw_eval
+from nw_eval.cli import main
+from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank.manifest import BankPolicy
+
+SCENES = {"hurdles/a": "11" * 32, "hurdles/b": "22" * 32}
+MACHINE = {"cpu": "znver4 1f0c77a2"}
+HEADING = "policy,scene,trials,success\n"
+
+
+def save(folder, name, completed, **changes):
+    """Save a bank of ten starts a scene, of which so many were completed in each."""
+    key = BankKey(
+        suite_digest="aa" * 32, seed=1, protocol="strict", scenes=SCENES, simulator={}
+    ).model_copy(update=changes)
+    starts = tuple(
+        Start(
+            scene=scene,
+            task="hurdles",
+            seed_index=index,
+            success=float(index < count),
+            completed=index < count,
+            waypoints_reached=int(index < count),
+            waypoints_total=1,
+            outcome="completed" if index < count else "fell",
+            end_reason="",
+            trajectory="0" * 16,
+        )
+        for scene, count in zip(SCENES, completed, strict=True)
+        for index in range(10)
+    )
+    panel = PanelInfo(machine=MACHINE, saved="2026-11-22T10:00:00Z", by="anna", rows_digest="dd")
+    manifest = Manifest(
+        name=name,
+        suite="tiny",
+        starts=10,
+        key=key,
+        policy=BankPolicy(name="walker", card_digest="bb", checkpoint_digest="cc"),
+        panels=(panel,),
+    )
+    bank = SavedBank(manifest=manifest, panels=(Panel(machine=MACHINE, starts=starts),))
+    path = folder / f"{name}.parquet"
+    write_bank(path, bank)
+    return path
+
+
+@pytest.fixture
+def banks(tmp_path):
+    """Five policies, of .1 to .9 in the simulator, .0 or .2 apart between their scenes."""
+    return [
+        save(tmp_path, f"p{k}", done)
+        for k, done in enumerate([(0, 2), (3, 3), (6, 4), (7, 7), (9, 9)])
+    ]
+
+
+def csv(tmp_path, text):
+    path = tmp_path / "real.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_path):
+    real = csv(
+        tmp_path,
+        HEADING
+        + "p0,hurdles/a,10,0.1\np0,hurdles/b,10,0.3\n"
+        + "".join(f"p{k},hurdles/a,{10 * k},0.{2 * k}\n" for k in range(1, 5)),
+    )
+    found = nw_eval.agree(real, banks)
+    assert {each.policy: each.value for each in found.gaps} == pytest.approx(
+        {"p0": 0.1 - 0.2, "p1": 0.3 - 0.2, "p2": 0.6 - 0.4, "p3": 0.7 - 0.6, "p4": 0.9 - 0.8}
+    )
+    figures = {each.name: each for each in found.figures}
+    # By hand: .2 .2 .4 .6 .8 on the robot and .1 .3 .6 .7 .9 simulated: no order is violated.
+    assert figures["mmrv"].value == 0.0
+    # scipy 1.17.1, pearsonr.
+    assert figures["pearson"].value == pytest.approx(0.9485769101954464, rel=1e-12)
+    assert figures["pearson"].perfect.mean < 1.0
+
+
+def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
+    real = csv(tmp_path, HEADING + "p0,hurdles/a,20,0.75\np4,hurdles/b,20,0.6\n")
+    with pytest.raises(SystemExit) as left:
+        main(["agree", str(real), *map(str, banks)])
+    assert not left.value.code
+    printed = capsys.readouterr().out
+    assert "nothing can be said of rank or correlation from 2 policies" in printed
+    assert "Pearson" not in printed
+    assert "p4                    +0.300" in printed
+
+
+def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_path, capsys):
+    lines = "".join(f"p{k},hurdles/a,10,{x}\n" for k, x in enumerate((0.3, 0.2, 0.4, 0.9, 0.7)))
+    with pytest.raises(SystemExit) as left:
+        main(["agree", str(csv(tmp_path, HEADING + lines)), *map(str, banks)])
+    assert not left.value.code
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    (figure,) = [row for row in rows if row[:1] == ["MMRV"]]
+    # By hand: p0 and p1 swap .1, p3 and p4 swap .2.
+    assert figure[1] == "0.120"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("policy,scene,success\n", "lacks the column trials; write a heading"),
+        (HEADING, "has no results"),
+        ("", "lacks the column policy"),
+        (HEADING + "p0,hurdles/a,0,0.5\n", r"real\.csv:2:1: trials '0' is no whole number"),
+        (HEADING + "p0,hurdles/a,ten,0.5\n", "trials 'ten' is no whole number"),
+        (HEADING + "p0,hurdles/a,10,nan\n", "success 'nan' is not between 0 and 1"),
+        (HEADING + "p0,hurdles/a,10,75\n", "success '75' is not between 0 and 1"),
+        (HEADING + "p0,hurdles/a,10\n", "success '' is not between 0 and 1"),
+        (HEADING + ",hurdles/a,10,1\n", "it names no policy or no scene"),
+        (HEADING + 2 * "p0,hurdles/a,10,1\n", r"csv:3:1: policy 'p0' in scene 'hurdles/a' is"),
+        (HEADING + "q,hurdles/a,10,1\n", r"csv:2: policy 'q' is that of no run; known: p0, "),
+        (HEADING + "walker,hurdles/a,10,1\n", r"policy 'walker' may be .*p0.* or .*p1"),
+        (HEADING + "p0,hurdles/c,10,1\n", r"p0\.parquet has no result in scene 'hurdles/c'; did"),
+        (HEADING + 'p0,"hurdles/a,10,1\n', "is no CSV"),
+    ],
+)
+def test_a_csv_that_cannot_be_used_is_named_with_its_line(banks, tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        nw_eval.agree(csv(tmp_path, text), banks)
+
+
+def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(banks, tmp_path):
+    with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
+        nw_eval.agree(tmp_path / "nowhere.csv", banks)
+    with pytest.raises(UsageError, match="is no CSV"):
+        nw_eval.agree(banks[0], banks)
+    with pytest.raises(UsageError, match="no run to compare the robot with"):
+        nw_eval.agree(csv(tmp_path, HEADING), [])
+
+
+def test_simulators_that_differ_are_not_one_simulator(banks, tmp_path):
+    other = save(tmp_path, "late", (9, 9), simulator={"mujoco": "4.0.1"})
+    with pytest.raises(IncomparableError, match=r"its mujoco is 4\.0\.1, there none"):
+        nw_eval.agree(csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n"), [*banks, other])
+
+
+def test_agreement_imports_no_simulation(banks, tmp_path):
+    code = (
+        "import sys, nw_eval; nw_eval.agree(sys.argv[1], sys.argv[2:]); "
+        "print({'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'} & {*sys.modules})"
+    )
+    real = csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(real), *map(str, banks)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "set()\n"
