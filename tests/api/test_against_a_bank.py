@@ -5,7 +5,9 @@ All of them are of the shipped policy in two scenes, four seconds each, in this 
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +17,7 @@ import pytest
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.engine import session
+from nw_eval.engine.trials.attempts import Attempts
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.results.bank.build import bank_of_run
@@ -260,6 +263,18 @@ def test_where_the_bank_s_bits_are_repeated_its_panel_is_known_after_a_round():
     assert judged.verdict.against.basis == "panel"
     assert judged.verdict.verdict == "PASS"
     assert {row.arm for row in judged.rows} == {"candidate"}
+
+
+def test_ctrl_c_while_the_bank_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
+    forged(elsewhere)
+    with monkeypatch.context() as patch:
+        patch.setattr(Attempts, "settle", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        cut = against()
+    assert (cut.interrupted, cut.verdict.verdict, cut.rows) == (True, "INFRASTRUCTURE", ())
+    assert "8 trials missing" in cut.verdict.reasons[0]
+    whole = api.run(None, resume=Path("run"), in_process=True)
+    assert whole.verdict.verdict == "PASS"
+    assert whole.info.baseline.checked == "bits"
 
 
 def test_other_bits_need_a_bank_large_enough_for_a_sample():

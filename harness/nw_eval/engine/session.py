@@ -166,6 +166,9 @@ def _keep_bank(plan: Plan, folder: RunFolder) -> None:
 def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
     """Write run.json anew with when the run was begun, and what it has cost until now."""
     earlier = read_run_info(folder.run_json)
+    if earlier.baseline and info.baseline and earlier.baseline.sha256 == info.baseline.sha256:
+        # What the baseline showed on this machine holds until it has been looked at again.
+        info = info.model_copy(update={"baseline": earlier.baseline})
     info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
     write_run_info(folder.run_json, info)
     return info
