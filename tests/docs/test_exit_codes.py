@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from nw_eval import api, cli
 from nw_eval.gate import EXIT_CODES
+from nw_eval.results.bank import Panel
+from nw_eval.results.bank.build import bank_of_run
+from nw_eval.results.bank.file import write_bank
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -75,6 +79,25 @@ def not_comparable(_: pytest.MonkeyPatch) -> list[str]:
     return ["run", write(), "--policy", "go1-parkour", "--resume", "run"]
 
 
+def invalid(_: pytest.MonkeyPatch) -> list[str]:
+    suite = write(trials=6, gate="gate: {success_rate: 0.5, max_drop: 0.1, rounds: 2}")
+    kept = api.run(suite, out=Path("kept"))
+    bank = bank_of_run(kept.rows, kept.info, name="stand", card="stand")
+    # As if standing had got there, on some other machine.
+    there = {"success": 1.0, "completed": True, "outcome": "completed", "trajectory": "0" * 16}
+    machine = {**bank.panels[0].machine, "cpu": "elsewhere"}
+    starts = tuple(
+        replace(start, waypoints_reached=start.waypoints_total, **there)
+        for start in bank.panels[0].starts
+    )
+    info = bank.manifest.panels[0].model_copy(update={"machine": machine})
+    manifest = bank.manifest.model_copy(update={"panels": (info,)})
+    forged = replace(bank, manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
+    write_bank(Path("stand.parquet"), forged)
+    compared = ["--policy", "go1-parkour", "--baseline", "stand.parquet"]
+    return ["run", suite, *compared, "--out", "run"]
+
+
 def interrupted(patch: pytest.MonkeyPatch) -> list[str]:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt  # As Python's own handler of SIGINT does.
@@ -90,7 +113,7 @@ WAYS = {
     (2, ""): misused,
     (3, "INCONCLUSIVE"): inconclusive,
     (4, "INFRASTRUCTURE"): infrastructure,
-    (5, ""): not_comparable,
+    (5, "INVALID"): invalid,
     (130, ""): interrupted,
 }
 
@@ -98,8 +121,20 @@ WAYS = {
 def test_the_table_has_the_rows_that_are_tried_here_and_every_verdict() -> None:
     rows = promised()
     assert rows == list(WAYS)
-    # INVALID is the word of comparisons, which there are none of yet.
-    assert {(code, word) for word, code in EXIT_CODES.items()} - set(rows) == {(5, "INVALID")}
+    assert {(code, word) for word, code in EXIT_CODES.items()} <= set(rows)
+
+
+def test_a_run_that_cannot_be_resumed_ends_without_a_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        cli.main(not_comparable(monkeypatch))
+    assert left.value.code == 5
+    out, err = capsys.readouterr()
+    assert not any(line.split(" · ")[0] in EXIT_CODES for line in out.splitlines())
+    assert err.strip()
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(("code", "word"), promised())
