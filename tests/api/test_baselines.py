@@ -228,9 +228,11 @@ def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
 
 
 @pytest.mark.usefixtures("project")
-def test_a_bank_that_is_damaged_is_not_written_over():
+def test_a_bank_that_is_damaged_is_written_over_only_when_asked():
     file = Path("reports/baselines/quick/stand.parquet")
     run = run_of("there")
     file.write_bytes(file.read_bytes()[:-9])
-    with pytest.raises(StoreError, match="is damaged"):
+    with pytest.raises(StoreError, match=r"is damaged: .*, or replace it"):
         api.save_baseline("quick.yaml", from_run=run)
+    assert api.save_baseline("quick.yaml", from_run=run, renew=True).action == "new"
+    assert read_bank(file).manifest.starts == 4

@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from nw_eval.built_in.splits import Split
 from nw_eval.catalogue.find import names
-from nw_eval.gate.outlook import DROP
 from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
 from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED
@@ -69,7 +68,7 @@ def test_its_bounds_are_those_of_the_code() -> None:
     for said in (
         f"at most {MAX_CELLS} cells, a run at most {MAX_TRIALS} trials",
         f"{train} built-in places to train in, and the {evaluation} others",
-        f"({DROP:g} without the key)",
+        f"({Gate().most_drop:g} without the key)",
         f"`RandomState({PUBLISHED_FIRST_SEED} + i)`",
     ):
         assert said in PROSE, said

@@ -1,8 +1,10 @@
 """The order of a run."""
 
 from collections import Counter
+from dataclasses import replace
 
-from nw_eval.engine.order import in_order, next_place
+from nw_eval.engine.order import in_order, next_place, rounds
+from nw_eval.rollout.job import TrialJob
 from nw_eval.suite.trials import Trial
 
 
@@ -80,3 +82,21 @@ def test_two_workers_of_one_speed_load_each_scene_once():
             scenes.add(waiting.pop(next_place(waiting, own=scenes, taken=own[0] | own[1])).scene)
     assert len(own[0]) == len(own[1]) == 3
     assert not own[0] & own[1]
+
+
+def test_a_round_is_what_a_bank_draws_and_not_one_index():
+    drawn = [replace(trial, drawn=(trial.index + len(trial.scene)) % 4) for trial in trials()]
+    drawn += [replace(trial, drawn=3 - trial.drawn, perturbation=(("p", 1.0),)) for trial in drawn]
+    jobs = [
+        TrialJob(trial=t, robot="go1", scene=t.scene, duration=1.0, policy="p",
+                 checkpoint_digest="c")
+        for t in in_order(drawn)
+    ]  # fmt: skip
+    parts = rounds(jobs)
+    assert [{job.trial.drawn for job in part} for part in parts] == [{0}, {1}, {2}, {3}]
+    strata = {(t.scene, t.perturbation) for t in drawn}
+    assert all({(j.trial.scene, j.trial.perturbation) for j in part} == strata for part in parts)
+    waiting = [job.trial for job in jobs]
+    last = waiting[-1].scene
+    place = next_place(waiting, own={last}, taken=set())
+    assert (waiting[place].scene, waiting[place].drawn) == (last, 0), "not of a later round"

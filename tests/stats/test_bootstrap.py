@@ -88,3 +88,13 @@ def test_coverage_is_near_nominal_where_plain_bootstraps_fail(
         covered += interval.low <= truth <= interval.high
     # Nominal 0.95; 150 repetitions have a standard error of 0.018, so 0.90 is near three below.
     assert covered / repetitions >= 0.90
+
+
+def test_many_trials_that_share_weights_have_the_interval_of_as_many_apart() -> None:
+    # Sixty trials of three values; a little apart, so that none are equal, and no weight is shared.
+    shared = np.repeat([0.25, 0.5, 1.0], 20)
+    apart = shared - np.linspace(0.0, 1e-9, 60)
+    one, two = mean_of_scenes([shared]), mean_of_scenes([apart])
+    assert one.mean == pytest.approx(two.mean)
+    assert one.interval.low == pytest.approx(two.interval.low, abs=0.006)
+    assert one.interval.high == pytest.approx(two.interval.high, abs=0.006)

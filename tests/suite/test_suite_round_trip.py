@@ -22,6 +22,7 @@ frictions = st.floats(0.0, 5.0, exclude_min=True)
 
 @st.composite
 def suites(draw: st.DrawFn) -> dict[str, Any]:
+    tolerate, max_drop = sorted([draw(shares), draw(shares)])
     return {
         "nw-eval": 1,
         "name": draw(names),
@@ -36,7 +37,12 @@ def suites(draw: st.DrawFn) -> dict[str, Any]:
         "record": draw(st.sampled_from(["all", "failures", "none"])),
         "gate": {
             "success_rate": draw(st.none() | shares),
-            "max_drop": draw(shares),
+            "baseline": draw(st.none() | words),
+            "max_drop": max_drop,
+            "tolerate": tolerate,
+            "scene_drop": draw(shares),
+            "rounds": draw(st.integers(1, 10_000)),
+            "false_alarm": draw(st.floats(0.001, 0.5)),
             "confidence": draw(st.floats(0.5, 0.9999)),
             "tiers": draw(
                 st.dictionaries(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from nw_eval.errors import UsageError
 from nw_eval.request import Request
 from nw_eval.suite import Trial, expand, new_suite, override
+from nw_eval.suite.trials import wanted
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,
@@ -147,3 +148,23 @@ def test_ids_are_unique_whatever_the_grid(values: list[float], trials: int) -> N
     suite = new_suite({**BASE, "trials": trials, "perturb": {"friction": values}})
     expanded = expand(suite, [ONE, TWO])
     assert len({t.id for t in expanded}) == len(expanded) == 2 * trials * len(values)
+
+
+def test_trials_that_a_bank_draws_are_those_of_their_index_in_the_round_that_draws_them() -> None:
+    suite = new_suite({**BASE, "perturb": {"friction": (0.5, 1.0)}})
+    cells = suite.perturb.cells
+    starts = {
+        (scene.name, cell): [7 + k, 2, 40 + k]
+        for k, (scene, cell) in enumerate((s, c) for s in (ONE, TWO) for c in cells)
+    }
+    drawn = expand(suite, [ONE, TWO], starts)
+    assert [t.round for t in drawn] == [0] * 4 + [1] * 4 + [2] * 4
+    for t in drawn:
+        assert t.index == starts[t.scene, t.perturbation][t.round]
+    plain = {t.id: t for t in expand(override(suite, Request(trials=50)), [ONE, TWO])}
+    for t in drawn:
+        same = plain[t.id]
+        assert (t.identity, t.seed) == (same.identity, same.seed)
+        assert same.round == same.index
+    assert wanted(drawn, 2) == drawn[:8]
+    assert wanted(drawn, None) == drawn

@@ -37,12 +37,12 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
         f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
         f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"
     )
-    if verdict.whole:
+    if verdict.whole and _met_all(run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
         sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. Against the baseline this gate {in_a_sentence(verdict.against.curve)}."
-    if verdict.drop_passes is None:
+    if verdict.drop_passes is None or verdict.against is not None:
         return f"{sentence}."
     return (
         f"{sentence}. A policy {verdict.drop:.2f} worse would still PASS in "
@@ -83,6 +83,12 @@ def _panel(run: RunInfo) -> str:
     seed = run.suite.get("seed")
     kind = "fresh panel" if run.panel == "fresh" else "panel"
     return kind if seed is None else f"{kind} (seed {seed})"
+
+
+def _met_all(run: RunInfo) -> bool:
+    """Whether success is that of all starts of the panel, not only of those that were drawn."""
+    rounds = run.suite.get("trials") if run.stopped_after is None else run.stopped_after
+    return run.drawn_from is None or run.stopped_after == 0 or rounds == run.drawn_from
 
 
 def _duration(seconds: float) -> str:

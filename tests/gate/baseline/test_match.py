@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
     Make = Callable[..., Any]
 
-RENEW = "; renew the bank with `nw-eval baseline save hurdles --policy go1-act-rgb --renew`"
+RENEW = (
+    "; renew the bank with `nw-eval baseline save hurdles --policy go1-act-rgb --renew "
+    "--name shipped`"
+)
 
 
 @pytest.fixture
@@ -138,5 +141,6 @@ def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
     with pytest.raises(IncomparableError) as caught:
         check_match(run.model_copy(update={"engine": {}}), bank)
     assert str(caught.value).endswith(
-        "`nw-eval baseline save 'my suites/own.yaml' --policy policies/own/policy.yaml --renew`"
+        "`nw-eval baseline save 'my suites/own.yaml' --policy policies/own/policy.yaml --renew "
+        "--name shipped`"
     )

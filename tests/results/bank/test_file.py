@@ -142,6 +142,15 @@ def test_a_column_that_is_missing_is_named(saved: Path) -> None:
         read_bank(saved)
 
 
+def test_a_column_that_no_bank_has_is_an_error_of_its_reader_alone(saved: Path) -> None:
+    table = pq.read_table(saved)
+    dates = pa.array([0] * table.num_rows, pa.date32())
+    changed = table.set_column(0, "panel", dates)
+    write_small_table(saved, changed, metadata_of(table.schema))
+    with pytest.raises(StoreError, match="holds something that is neither number nor text"):
+        read_bank(saved)
+
+
 def test_the_rows_of_a_run_are_no_bank_and_neither_is_anybodys_table(
     tmp_path: Path, make_row: Callable[..., Any]
 ) -> None:

@@ -28,7 +28,8 @@ def test_a_name_is_looked_for_in_the_project_and_then_among_the_shipped_banks(
     folders: tuple[Path, Path],
 ) -> None:
     mine, shipped = folders
-    assert find_bank("best", suite="hurdles", root=mine) == mine / "hurdles/best.parquet"
+    for name in ("best", "hurdles/best"):
+        assert find_bank(name, suite="hurdles", root=mine) == mine / "hurdles/best.parquet"
     found = find_bank("go1-parkour", suite="hurdles", root=mine)
     assert found == shipped / "hurdles/go1-parkour.parquet"
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
@@ -75,7 +75,6 @@ def save_baseline(
     from nw_eval.api.baselines.here import card_reference, here
     from nw_eval.api.baselines.results import finished_results, new_results
     from nw_eval.results.bank.build import bank_of_run
-    from nw_eval.results.bank.file import read_bank
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
@@ -90,7 +89,7 @@ def save_baseline(
         run, rows = finished_results(Path(from_run), folder)
         own = run.policy.name
     file = _file(root, folder, name or own)
-    earlier = read_bank(file) if file.exists() else None
+    earlier = _earlier(file, renew=renew)
     if place is not None:
         starts = starts or (earlier.manifest.starts if earlier else STARTS)
         if earlier is not None and not renew and place.is_in(earlier, starts):
@@ -134,6 +133,22 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     if fault := fault_of_name(name):
         raise UsageError(f"a bank's name: {fault}", fix="give another with --name")
     return (root or BANKS) / suite / (name + SUFFIX)
+
+
+def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
+    """Return the bank that is there; None if there is none, or one to replace that is unreadable.
+
+    Raises:
+        StoreError, IncomparableError: it cannot be read, and nobody wants it replaced.
+    """
+    from nw_eval.results.bank.file import read_bank
+
+    try:
+        return read_bank(file) if file.exists() else None
+    except (StoreError, IncomparableError):
+        if not renew:
+            raise
+        return None
 
 
 def _written(

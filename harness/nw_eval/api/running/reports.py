@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import IncomparableError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from nw_eval.gate.verdict import Verdict
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import BaselineInfo, RunInfo
@@ -56,11 +58,10 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     """Judge a run as it was begun, by its bar and its baseline, and write report.md.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
-    Where the bank that it was begun against is gone, the verdict is INVALID, and what the bar alone
-    would say is among the reasons.
+    Where the bank that it was begun against is gone or does not hold for it the verdict is INVALID,
+    and what the bar alone would say is among the reasons.
 
     Raises:
-        IncomparableError: the bank does not hold for it.
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
     from nw_eval.api.running.baselines import kept_bank
@@ -71,13 +72,12 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
 
     folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
+    suite = saved_suite(info)
     try:
-        against, gone = kept_bank(folder, info), None
+        judged = _judged(folder, info, suite, lambda: kept_bank(folder, info))
     except IncomparableError as error:
-        against, gone = None, error
-    judged = _judged(folder, info, saved_suite(info), against)
-    if gone is not None:
-        judged = replace(judged, verdict=without_bank(judged.verdict, str(gone)))
+        judged = _judged(folder, info, suite, lambda: None)
+        judged = replace(judged, verdict=without_bank(judged.verdict, str(error)))
     return _written(judged, out or folder.report_md)
 
 
@@ -113,17 +113,25 @@ def judge(
     folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
     suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)
-    judged = _judged(folder, info, suite, judging_bank(folder, info, suite, baseline))
+    judged = _judged(folder, info, suite, lambda: judging_bank(folder, info, suite, baseline))
     return judged if out is None else _written(judged, out)
 
 
-def _judged(folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None) -> RunReport:
+def _judged(
+    folder: RunFolder, info: RunInfo, suite: Suite, bank: Callable[[], Against | None]
+) -> RunReport:
     """Return the verdict on the rows of a run's plan."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from nw_eval.api.running.saved_run import saved_trials
     from nw_eval.gate.baseline.combine import judge_run
     from nw_eval.results.ended import read_trials
 
-    found = read_trials(folder, info, saved_trials(info, suite))
+    # A process of its own reads the bank, which takes as long as the rows do.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        opened = beside.submit(bank)
+        found = read_trials(folder, info, saved_trials(info, suite))
+    against = opened.result()
     verdict = judge_run(found.rows, info, suite.gate, against)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     return RunReport(

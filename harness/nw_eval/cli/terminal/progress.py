@@ -106,6 +106,9 @@ class RunProgress:
         """Show how many trials there are, and how many an earlier run already finished."""
         self._total, self._done = total, finished
         self._began = self._last_line_at = time.perf_counter()
+        self._fresh, self._errors, self._successes = 0, 0, []
+        if "trials" in self._tasks:  # The baseline's own, which ran first.
+            self._bars.remove_task(self._tasks["trials"])
         self._tasks["trials"] = self._bars.add_task(
             "trials", total=total, completed=finished, note=""
         )

@@ -93,4 +93,6 @@ def _word(bar: Word, baseline: Word) -> Word:
     if bar in {"INFRASTRUCTURE", "INVALID"}:
         return bar
     both = {bar, baseline}
-    return next((word for word in ("REGRESSED", "INCONCLUSIVE") if word in both), "PASS")
+    if "REGRESSED" in both:
+        return "REGRESSED"
+    return "INCONCLUSIVE" if "INCONCLUSIVE" in both else "PASS"

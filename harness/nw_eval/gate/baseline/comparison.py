@@ -47,7 +47,8 @@ class SceneDrop:
     named: bool
     """Whether it fell, beyond doubt."""
     waypoint: int | None = None
-    """The first waypoint, from 1, at which the two part, for a scene that is named or suspect."""
+    """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
+    have, or that speaks most of a policy that was convicted."""
 
     @property
     def stratum(self) -> Stratum:

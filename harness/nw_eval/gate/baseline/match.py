@@ -43,8 +43,10 @@ def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
     if run.request is not None and run.request.suite is not None:
         suite = str(run.request.suite)
     policy = bank.manifest.policy.card or bank.manifest.policy.name
+    own = bank.manifest.name
+    name = [] if own == bank.manifest.policy.name else ["--name", own]
     words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
-    return " ".join(quote(word) for word in words)
+    return " ".join(quote(word) for word in [*words, *name])
 
 
 def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:

@@ -29,6 +29,7 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
                 f"{100 * stage.share:.0f} %",
             )
             for stage in spent.stages
+            if rows  # Where nothing ran no time went anywhere.
         ),
         numbers=frozenset({"seconds", "ms per control step", "share"}),
         note=f"{rate:.1f} trials per minute on {plural(run.workers, 'worker')}; "
@@ -47,7 +48,9 @@ def provenance_table(run: RunInfo) -> Table:
         "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
-        "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned",
+        "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned{_saved(run)}",
+        "baseline": "" if run.baseline is None else f"{run.baseline.name}, "
+        f"{run.baseline.sha256[:12]}",
         "renderer": run.renderer or "none",
         "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
@@ -61,3 +64,12 @@ def provenance_table(run: RunInfo) -> Table:
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def _saved(run: RunInfo) -> str:
+    """Return how many trials need not run, where a part of the rounds was enough."""
+    if run.stopped_after is None:
+        return ""
+    most = sum(scene.trials for scene in run.scenes.values())
+    saved = most - sum(run.planned.values())
+    return f": round {run.stopped_after} was enough, and {saved} of {most} need not run"

@@ -14,13 +14,15 @@ from nw_eval.results.bank.manifest import Manifest
 from nw_eval.results.bank.start import Panel, SavedBank, Start, Stratum
 from nw_eval.results.row import COLUMNS
 from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
-from nw_eval.results.row.column import Settings
+from nw_eval.results.row.column import NamedColumns, Settings
 from nw_eval.words import OUTCOMES
 
 MOST_PANELS = 64
 """Classes of machines of one bank."""
 
-SHARED = {field.name: COLUMNS[field.name] for field in fields(Start) if field.name in COLUMNS}
+SHARED = NamedColumns(
+    {field.name: COLUMNS[field.name] for field in fields(Start) if field.name in COLUMNS}
+)
 SHARED["success"] = replace(SHARED["success"], kind=float)  # A bank has no errors.
 """The columns that a start has of its row."""
 

@@ -27,7 +27,7 @@ VERSION = 1
 
 SUFFIX = ".parquet"
 _MANIFEST = "bank"
-_RESTORE = "restore it from git, or save it again: `nw-eval baseline save`"
+_RESTORE = "restore it from git, or replace it: `nw-eval baseline save` with --renew"
 
 
 def write_bank(path: Path, bank: SavedBank) -> None:
@@ -89,8 +89,13 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
         for info, starts in zip(manifest.panels, groups, strict=False)
     ]
     bank = SavedBank(manifest=manifest, panels=tuple(panels))
-    if fault := fault_of(bank) or _misnamed(path, manifest):
+    if fault := fault_of(bank):
         raise _unusable(path, fault)
+    if fault := _misnamed(path, manifest):
+        raise IncomparableError(
+            f"{path} cannot be compared with: {fault}",
+            fix=f"call the file {manifest.name}{SUFFIX}, or save a bank of the other name",
+        )
     return bank
 
 

@@ -17,7 +17,8 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
     """Return the file of a bank.
 
     Args:
-        reference: a path, which has a slash or ends with `.parquet`; or a name.
+        reference: a name, also as `<suite>/<name>`; or a path, which has a slash or ends with
+            `.parquet`.
         suite: the name of the suite, whose folder a name is looked for in.
         root: the project's folder of banks, which comes before the shipped ones.
 
@@ -26,6 +27,8 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
         IncomparableError: the project and nw-eval have different banks of that name.
     """
     name = str(reference)
+    if what_is(Path(name)) != "file":
+        name = name.removeprefix(f"{suite}/")  # As lists of all suites have it.
     if "/" in name or name.endswith(SUFFIX):
         path = Path(name)
         if what_is(path) != "file":

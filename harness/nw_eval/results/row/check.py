@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import LONGEST, clean
-from nw_eval.results.row.column import Column, Numbers, Settings
+from nw_eval.results.row.column import Column, NamedColumns, Numbers, Settings
 
 _MARK = 60  # characters at most with which `clean` says what it cut
 _WORD = 100  # characters of what is likely to come again
@@ -32,35 +32,34 @@ def _is_kin(value: Any, column: Column) -> bool:
     return not is_other and isinstance(value, column.types)
 
 
-def as_kept(values: Mapping[str, Any], columns: Mapping[str, Column]) -> dict[str, Any]:
+def as_kept(values: Mapping[str, Any], columns: NamedColumns) -> dict[str, Any]:
     """Return texts and lists as files keep them: harmless and short, and in single precision.
 
     Raises:
         struct.error, OverflowError: a list holds something that is no such number.
     """
-    kept: dict[str, Any] = {}
-    for name, column in columns.items():
-        if column.types is str:
-            kept[name] = _harmless(values[name])
-        elif column.is_list and column.kind == Numbers:
+    kept: dict[str, Any] = {name: _harmless(values[name]) for name in columns.texts}
+    for name, column in columns.lists:
+        if column.kind == Numbers:
             form = f"{len(values[name])}f"
             kept[name] = struct.unpack(form, struct.pack(form, *values[name]))
     return kept
 
 
-def out_of_bounds(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
+def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | None:
     """Return which number no file of rows can hold, or None."""
-    for name, column in columns.items():
+    for name, too_large in columns.wholes:
+        if not 0 <= values[name] < too_large:
+            shown, bits = clean(values[name], at_most=30), columns[name].bits
+            return f"{name} is {shown}, which does not fit {bits} bits without a sign"
+    for name in columns.reals:
         value = values[name]
-        if column.kind is int and not 0 <= value < 2**column.bits:
-            shown = clean(value, at_most=30)
-            return f"{name} is {shown}, which does not fit {column.bits} bits without a sign"
-        if column.is_real and value is not None and not math.isfinite(value):
+        if value is not None and not math.isfinite(value):
             return f"{name} is not finite"
-        if column.is_list:
-            for of, number in _numbers(name, value, column):
-                if not math.isfinite(number):
-                    return f"{clean(of, at_most=60)} is not finite"
+    for name, column in columns.lists:
+        for of, number in _numbers(name, values[name], column):
+            if not math.isfinite(number):
+                return f"{clean(of, at_most=60)} is not finite"
     return None
 
 

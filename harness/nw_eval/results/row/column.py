@@ -100,13 +100,37 @@ class Column:
         return tuple(value or ())
 
 
-def columns_of(row: type) -> dict[str, Column]:
+class NamedColumns(dict[str, Column]):
+    """Columns by name, in the order of the file; and by what their values are, to check many."""
+
+    @cached_property
+    def texts(self) -> tuple[str, ...]:
+        """Names of those that hold text."""
+        return tuple(name for name, column in self.items() if column.types is str)
+
+    @cached_property
+    def wholes(self) -> tuple[tuple[str, int], ...]:
+        """Those that hold whole numbers, each with the first number that is too large."""
+        return tuple((name, 2**column.bits) for name, column in self.items() if column.kind is int)
+
+    @cached_property
+    def reals(self) -> tuple[str, ...]:
+        """Names of those that hold one real number, or may."""
+        return tuple(name for name, column in self.items() if column.is_real)
+
+    @cached_property
+    def lists(self) -> tuple[tuple[str, Column], ...]:
+        """Those that hold several."""
+        return tuple((name, column) for name, column in self.items() if column.is_list)
+
+
+def columns_of(row: type) -> NamedColumns:
     """Return the columns of a dataclass each of whose fields is annotated with one.
 
     Raises:
         TypeError: a field has no column, or a column that came later has no default.
     """
-    columns: dict[str, Column] = {}
+    columns = NamedColumns()
     for name, hint in get_type_hints(row, include_extras=True).items():
         kind, *says = get_args(hint) or (hint,)
         if not (says and isinstance(says[0], Column)):

@@ -136,8 +136,7 @@ class Row:
     def __post_init__(self) -> None:
         fault = mistyped(vars(self), COLUMNS)
         if fault is None:
-            for name, value in as_kept(vars(self), COLUMNS).items():
-                object.__setattr__(self, name, value)
+            vars(self).update(as_kept(vars(self), COLUMNS))
             fault = _contradiction(self) or out_of_bounds(vars(self), COLUMNS)
         if fault is not None:
             raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
@@ -150,7 +149,7 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        values = to_dict(self)
+        values = {name: getattr(self, name) for name in _OF_THE_RESULT}
         kept = {name: value for name, value in values.items() if COLUMNS[name].in_digest(value)}
         kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
         kept["contact_s"] = self.contact_s  # It came before later ones were left out.
@@ -180,8 +179,8 @@ COLUMNS = columns_of(Row)
 """What each field says, in the order of the file."""
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
-_LISTS = tuple(name for name, column in COLUMNS.items() if column.is_list)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
+_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
 
 
 def to_dict(row: Row) -> dict[str, Any]:
@@ -195,10 +194,12 @@ def from_dict(values: dict[str, Any]) -> Row:
     Raises:
         ValueError: the values are no row.
     """
-    if unknown := sorted(set(values) - set(COLUMNS)):
+    if unknown := sorted(values.keys() - COLUMNS.keys()):
         raise ValueError(f"unknown columns {clean(', '.join(map(str, unknown)), at_most=200)}")
     try:
-        lists = {name: COLUMNS[name].of_plain(values[name]) for name in _LISTS if name in values}
+        lists = {
+            name: column.of_plain(values[name]) for name, column in COLUMNS.lists if name in values
+        }
         return Row(**{**values, **lists})
     except (TypeError, OverflowError, struct.error) as error:
         raise ValueError(clean(error)) from error
