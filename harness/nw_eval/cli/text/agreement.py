@@ -26,7 +26,7 @@ def agreement_text(found: Agreement) -> str:
     """Return a line for each policy and figure, and what cannot be said."""
     percent = f"{100 * found.confidence:.4g} %"
     gaps = [
-        (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval))
+        (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
         for each in found.gaps
     ]
     gap_lines = aligned(
@@ -54,5 +54,5 @@ def _line(each: AgreementFigure) -> tuple[str, ...]:
     )
 
 
-def _span(interval: Interval) -> str:
-    return f"{interval.low:+.2f} to {interval.high:+.2f}"
+def _span(interval: Interval, sign: str = "") -> str:
+    return f"{interval.low:{sign}.2f} to {interval.high:{sign}.2f}"
