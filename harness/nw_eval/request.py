@@ -34,10 +34,10 @@ class Request:
     baseline: str | None = None
     """The bank to compare with: its name, its file, or none; the suite's own when absent."""
     baseline_policy: str | None = None
-    """Where the bank's own policy lies, for a machine that the bank has not seen; where the bank
-    says when absent."""
+    """The bank's own policy, for a machine that the bank has not seen; where the bank says when
+    absent."""
     panel: PanelKind | None = None
-    """pinned: the starts of the suite's seed. fresh: starts that follow from the checkpoint's
+    """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""
     record: Record | None = None
     """Camera images in MCAP for which trials; the suite's own choice when absent."""

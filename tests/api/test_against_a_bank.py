@@ -16,6 +16,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli import main
+from nw_eval.cli.text.forecast import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.trials.attempts import Attempts
 from nw_eval.errors import IncomparableError, UsageError
@@ -204,6 +205,9 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     Path("quick.yaml").write_text(SUITE.replace("gate: {", "gate: {baseline: shipped, "))
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
+    page = forecast_page(api.check("quick.yaml", policy="./soft"))
+    assert "60 % sure; less than 0.5 below baseline shipped" in page
+    assert "2 scenes, at most 4 in each" in page
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
     with pytest.raises(IncomparableError, match="has 4 starts in each scene, 5 rounds draw more"):

@@ -41,6 +41,8 @@ class Forecast:
     policy: Bundle
     scenes: tuple[SceneForecast, ...]
     workers: int
+    baseline: str | None = None
+    """The name of the bank that it would be compared with, in rounds, of which it may end early."""
     minutes: float
     """Of wall time; about what it takes at most, on a core of the benchmarks' class."""
 
@@ -57,7 +59,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         plan: what would be run.
         workers: processes; one for each core if None.
     """
-    trials = len(plan.trials)
+    trials = 0 if plan.is_baseline else len(plan.trials)
     return Forecast(
         suite=plan.suite,
         policy=plan.bundle,
@@ -66,6 +68,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
             for scene in plan.scenes
         ),
         workers=worker_count(workers, trials),
+        baseline=None if plan.against is None else plan.against.info.name,
         minutes=minutes_of(trials, plan, workers=workers),
     )
 

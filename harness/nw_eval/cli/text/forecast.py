@@ -14,14 +14,16 @@ def forecast_page(forecast: Forecast) -> str:
     from nw_eval.policies.code_digest import SCOPE
 
     suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
-    duration, count = suite.episode.duration, f"{len(scenes)} scenes, {scenes[0].trials} in each"
+    most = "at most " if forecast.baseline is not None else ""
+    duration = suite.episode.duration
+    count = f"{len(scenes)} scenes, {most}{scenes[0].trials} in each"
     width = max(len(scene.name) for scene in scenes)
     panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
         f"panel     {suite.digest[:16]}: {panel}",
         "          suites of one panel meet the same starts in a scene",
-        f"gate      {_bar(suite.gate)}",
+        f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),
         *(
@@ -41,5 +43,13 @@ def _bar(gate: Gate) -> str:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
         bar = f"success of at least {gate.success_rate:g}, {100 * gate.confidence:.4g} % sure"
-    unread = "; max_drop will not be judged: there is no baseline"
-    return bar + (unread if gate.max_drop is not None else "")
+    return bar
+
+
+def _drop(gate: Gate, baseline: str | None) -> str:
+    """Return what may be lost against the baseline, in words."""
+    if baseline is not None:
+        return f"; less than {gate.most_drop:g} below baseline {baseline}"
+    if gate.max_drop is not None:
+        return "; max_drop will not be judged: there is no baseline"
+    return ""
