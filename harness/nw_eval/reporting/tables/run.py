@@ -49,8 +49,9 @@ def provenance_table(run: RunInfo) -> Table:
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned{_saved(run)}",
-        "baseline": "" if run.baseline is None else f"{run.baseline.name}, "
-        f"{run.baseline.sha256[:12]}",
+        "baseline": ""
+        if run.baseline is None
+        else f"{run.baseline.name}, {run.baseline.sha256[:12]}",
         "renderer": run.renderer or "none",
         "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
