@@ -38,6 +38,10 @@ ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One tria
 
 NOT_RUN = MappingProxyType(
     {
+        'nw-eval baseline save hurdles --policy go1-parkour --note "ships since May"': (
+            "a thousand trials; test_baselines.py saves smaller banks"
+        ),
+        "nw-eval run hurdles --policy my-policy --baseline go1-parkour": "against that bank",
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",

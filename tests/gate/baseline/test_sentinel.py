@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.gate.baseline.sentinel import watch
+from nw_eval.gate.baseline.holding.sentinel import watch
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
 

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.api.running.baselines import check_rounds, wanted_bank
+from nw_eval.api.running.against.banks import check_rounds, wanted_bank
 from nw_eval.errors import UsageError, nearest
 from nw_eval.request import Request
 

@@ -64,7 +64,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     Raises:
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
-    from nw_eval.api.running.baselines import kept_bank
+    from nw_eval.api.running.against.banks import kept_bank
     from nw_eval.api.running.saved_run import saved_suite
     from nw_eval.gate.baseline.combine import without_bank
     from nw_eval.results.provenance import read_run_info
@@ -104,7 +104,7 @@ def judge(
         IncomparableError: the bank does not hold for the run, or has too few starts for it.
         StoreError: its rows or the bank are damaged, or the report cannot be written.
     """
-    from nw_eval.api.running.baselines import judging_bank
+    from nw_eval.api.running.against.banks import judging_bank
     from nw_eval.api.running.saved_run import saved_suite
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder

@@ -92,7 +92,7 @@ def roll_out(
     Raises:
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
-    from nw_eval.api.running.contest import Contest
+    from nw_eval.api.running.against.contest import Contest
     from nw_eval.engine import session
     from nw_eval.engine.listener import Silence
 

@@ -40,7 +40,7 @@ def continued(run: Path, request: Request) -> Plan:
         IncomparableError: its run.json does not say what was asked for.
         UsageError, SuiteError, PolicyError: as `plan_of`.
     """
-    from nw_eval.api.running.baselines import resumed_bank
+    from nw_eval.api.running.against.banks import resumed_bank
     from nw_eval.api.running.plans import plan_of
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder

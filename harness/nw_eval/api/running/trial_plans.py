@@ -71,7 +71,7 @@ def plan_trials(
         StoreError: the bank or the run is damaged, or the picture cannot be written.
         IncomparableError: the bank or the run has other scenes than the suite.
     """
-    from nw_eval.api.running.baselines import NO_BASELINE
+    from nw_eval.api.running.against.banks import NO_BASELINE
     from nw_eval.api.running.plans import check_workers, plan
 
     check_workers(workers)
@@ -121,7 +121,7 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a bank is, in words, and what is known with it."""
-    from nw_eval.api.running.baselines import NO_BASELINE
+    from nw_eval.api.running.against.banks import NO_BASELINE
     from nw_eval.gate.baseline.foresee import outset_of_bank
     from nw_eval.results.bank.file import read_bank
     from nw_eval.results.bank.find import find_bank

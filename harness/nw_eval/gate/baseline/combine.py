@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.baseline.holding.known import known_rows
 from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.baseline.known import known_rows
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.results.bank.against import Against
 from nw_eval.results.provenance import RunInfo

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.basis import basis_of, claim_of
 from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
 from nw_eval.gate.baseline.further import foresight
-from nw_eval.gate.baseline.match import check_match
+from nw_eval.gate.baseline.holding.basis import basis_of, claim_of
+from nw_eval.gate.baseline.holding.match import check_match
 from nw_eval.gate.baseline.parting import waypoints
 from nw_eval.gate.baseline.reasons import in_words
 from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds

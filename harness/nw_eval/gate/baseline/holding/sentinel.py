@@ -17,7 +17,7 @@ import numpy as np
 
 from nw_eval.gate.baseline.comparison import Checked
 from nw_eval.gate.baseline.finding import margins_of
-from nw_eval.gate.baseline.match import renewing
+from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.gate.baseline.rounds import Floats, Rounds, scores_of, whole_rounds
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, SavedBank, Stratum, trajectory

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.files.inside import what_is
+from nw_eval.gate.baseline.holding.match import renewing
+from nw_eval.gate.baseline.holding.sentinel import watch
 from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.baseline.match import renewing
-from nw_eval.gate.baseline.sentinel import watch
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
 from nw_eval.results.provenance import read_run_info

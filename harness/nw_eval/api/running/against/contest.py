@@ -62,7 +62,7 @@ class Contest:
                 class of machine on which bits are others.
             TrialError: a trial of the bank's policy came to no result.
         """
-        from nw_eval.api.running.baseline_run import run_baseline
+        from nw_eval.api.running.against.baseline_run import run_baseline
 
         name, own = self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:

@@ -7,7 +7,7 @@ from hashlib import sha256
 
 from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.comparison import TIMES, Basis, Checked, Claim
-from nw_eval.gate.baseline.match import renewing
+from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.results.bank import Panel, SavedBank
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import PolicyInfo, RunInfo
