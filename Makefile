@@ -20,7 +20,7 @@ run: $(VENV)/.installed
 
 test: check
 	$(BIN)/nw-eval warmup
-	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadscope $(PYTEST_ARGS)
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check
