@@ -9,7 +9,7 @@ from onnx import numpy_helper
 
 from nw_eval import api
 from nw_eval.cli.text.series import series_page
-from nw_eval.errors import PolicyError
+from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import load_bundle
 
 SUITE = """\
@@ -72,3 +72,10 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
 def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
     with pytest.raises(PolicyError, match=r"fifth\.onnx"):
         api.bisect("one.yaml", [*series, "fifth.onnx"], good="good.onnx", bad="last.onnx")
+
+
+@pytest.mark.slow
+def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
+    api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", starts=1)
+    with pytest.raises(IncomparableError, match=r"good\.parquet is there already, and is no bank"):
+        api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", starts=1)

@@ -162,8 +162,13 @@ def _bank_of(
     workers: int | None,
     listener: Listener | None,
 ) -> str:
-    """Return the bank of the good checkpoint, saved first if there is none."""
+    """Return the bank of the good checkpoint, saved first if there is none.
+
+    Raises:
+        IncomparableError: there is a bank of its name, of something else.
+    """
     from nw_eval.api.baselines.saved import save_baseline
+    from nw_eval.errors import IncomparableError
 
     if _is_bank(good, suite):
         return str(good)
@@ -181,6 +186,11 @@ def _bank_of(
         workers=workers,
         listener=listener,
     )
+    if saved.action == "kept":
+        raise IncomparableError(
+            f"{saved.file} is there already, and is no bank of {good} as it is here",
+            fix="rename the checkpoint or remove the bank, or name a bank with --good",
+        )
     return str(saved.file)
 
 
