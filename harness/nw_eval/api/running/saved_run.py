@@ -55,7 +55,7 @@ def continued(run: Path, request: Request) -> Plan:
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
-    against = resumed_bank(folder, info, request)
+    against = resumed_bank(folder, info, suite, request)
     if request.suite is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
         return plan_of(whole, draft_suite(request.suite), card=card, against=against)

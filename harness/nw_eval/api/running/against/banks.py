@@ -75,19 +75,25 @@ def judging_bank(
     return wanted_bank(Request(baseline=reference), suite)
 
 
-def resumed_bank(folder: RunFolder, info: RunInfo, request: Request) -> Against | None:
+def resumed_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, request: Request
+) -> Against | None:
     """Return the bank to go on with in a run: the one that it was begun with.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        request: what is asked for now.
 
     Raises:
         UsageError, StoreError: as `wanted_bank`.
         IncomparableError: as `kept_bank`; or another bank is asked for now.
     """
-    from nw_eval.api.running.saved_run import saved_suite
-
     kept = kept_bank(folder, info)
     if request.baseline is None:
         return kept
-    wanted = wanted_bank(request, saved_suite(info))
+    wanted = wanted_bank(request, suite)
     if wanted is None or kept is None or wanted.info.sha256 == kept.info.sha256:
         return wanted
     raise IncomparableError(
