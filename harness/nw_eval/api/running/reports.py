@@ -48,17 +48,17 @@ class RunReport:
     @property
     def typed_folder(self) -> Path:
         """The folder as one would type it here."""
-        return _typed(self.folder)
+        return typed(self.folder)
 
     @property
     def typed_page(self) -> Path | None:
         """The page as one would type it here."""
-        return None if self.page is None else _typed(self.page)
+        return None if self.page is None else typed(self.page)
 
     @property
     def typed_html(self) -> Path | None:
         """The page for a browser as one would type it here."""
-        return None if self.html is None else _typed(self.html)
+        return None if self.html is None else typed(self.html)
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
@@ -188,7 +188,7 @@ def _pages(out: Path) -> tuple[Path, Path]:
     return out, beside.with_name(f"{beside.name}.html")
 
 
-def _typed(path: Path) -> Path:
+def typed(path: Path) -> Path:
     """Return a path as one would type it here: relative where it lies below."""
     resolved, here = path.resolve(), Path.cwd()
     return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
