@@ -71,8 +71,7 @@ def errors_table(rows: Sequence[Row]) -> Table:
 
 def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
     """Return the trials that went worst, each with the command that shows it again."""
-    failed = [row for row in rows if row.success is not None and not row.completed]
-    failed.sort(key=lambda row: (row.success, row.sim_s, row.trial_id))
+    failed = worst_first(rows)
     return Table(
         title="Worst trials",
         columns=("trial", "success", "outcome", "at", "replay"),
@@ -80,7 +79,7 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
             (
                 row.trial_id,
                 f"{row.waypoints_reached}/{row.waypoints_total}",
-                f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome,
+                how_ended(row),
                 f"{row.sim_s:.2f} s",
                 replay_command(row, folder),
             )
@@ -90,6 +89,17 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
         code=frozenset({"replay"}),
         note=more(len(failed), most),
     )
+
+
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Return the trials with a result that did not complete, that which came least far first."""
+    failed = [row for row in rows if row.success is not None and not row.completed]
+    return sorted(failed, key=lambda row: (row.success, row.sim_s, row.trial_id))
+
+
+def how_ended(row: Row) -> str:
+    """Return a trial's outcome, and what decided it."""
+    return f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome
 
 
 def replay_command(row: Row, folder: Path) -> str:
