@@ -13,7 +13,6 @@ from nw_eval.reporting.html.budget import clips_that_fit, pictures_that_fit
 from nw_eval.reporting.html.drawn.course import course
 from nw_eval.reporting.html.drawn.gauge import gauges
 from nw_eval.reporting.html.drawn.plan_view import plan_views
-from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import NO_EVIDENCE, Evidence
 from nw_eval.reporting.html.trials import trial_lines, worst_cards
 from nw_eval.reporting.tables import named_tables
@@ -45,31 +44,26 @@ def render_html(
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
     word, *parts = headline_parts(verdict, run)
-    return (
-        environment()
-        .get_template("report.html.j2")
-        .render(
-            run=run,
-            suite=str(run.suite.get("name", "suite")),
-            word=word,
-            parts=parts,
-            blind_spot=blind_spot(verdict, run),
-            reasons=verdict.reasons,
-            gauges=gauges(verdict),
-            how_sure=how_sure(verdict, run),
-            tables=named_tables(run, rows, verdict),
-            course=failing,
-            # Where most was lost first, as in the table above them.
-            views=[
-                views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views
-            ],
-            outcomes=_outcomes(rows),
-            worst=worst_cards(rows, clips, folder),
-            remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
-            spent=throughput(rows),
-            trials=trial_lines(rows, folder),
-            scenes=sorted({row.scene for row in rows}),
-        )
+    return render(
+        "report.html.j2",
+        run=run,
+        suite=str(run.suite.get("name", "suite")),
+        word=word,
+        parts=parts,
+        blind_spot=blind_spot(verdict, run),
+        reasons=verdict.reasons,
+        gauges=gauges(verdict),
+        how_sure=how_sure(verdict, run),
+        tables=named_tables(run, rows, verdict),
+        course=failing,
+        # Where most was lost first, as in the table above them.
+        views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
+        outcomes=_outcomes(rows),
+        worst=worst_cards(rows, clips, folder),
+        remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
+        spent=throughput(rows),
+        trials=trial_lines(rows, folder),
+        scenes=sorted({row.scene for row in rows}),
     )
 
 
