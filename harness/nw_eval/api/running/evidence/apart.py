@@ -83,7 +83,7 @@ def _read(
             clips=[str(log.path) for log in batch if log.clip],
             room=room,
         )
-        logs = ReadLogs.model_validate_json(answer).logs
-    except (NwEvalError, ValidationError, TypeError):
+        logs = ReadLogs.model_validate_json(str(answer)).logs
+    except (NwEvalError, OSError, ValidationError):
         return None
     return logs if len(logs) == len(batch) else None

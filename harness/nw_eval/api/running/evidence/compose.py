@@ -35,7 +35,7 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
         for scene in sorted({row.scene for row, _ in shown})
     ]
     seen = {row.trial_id: log.clip for row, log in shown if log.clip is not None}
-    worst = worst_trials(row for row in rows if row.trial_id in seen)
+    worst = worst_trials([row for row in rows if row.trial_id in seen])
     clips = tuple(_clip(row, seen[row.trial_id]) for row in worst)
     remarks = (
         _left_out(rows, [row for row, _ in shown]),
@@ -77,7 +77,6 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         if is_seen
         else "the robot's camera, for people: this policy sees no pictures"
     )
-    ended = f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome
     return Clip(
         trial_id=row.trial_id,
         mime="image/webp",
@@ -86,9 +85,8 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         width=clip.width,
         height=clip.height,
         seconds=clip.seconds,
-        caption=f"{row.trial_id}: {ended} after {row.sim_s:.2f} s, on its way to waypoint "
-        f"{row.waypoints_reached + 1} of {row.waypoints_total}. Its last {clip.seconds:.1f} s: "
-        f"{eyes}.",
+        caption=f"On its way to waypoint {row.waypoints_reached + 1} of {row.waypoints_total}, the "
+        f"last {clip.seconds:.1f} s: {eyes}.",
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from nw_eval.api.running.evidence.above import Box
 
@@ -50,13 +52,19 @@ class ReadLog(_Read):
     """All of it."""
 
     fault: str = Field(default="", max_length=_LONGEST)
-    """Why it cannot be read; empty if it can, and then there is a path."""
+    """Why it cannot be read; empty if it can, and then there are a path and waypoints."""
     walked: tuple[Point, ...] = Field(default=(), max_length=_MOST_POINTS)
     waypoints: tuple[Point, ...] = Field(default=(), max_length=1000)
     reach: float | None = None
     """Metres from a waypoint at which it counts as reached."""
     place: ReadPlace | None = None
     clip: ReadClip | None = None
+
+    @model_validator(mode="after")
+    def _shows_something(self) -> Self:
+        if not self.fault and not (self.walked and self.waypoints):
+            raise ValueError("neither a fault nor a path")
+        return self
 
 
 class ReadLogs(_Read):
