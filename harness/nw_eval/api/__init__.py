@@ -41,10 +41,12 @@ from nw_eval.api.replays import replay
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
+from nw_eval.api.running.indexes import RunIndex, index
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.surfaces import Published, Surfaces, publish, publish_error
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -64,11 +66,14 @@ __all__ = [
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
+    "Published",
     "Request",
+    "RunIndex",
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "Surfaces",
     "TrialPlan",
     "WarmUp",
     "WrittenSplat",
@@ -83,6 +88,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
+    "index",
     "init_policy",
     "judge",
     "list_baselines",
@@ -92,6 +98,8 @@ __all__ = [
     "list_suites",
     "plan",
     "plan_trials",
+    "publish",
+    "publish_error",
     "read_ledger",
     "read_rows",
     "record_verdict",

@@ -65,7 +65,10 @@ class Browser:
     def picture(self, path: Path, *, most: int = 20000) -> None:
         """Write a picture of the whole page, or of its upper part."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": 0, "width": size["width"], "height": min(size["height"], most)}
+        # What lies outside the window is not drawn, to save time.
+        metrics = {"width": size["width"], "height": min(size["height"], most)}
+        self.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics)
+        clip = {"x": 0, "y": 0, **metrics}
         shot = self.call(
             "Page.captureScreenshot", captureBeyondViewport=True, clip={**clip, "scale": 1}
         )

@@ -29,5 +29,6 @@ def summary(judged: RunReport) -> str:
     )
     print_summary(console, judged.info, judged.rows, judged.verdict, judged.typed_folder)
     if judged.typed_page is not None:
-        console.print(f"report: {judged.typed_page}", highlight=False, soft_wrap=True)
+        both = "" if judged.html is None else f" and {judged.html.name}"
+        console.print(f"report: {judged.typed_page}{both}", highlight=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from nw_eval.reporting.html.index import ListedRun, render_index
 from nw_eval.reporting.html.page import render_html
 
-__all__ = ["render_html"]
+__all__ = ["ListedRun", "render_html", "render_index"]

@@ -15,7 +15,7 @@ from nw_eval.reporting.html.drawn.gauge import gauges
 from nw_eval.reporting.html.drawn.plan_view import plan_views
 from nw_eval.reporting.html.environment import environment
 from nw_eval.reporting.html.evidence import NO_EVIDENCE, Evidence
-from nw_eval.reporting.html.trials import trial_lines, worst_trials
+from nw_eval.reporting.html.trials import trial_lines, worst_cards
 from nw_eval.reporting.tables import named_tables
 from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
@@ -56,7 +56,7 @@ def render_html(
         course=course(rows, verdict),
         views=plan_views(rows, evidence, pictures),
         outcomes=_outcomes(rows),
-        worst=worst_trials(rows, clips, folder),
+        worst=worst_cards(rows, clips, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows),
         trials=trial_lines(rows, folder),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.tables.table import WORST
-from nw_eval.reporting.tables.trials import how_ended, replay_command, worst_first
+from nw_eval.reporting.tables.trials import how_ended, replay_command, worst_trials
 from nw_eval.results.row import Row
 
 
@@ -34,11 +34,11 @@ class TrialLine:
     command: str
 
 
-def worst_trials(
+def worst_cards(
     rows: Sequence[Row], clips: Mapping[str, Clip], folder: Path
 ) -> tuple[WorstTrial, ...]:
     """Return the trials that went worst, and after them the others of which there is a clip."""
-    named = worst_first(rows)[:WORST]
+    named = worst_trials(rows)[:WORST]
     named += [row for row in rows if row.trial_id in clips and row not in named]
     return tuple(
         WorstTrial(

@@ -31,6 +31,7 @@ def baseline_table(found: Comparison | None) -> Table:
         rows=tuple(_line(item, tiers=tiers) for item in items),
         numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
         note="" if found is None else _note(found),
+        marked="baseline",
         bars=tuple(
             None if item.candidate is None else Bar(value=item.candidate, mark=item.baseline)
             for item in items

@@ -47,6 +47,7 @@ def scenes_table(verdict: Verdict) -> Table:
         "that reached all. Each interval is for its scene alone: of many, some miss. That of "
         "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
         "neither, but bounds that hold for any distribution.",
+        marked="" if verdict.bar is None else "the bar",
         bars=tuple(
             None
             if item.mean is None

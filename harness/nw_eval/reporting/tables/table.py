@@ -37,6 +37,7 @@ class Table:
     code: frozenset[str] = frozenset()
     note: str = ""
     bars: tuple[Bar | None, ...] = ()  # One for each row, or none at all.
+    marked: str = ""  # What the marks of the bars are.
 
     def __post_init__(self) -> None:
         longest = [_TYPED if name in self.code else _SHOWN for name in self.columns]

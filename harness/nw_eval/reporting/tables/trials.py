@@ -69,9 +69,15 @@ def errors_table(rows: Sequence[Row]) -> Table:
     )
 
 
+def worst_trials(rows: Sequence[Row]) -> list[Row]:
+    """Return the trials that did not complete, those first that got least far."""
+    failed = [row for row in rows if row.success is not None and not row.completed]
+    return sorted(failed, key=lambda row: (row.success, row.sim_s, row.trial_id))
+
+
 def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
     """Return the trials that went worst, each with the command that shows it again."""
-    failed = worst_first(rows)
+    failed = worst_trials(rows)
     return Table(
         title="Worst trials",
         columns=("trial", "success", "outcome", "at", "replay"),
@@ -89,12 +95,6 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
         code=frozenset({"replay"}),
         note=more(len(failed), most),
     )
-
-
-def worst_first(rows: Sequence[Row]) -> list[Row]:
-    """Return the trials with a result that did not complete, that which came least far first."""
-    failed = [row for row in rows if row.success is not None and not row.completed]
-    return sorted(failed, key=lambda row: (row.success, row.sim_s, row.trial_id))
 
 
 def how_ended(row: Row) -> str:

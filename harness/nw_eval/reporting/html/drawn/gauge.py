@@ -40,6 +40,21 @@ class Gauge:
         share = (value - self.axis.low) / (self.axis.high - self.axis.low)
         return round(WIDTH * min(1.0, max(0.0, share)), 1)
 
+    @property
+    def zones(self) -> tuple[tuple[float, float, str], ...]:
+        """Left edge, width and kind, `good`, `open` or `bad`, of each part of the axis."""
+        edges = [0.0, *(self.x(tick.value) for tick in self.ticks), WIDTH]
+        kinds = _KINDS[len(self.ticks)]
+        kinds = kinds if self.good == "low" else kinds[::-1]
+        return tuple(
+            (left, round(right - left, 1), kind)
+            for left, right, kind in zip(edges, edges[1:], kinds, strict=False)
+        )
+
+
+_KINDS = (("open",), ("good", "bad"), ("good", "open", "bad"))
+"""Of the parts of an axis that no tick, one or two divide, the lower end being the better one."""
+
 
 def gauges(verdict: Verdict) -> tuple[Gauge, ...]:
     """Return what a verdict rests on, the drop first; none without results."""
