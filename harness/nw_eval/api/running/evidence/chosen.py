@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 from nw_eval.reporting.tables.table import WORST
-from nw_eval.reporting.tables.trials import worst_first
+from nw_eval.reporting.tables.trials import worst_trials
 from nw_eval.results.row import Row
 
 MOST_PATHS = 320
@@ -29,9 +29,9 @@ def drawn_trials(rows: Iterable[Row], most: int = MOST_PATHS) -> list[Row]:
     return [row for *_, row in sorted(found, key=lambda entry: entry[:3])[:most]]
 
 
-def worst_trials(rows: Sequence[Row], most: int = MOST_CLIPS) -> list[Row]:
+def clipped_trials(rows: Sequence[Row], most: int = MOST_CLIPS) -> list[Row]:
     """Return failures, the worst first: those that a page names, and then one of every scene."""
-    failed = worst_first(rows)
+    failed = worst_trials(rows)
     firsts = {row.scene: row for row in reversed(failed)}
     others = [row for row in failed[WORST:] if row is firsts[row.scene]]
     return [*failed[:WORST], *others][:most]

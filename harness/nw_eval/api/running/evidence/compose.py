@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from nw_eval.api.running.evidence.chosen import worst_trials
+from nw_eval.api.running.evidence.chosen import clipped_trials
 from nw_eval.api.running.evidence.content import ReadClip, ReadLog
 from nw_eval.plural import plural
 from nw_eval.reporting.html.evidence import Clip, Evidence, PlacePicture, PlaceView, WalkedPath
@@ -35,7 +35,7 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
         for scene in sorted({row.scene for row, _ in shown})
     ]
     seen = {row.trial_id: log.clip for row, log in shown if log.clip is not None}
-    worst = worst_trials([row for row in rows if row.trial_id in seen])
+    worst = clipped_trials([row for row in rows if row.trial_id in seen])
     clips = tuple(_clip(row, seen[row.trial_id]) for row in worst)
     remarks = (
         _left_out(rows, [row for row, _ in shown]),
