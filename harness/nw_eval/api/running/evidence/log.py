@@ -67,7 +67,7 @@ def _read(path: Path, *, place_bytes: int, clip_bytes: int) -> ReadLog:
             elif clip_bytes:
                 pictures.take(message)
     if walked is None or _WAYPOINTS not in first:
-        raise ValueError("it holds no walked path: an older nw-eval wrote it")
+        raise ValueError("it holds no walk, or no waypoints")
     path_points = _points(walked)
     waypoints, reach = _waypoints(first[_WAYPOINTS])
     place = None

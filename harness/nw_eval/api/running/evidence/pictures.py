@@ -20,6 +20,7 @@ _PHOTO, _RAW = "foxglove.CompressedImage", "foxglove.RawImage"
 _RAW_KINDS = {"16UC1": np.dtype("<u2"), "32FC1": np.dtype("<f4")}
 _MOST_KEPT = 64 * 2**20  # bytes of pictures of all cameras that wait for a trial's end
 _MOST_PIXELS = 4096 * 4096
+_FAR = 30.0  # The grey of what is farthest; only what is nothing is black.
 _SECOND = 1e-9  # in a nanosecond
 
 
@@ -97,9 +98,9 @@ def _greys(data: Sequence[bytes]) -> list[Image]:
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     pictures: list[Image] = []
     for array in arrays:
-        share = (high - array) / max(high - low, 1e-12)
-        grey = np.rint(np.nan_to_num(share, posinf=0.0, neginf=0.0).clip(0.0, 1.0) * 255.0)
-        pictures.append(sized(fromarray(grey.astype(np.uint8))))
+        near = ((high - array) / max(high - low, 1e-12)).clip(0.0, 1.0)
+        grey = np.where(np.isfinite(array), _FAR + (255.0 - _FAR) * near, 0.0)
+        pictures.append(sized(fromarray(np.rint(grey).astype(np.uint8))))
     return pictures
 
 
