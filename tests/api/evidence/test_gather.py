@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from PIL import Image
 
@@ -26,8 +30,16 @@ def logs(run):
     return {row.trial_id: folder / row.mcap_path for row in rows}
 
 
-def test_a_walk_is_where_the_log_says_that_the_trunk_was(run):
-    found = {path.trial_id: path.points for path in gathered(run).paths}
+@pytest.fixture(scope="module")
+def whole(recorded):
+    """Return the run as it was recorded, and what is gathered of it."""
+    run = (recorded.folder, recorded.rows)
+    return run, gathered(run)
+
+
+def test_a_walk_is_where_the_log_says_that_the_trunk_was(whole):
+    run, evidence = whole
+    found = {path.trial_id: path.points for path in evidence.paths}
     assert sorted(found) == sorted(logs(run))
     for trial, log in logs(run).items():
         poses = [m.pose.position for _, _, m in LogReader(log).messages("/robot/odom")]
@@ -36,8 +48,8 @@ def test_a_walk_is_where_the_log_says_that_the_trunk_was(run):
         np.testing.assert_allclose(found[trial][1:-1], walked[5:-1:5], atol=2e-3)
 
 
-def test_a_place_has_the_mean_waypoints_of_its_trials_inside_its_picture(run):
-    evidence = gathered(run)
+def test_a_place_has_the_mean_waypoints_of_its_trials_inside_its_picture(whole):
+    run, evidence = whole
     (place,) = evidence.places
     trails = []
     for log in logs(run).values():
@@ -55,8 +67,9 @@ def test_a_place_has_the_mean_waypoints_of_its_trials_inside_its_picture(run):
     assert any("drawn is the mean" in remark for remark in evidence.remarks)
 
 
-def test_a_clip_ends_with_the_last_picture_of_the_log_and_says_whose_eyes_they_are(run):
-    clips = {clip.trial_id: clip for clip in gathered(run).clips}
+def test_a_clip_ends_with_the_last_picture_of_the_log_and_says_whose_eyes_they_are(whole):
+    run, evidence = whole
+    clips = {clip.trial_id: clip for clip in evidence.clips}
     for trial, log in logs(run).items():
         frames = list(LogReader(log).frames())
         clip = clips[trial]
@@ -79,8 +92,9 @@ def test_the_eyes_are_the_policy_s_where_its_images_were_measured(run):
     assert all("what the policy saw (/camera/ego)" in caption for caption in captions)
 
 
-def test_the_same_logs_show_the_same(run):
-    one, two = gathered(run), gathered((run[0], run[1][::-1]))
+def test_the_same_logs_show_the_same(whole):
+    (folder, rows), one = whole
+    two = gathered((folder, rows[::-1]))
     assert [clip.data for clip in one.clips] == [clip.data for clip in two.clips]
     assert [place.picture for place in one.places] == [place.picture for place in two.places]
     assert one.remarks == two.remarks
@@ -115,16 +129,25 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("kind", DAMAGE)
-def test_a_damaged_log_costs_its_own_part_and_a_remark(run, kind):
-    first, second = sorted(logs(run))
-    DAMAGE[kind](logs(run)[first])
-    evidence = gathered(run)
-    assert [path.trial_id for path in evidence.paths] == [second]
-    assert [clip.trial_id for clip in evidence.clips] == [second]
+def test_a_damaged_log_costs_its_own_part_and_a_remark(run):
+    folder, rows = run
+    whole = folder / rows[0].mcap_path
+    damaged = []
+    for kind, damage in DAMAGE.items():
+        path = whole.with_name(f"{kind}.mcap")
+        shutil.copyfile(whole, path)
+        damage(path)
+        damaged.append(replace(rows[0], trial_id=kind, mcap_path=str(path.relative_to(folder))))
+    evidence = gathered((folder, [*damaged, rows[1]]))
+    assert [path.trial_id for path in evidence.paths] == [rows[1].trial_id]
+    assert [clip.trial_id for clip in evidence.clips] == [rows[1].trial_id]
     assert evidence.places[0].picture is not None
-    assert any(f"The log of {first} shows nothing: " in remark for remark in evidence.remarks)
-    assert any("Walks of 1 of 2 trials are drawn" in remark for remark in evidence.remarks)
+    count, *faults, more = evidence.remarks
+    assert count.startswith("Walks of 1 of 6 trials are drawn")
+    assert [fault.split(" shows nothing: ")[0] for fault in faults] == [
+        f"The log of {kind}" for kind in sorted(DAMAGE)[:3]
+    ]
+    assert more == "So it is with 2 more logs."
 
 
 DEADLY = """\
@@ -168,3 +191,48 @@ def test_without_logs_there_is_a_sentence_and_nothing_to_read(run):
     evidence = gathered(run)
     assert not evidence.paths + evidence.places + evidence.clips
     assert evidence.remarks[0].startswith("Walks of 0 of 2 trials are drawn")
+
+
+def rewritten(path, topic, change):
+    """Write a log again with the messages of a topic changed."""
+    data = path.read_bytes()
+    with path.open("wb") as stream:
+        writer, known = Writer(stream), {}
+        writer.start()
+        for schema, channel, message in make_reader(BytesIO(data)).iter_messages():
+            if channel.topic not in known:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                known[channel.topic] = writer.register_channel(
+                    topic=channel.topic, message_encoding="protobuf", schema_id=number
+                )
+            changed = change(message.data) if channel.topic == topic else message.data
+            writer.add_message(known[channel.topic], message.log_time, changed, message.log_time)
+        writer.finish()
+
+
+def test_a_robot_that_was_flung_away_does_not_stretch_the_map(run):
+    def flung(data):
+        cloud = PointCloud.FromString(data)
+        rows = np.frombuffer(cloud.data, "<f4").reshape(-1, 4).copy()
+        rows[3:, 0] = 3e8
+        cloud.data = rows.tobytes()
+        return cloud.SerializeToString()
+
+    first = min(logs(run))
+    rewritten(logs(run)[first], "/robot/path", flung)
+    found = {path.trial_id: path.points for path in gathered(run).paths}
+    assert found[first].shape == (3, 2)
+    assert np.abs(found[first]).max() < 10.0
+
+
+def test_pictures_that_are_damaged_cost_their_clip_and_not_the_walk(run):
+    first, second = sorted(logs(run))
+    rewritten(
+        logs(run)[first],
+        "/camera/ego",
+        lambda _: CompressedImage(format="jpeg", data=b"\xff\xd8 no").SerializeToString(),
+    )
+    evidence = gathered(run)
+    assert [clip.trial_id for clip in evidence.clips] == [second]
+    assert [path.trial_id for path in evidence.paths] == [first, second]
+    assert any(f"The pictures of {first} cannot be shown: " in text for text in evidence.remarks)

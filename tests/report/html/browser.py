@@ -69,6 +69,7 @@ class Browser:
         metrics = {"width": size["width"], "height": min(size["height"], most)}
         self.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics)
         clip = {"x": 0, "y": 0, **metrics}
+        self.run("new Promise((drawn) => setTimeout(() => requestAnimationFrame(drawn), 300))")
         shot = self.call(
             "Page.captureScreenshot", captureBeyondViewport=True, clip={**clip, "scale": 1}
         )

@@ -170,13 +170,16 @@ def _judged(
 
 def _written(judged: RunReport, out: Path) -> RunReport:
     """Write the pages of a judged run: one in Markdown, and beside it the other in HTML."""
+    from nw_eval.api.running.evidence.gather import gather_evidence
     from nw_eval.reporting.html import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
+    from nw_eval.results.run_folder import RunFolder
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     write_report(page, render_markdown(*facts))
-    write_report(html, render_html(*facts))
+    evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows)
+    write_report(html, render_html(*facts, evidence))
     return replace(judged, page=page, html=html)
 
 

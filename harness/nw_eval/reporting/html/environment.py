@@ -9,7 +9,7 @@ wherever a template prints it; none of them could load or run anything even if t
 from __future__ import annotations
 
 from base64 import b64encode
-from functools import cache
+from functools import cache, lru_cache
 from hashlib import sha256
 from typing import Any
 
@@ -57,7 +57,12 @@ def data_uri(data: bytes, mime: str) -> str:
 
 
 def _visible(value: Any) -> Any:
-    return clean(value, at_most=_LONGEST) if type(value) is str else value
+    return _cleaned(value) if type(value) is str else value
+
+
+@lru_cache(maxsize=1024)
+def _cleaned(text: str) -> str:
+    return clean(text, at_most=_LONGEST)
 
 
 def _source(found: Environment, name: str) -> str:

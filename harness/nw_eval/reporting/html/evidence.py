@@ -35,7 +35,10 @@ class WalkedPath:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePicture:
-    """A picture of a place from straight above: x to the right, y up."""
+    """A picture of a place from straight above: x to the right, y up.
+
+    It is in greys on a light ground: a dark page shows it inverted.
+    """
 
     mime: PictureType
     data: bytes

@@ -42,6 +42,8 @@ def render_html(
     rows = sorted(rows, key=lambda row: row.trial_id)
     clips, clips_left_out = clips_that_fit(evidence)
     pictures, pictures_left_out = pictures_that_fit(evidence)
+    failing = course(rows, verdict)
+    views = plan_views(rows, evidence, pictures)
     word, *parts = headline_parts(verdict, run)
     return environment().get_template("report.html.j2").render(
         run=run,
@@ -53,8 +55,9 @@ def render_html(
         gauges=gauges(verdict),
         how_sure=how_sure(verdict, run),
         tables=named_tables(run, rows, verdict),
-        course=course(rows, verdict),
-        views=plan_views(rows, evidence, pictures),
+        course=failing,
+        # Where most was lost first, as in the table above them.
+        views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
         outcomes=_outcomes(rows),
         worst=worst_cards(rows, clips, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),

@@ -39,7 +39,8 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
     clips = tuple(_clip(row, seen[row.trial_id]) for row in worst)
     remarks = (
         _left_out(rows, [row for row, _ in shown]),
-        *_faults({row.trial_id: log.fault for row, log in logs if log.fault}),
+        *_faults("The log of {} shows nothing: {}.", [(r, log.fault) for r, log in logs]),
+        *_faults("The pictures of {} cannot be shown: {}.", [(r, log.unseen) for r, log in logs]),
         _moved(max((spread for _, spread in places), default=0.0)),
         _blind(rows, clips),
     )
@@ -102,8 +103,8 @@ def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> str:
     )
 
 
-def _faults(faults: Mapping[str, str]) -> list[str]:
-    found = [f"The log of {trial} shows nothing: {fault}." for trial, fault in faults.items()]
+def _faults(sentence: str, faults: Sequence[tuple[Row, str]]) -> list[str]:
+    found = [sentence.format(row.trial_id, fault) for row, fault in faults if fault]
     more = len(found) - _NAMED
     return found[:_NAMED] + ([f"So it is with {plural(more, 'more log')}."] if more > 0 else [])
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from nw_eval.api.running.evidence.above import Box
-
-Point = tuple[float, float]
+_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Point = tuple[_Metres, _Metres]
 """x and y in the world frame, m."""
 
 _MOST_POINTS = 20_000
@@ -30,7 +29,8 @@ class _Read(BaseModel):
 class ReadPlace(_Read):
     """The place of a trial from straight above."""
 
-    box: Box
+    box: tuple[_Metres, _Metres, _Metres, _Metres]
+    """West, south, east, north."""
     picture: bytes
     """A WebP of what lies in the box."""
 
@@ -59,6 +59,8 @@ class ReadLog(_Read):
     """Metres from a waypoint at which it counts as reached."""
     place: ReadPlace | None = None
     clip: ReadClip | None = None
+    unseen: str = Field(default="", max_length=_LONGEST)
+    """Why its pictures cannot be shown; empty if they are, are not wanted, or there are none."""
 
     @model_validator(mode="after")
     def _shows_something(self) -> Self:

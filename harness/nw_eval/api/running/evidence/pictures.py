@@ -32,18 +32,12 @@ class LatestPictures:
         self._bytes = 0
 
     def take(self, message: LoggedMessage) -> None:
-        """Remember a message, if it is a picture, and forget what is older than a clip.
-
-        Raises:
-            ValueError: the pictures of so few seconds are too many or too large.
-        """
+        """Remember a message, if it is a picture, and forget those for which there is no room."""
         if message.kind not in {_PHOTO, _RAW} or not message.topic.startswith("/camera/"):
             return
         self._kept.setdefault((message.kind, message.topic), deque()).append(message)
         self._bytes += len(message.data)
         self._forget(message.time_ns)
-        if self._bytes > _MOST_KEPT:
-            raise ValueError(f"its last pictures have over {_MOST_KEPT // 2**20} MiB")
 
     def shown(self, end_ns: int) -> tuple[str, list[tuple[float, Image]]]:
         """Return a topic and its (seconds, picture) until the trial's end; none if there are none.
@@ -66,7 +60,9 @@ class LatestPictures:
 
     def _forget(self, now_ns: int) -> None:
         for messages in self._kept.values():
-            while messages and (now_ns - messages[0].time_ns) * _SECOND > SECONDS:
+            while messages and (
+                (now_ns - messages[0].time_ns) * _SECOND > SECONDS or self._bytes > _MOST_KEPT
+            ):
                 self._bytes -= len(messages.popleft().data)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nw_eval.gate.baseline.comparison import SceneDrop
 from nw_eval.gate.verdict import Verdict
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, wilson
@@ -35,7 +36,9 @@ class Missed:
 class SceneCourse:
     """A scene, waypoint by waypoint."""
 
+    scene: str
     name: str
+    """With what was changed there."""
     waypoints: tuple[Missed, ...]
 
 
@@ -60,6 +63,11 @@ class Course:
     together: tuple[Waypoint, ...]
 
     @property
+    def order(self) -> tuple[str, ...]:
+        """Scenes in that order."""
+        return tuple(dict.fromkeys(each.scene for each in self.scenes))
+
+    @property
     def compared(self) -> bool:
         """Whether there is a baseline beside it."""
         return any(each.baseline is not None for each in self.together)
@@ -72,17 +80,17 @@ def course(rows: Sequence[Row], verdict: Verdict) -> Course:
     bank; else it is all trials that came to a result.
     """
     against = () if verdict.against is None else verdict.against.scenes
-    pairs = {item.name: item.ends for item in against if item.ends and sum(item.ends[1])}
-    parted = {item.name: item.waypoint for item in against}
-    if pairs:
-        found = {name: (baseline, candidate) for name, (baseline, candidate) in pairs.items()}
-        scenes = [_compared(name, *pair, parted.get(name)) for name, pair in found.items()]
-        together = _together_compared(list(found.values()))
+    judged = [item for item in against if item.ends is not None and sum(item.ends[1])]
+    if judged:
+        scenes = [_compared(item, *item.ends) for item in judged if item.ends is not None]
+        together = _together_compared([item.ends for item in judged if item.ends is not None])
     else:
         ends = _ends(rows)
         scenes = [
             SceneCourse(
-                name=scene, waypoints=tuple(Missed(candidate=each) for each in hazards(found))
+                scene=scene,
+                name=scene,
+                waypoints=tuple(Missed(candidate=each) for each in hazards(found)),
             )
             for scene, found in ends.items()
         ]
@@ -108,12 +116,14 @@ def _ends(rows: Sequence[Row]) -> dict[str, Ends]:
     return found
 
 
-def _compared(name: str, baseline: Ends, candidate: Ends, parted: int | None) -> SceneCourse:
+def _compared(item: SceneDrop, baseline: Ends, candidate: Ends) -> SceneCourse:
     pairs = zip(hazards(baseline), hazards(candidate), strict=True)
     return SceneCourse(
-        name=name,
+        scene=item.scene,
+        name=item.name,
         waypoints=tuple(
-            Missed(candidate=two, baseline=one, parted=two.waypoint == parted) for one, two in pairs
+            Missed(candidate=two, baseline=one, parted=two.waypoint == item.waypoint)
+            for one, two in pairs
         ),
     )
 

@@ -103,7 +103,7 @@ def _view(
     return PlanView(
         scene=scene,
         box=_box([waypoints, *(path.points for _, path in walked)]),
-        waypoints=tuple(_centimetres(waypoints)),
+        waypoints=tuple(_pairs(waypoints)),
         reach=0 if reach is None else round(100 * reach),
         outlines=() if place is None else tuple(_polygon(each) for each in place.outlines),
         picture=None if picture is None else _placed(picture),
@@ -111,12 +111,17 @@ def _view(
     )
 
 
-def _centimetres(points: Points) -> list[tuple[int, int]]:
-    return [(round(100 * x), round(-100 * y)) for x, y in points.tolist()]
+def _units(points: Points) -> NDArray[np.int64]:
+    return np.rint(points * (100.0, -100.0)).astype(np.int64)
+
+
+def _pairs(points: Points) -> list[tuple[int, int]]:
+    return [(x, y) for x, y in _units(points).tolist()]
 
 
 def _box(shapes: Sequence[Points]) -> tuple[int, int, int, int]:
-    points = np.array([point for shape in shapes for point in _centimetres(shape)] or [(0, 0)])
+    points = np.concatenate([_units(shape) for shape in shapes])
+    points = points if len(points) else np.zeros((1, 2))
     low, high = points.min(axis=0) - _ROOM, points.max(axis=0) + _ROOM
     lack = np.maximum(_LEAST - (high - low), 0.0) / 2
     low, high = low - lack, high + lack
@@ -125,18 +130,18 @@ def _box(shapes: Sequence[Points]) -> tuple[int, int, int, int]:
 
 
 def _polygon(points: Points) -> str:
-    return " ".join(f"{x},{y}" for x, y in _centimetres(points))
+    return " ".join(f"{x},{y}" for x, y in _pairs(points))
 
 
 def _placed(picture: PlacePicture) -> DrawnPicture:
-    (x, y), (right, bottom) = _centimetres(
+    (x, y), (right, bottom) = _pairs(
         np.array([[picture.west, picture.north], [picture.east, picture.south]])
     )
     return DrawnPicture(picture=picture, x=x, y=y, width=right - x, height=bottom - y)
 
 
 def _drawn(row: Row, points: Points) -> DrawnPath:
-    thinned = _thinned(_centimetres(points))
+    thinned = _thinned(_pairs(points))
     steps = [(x - a, y - b) for (a, b), (x, y) in zip(thinned, thinned[1:], strict=False)]
     moves = "".join(f"l{dx} {dy}" for dx, dy in steps)
     return DrawnPath(

@@ -99,6 +99,7 @@
     addEventListener("beforeprint", () => { const before = most; most = Number.POSITIVE_INFINITY; show(); most = before; });
     addEventListener("afterprint", show);
     show();
+    table.classList.add("ready");
   }
 
   document.querySelectorAll("table[data-sorts]").forEach(sortable);
