@@ -50,7 +50,7 @@ def test_the_verdict_comes_first_with_what_it_rests_on(
     page = read(make_page(rows))
     heading = next(each for each in page.all() if each.tag in {"h1", "h2"})
     assert (heading.tag, heading.text) == ("h1", "INCONCLUSIVE")
-    assert page.one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
+    assert page.one("head").one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
     facts = [each.text for each in page.one("ul", class_="facts").all("li")]
     assert facts[0].startswith("success 0.800 (95 % bounds 0.")
     assert "bar 0.75" in facts[0]

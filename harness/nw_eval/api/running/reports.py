@@ -177,9 +177,10 @@ def _written(judged: RunReport, out: Path) -> RunReport:
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    write_report(page, render_markdown(*facts))
     evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows)
-    write_report(html, render_html(*facts, evidence))
+    texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
+    for path, text in texts.items():
+        write_report(path, text)
     return replace(judged, page=page, html=html)
 
 
