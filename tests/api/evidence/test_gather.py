@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import random
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from io import BytesIO
 
@@ -15,7 +18,9 @@ from mcap.writer import CompressionType, Writer
 from PIL import Image
 
 from nw_eval.api.running.evidence import apart
+from nw_eval.api.running.evidence.content import ReadLogs
 from nw_eval.api.running.evidence.gather import gather_evidence
+from nw_eval.api.running.evidence.log import read_logs
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.mcap.reader import LogReader
 
@@ -210,6 +215,12 @@ def rewritten(path, topic, change):
         writer.finish()
 
 
+def read(log):
+    """Return what a log shows, read by this very process."""
+    answer = read_logs([(str(log), "a")], [str(log)], {"picture": 20_000, "clip": 100_000})
+    return ReadLogs.model_validate_json(answer).logs[0]
+
+
 def test_a_robot_that_was_flung_away_does_not_stretch_the_map(run):
     def flung(data):
         cloud = PointCloud.FromString(data)
@@ -218,21 +229,49 @@ def test_a_robot_that_was_flung_away_does_not_stretch_the_map(run):
         cloud.data = rows.tobytes()
         return cloud.SerializeToString()
 
-    first = min(logs(run))
-    rewritten(logs(run)[first], "/robot/path", flung)
-    found = {path.trial_id: path.points for path in gathered(run).paths}
-    assert found[first].shape == (3, 2)
-    assert np.abs(found[first]).max() < 10.0
+    log = min(logs(run).values())
+    whole = read(log)
+    rewritten(log, "/robot/path", flung)
+    assert read(log).walked == whole.walked[:3]
+    assert len(whole.walked) > 3
 
 
 def test_pictures_that_are_damaged_cost_their_clip_and_not_the_walk(run):
-    first, second = sorted(logs(run))
-    rewritten(
-        logs(run)[first],
-        "/camera/ego",
-        lambda _: CompressedImage(format="jpeg", data=b"\xff\xd8 no").SerializeToString(),
+    log = min(logs(run).values())
+    whole = read(log)
+    damaged = CompressedImage(format="jpeg", data=b"\xff\xd8 no").SerializeToString()
+    rewritten(log, "/camera/ego", lambda _: damaged)
+    found = read(log)
+    assert whole.clip is not None
+    assert not whole.unseen
+    assert found.clip is None
+    assert "cannot identify image" in found.unseen
+    assert found.walked == whole.walked
+
+
+def test_no_damage_is_more_than_a_fault(run):
+    folder, rows = run
+    log, rng = folder / rows[0].mcap_path, random.Random(3)
+    data, faults = log.read_bytes(), 0
+    for _ in range(60):
+        changed = bytearray(data)
+        at = rng.randrange(len(changed))
+        changed[at : at + 8] = rng.choice([rng.randbytes(8), b"", b"\xff" * 8, bytes(8)])
+        log.write_bytes(changed)
+        faults += bool(read(log).fault)
+    assert faults > 30
+
+
+def test_reading_logs_loads_no_simulation(whole):
+    (folder, rows), _ = whole
+    log = str(folder / rows[0].mcap_path)
+    code = (
+        "import sys\n"
+        "import nw_eval.api.running.evidence.gather\n"
+        "from nw_eval.api.running.evidence.log import read_logs\n"
+        f"answer = read_logs([({log!r}, 'a')], [{log!r}], {{'picture': 20000, 'clip': 100000}})\n"
+        "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'trimesh', 'matplotlib'}\n"
+        "print(len(answer) > 5000, sorted(heavy & set(sys.modules)))"
     )
-    evidence = gathered(run)
-    assert [clip.trial_id for clip in evidence.clips] == [second]
-    assert [path.trial_id for path in evidence.paths] == [first, second]
-    assert any(f"The pictures of {first} cannot be shown: " in text for text in evidence.remarks)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True []\n"
