@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from PIL import Image
 
+from nw_eval import api
 from nw_eval.api.running.evidence import apart
 from nw_eval.api.running.evidence.content import ReadLogs
 from nw_eval.api.running.evidence.gather import gather_evidence
@@ -275,3 +276,15 @@ def test_reading_logs_loads_no_simulation(whole):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "True []\n"
+
+
+def test_a_report_shows_what_is_left_and_judges_as_before(run, recorded):
+    folder, rows = run
+    log = folder / rows[0].mcap_path
+    log.write_bytes(log.read_bytes()[:-5000])
+    judged = api.report(folder)
+    page = judged.html.read_text(encoding="utf-8")
+    assert judged.verdict == recorded.verdict
+    assert f"The log of {rows[0].trial_id} shows nothing: " in page
+    assert page.count("data:image/webp") == 3  # A place, a clip and its last picture.
+    assert page.count(f"<title>{rows[1].trial_id}: ") == 2  # A walk and its end.

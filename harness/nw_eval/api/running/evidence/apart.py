@@ -84,6 +84,6 @@ def _read(
             room=room,
         )
         logs = ReadLogs.model_validate_json(str(answer)).logs
-    except (NwEvalError, OSError, ValidationError):
-        return None
+    except (NwEvalError, OSError, ValidationError, AssertionError):
+        return None  # AssertionError: a daemon of multiprocessing may start no process.
     return logs if len(logs) == len(batch) else None
