@@ -23,7 +23,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.files.cache import sync_folder
 from nw_eval.results.row import Row, from_dict, from_dicts, to_dict
-from nw_eval.results.seal import seal, unseal
+from nw_eval.results.seal import seal, sum_of, unseal
 
 _VERSION = 3
 _MOST = 256 * 2**20
@@ -245,6 +245,17 @@ def read_journal(path: Path) -> JournalContents:
             return _read(path, stream)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+
+
+def last_sum(path: Path) -> str:
+    """Return the sum of a journal's last line; empty if there is no such line."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(max(0, path.stat().st_size - _LONGEST_LINE))
+            lines = stream.read(_LONGEST_LINE).splitlines(keepends=True)
+    except OSError:
+        return ""
+    return sum_of(lines[-1]) if lines else ""
 
 
 def _read(path: Path, stream: IO[bytes]) -> JournalContents:
