@@ -138,9 +138,7 @@ def _checked(
     return mine, others
 
 
-def _of_names(
-    rows: Iterable[Row], trials: Sequence[PlannedTrial]
-) -> tuple[list[Row], list[Row]]:
+def _of_names(rows: Iterable[Row], trials: Sequence[PlannedTrial]) -> tuple[list[Row], list[Row]]:
     """Return the rows of the plan, and the others, of a journal that is as it was when it ended.
 
     They were looked at then. What a sum of 64 bits cannot tell is a forgery, and whoever can write

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, replace
+from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import clean
@@ -120,12 +121,17 @@ def _contradiction(start: Start) -> str | None:
         return f"outcome {start.outcome!r} is none of {', '.join(OUTCOMES)}"
     if start.waypoints_reached > start.waypoints_total:
         return f"{start.waypoints_reached} of {start.waypoints_total} waypoints reached"
-    axes = [axis for axis, _ in start.perturbation]
-    if len({*axes}) < len(axes) or any(clean(axis) != axis for axis in axes):
-        return f"perturbation {clean(axes, at_most=80)} has an axis twice, or no plain line"
+    axes = tuple(axis for axis, _ in start.perturbation)
+    if not _are_names(axes):
+        return f"perturbation {clean([*axes], at_most=80)} has an axis twice, or no plain line"
     if not _TRAJECTORY.fullmatch(start.trajectory):
         return f"its trajectory {clean(start.trajectory, at_most=40)!r} is not 16 hex digits"
     return None
+
+
+@lru_cache(maxsize=64)  # All scenes have the same ones.
+def _are_names(axes: tuple[str, ...]) -> bool:
+    return len({*axes}) == len(axes) and all(clean(axis) == axis for axis in axes)
 
 
 def _fault_of_scenes(found: set[str], keyed: set[str]) -> str | None:

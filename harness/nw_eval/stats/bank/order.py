@@ -23,7 +23,6 @@ def order_of_starts(
         suite_digest: of the suite.
         scene: its name.
     """
-
     return list(_ranked(starts, json.dumps([candidate_digest, suite_digest, scene])))
 
 
