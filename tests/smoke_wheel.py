@@ -34,7 +34,7 @@ def main(dist: Path) -> None:
             # Two trials rarely decide a gate: INCONCLUSIVE (3) is a working installation too.
             if code not in (0, 3):
                 sys.exit(f"nw-eval {' '.join(arguments)} left with exit code {code}")
-        for name in ("trials.parquet", "report.md", "run.json"):
+        for name in ("trials.parquet", "report.md", "report.html", "run.json"):
             if not Path(place, "out", name).is_file():
                 sys.exit(f"the wheel's run wrote no {name}")
     print(f"{wheel.name}: installed alone, ran the smoke suite")

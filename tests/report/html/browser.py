@@ -1,4 +1,4 @@
-"""Chromium without a screen, driven by its DevTools protocol: what a page does in a real browser."""
+"""Chromium without a screen, driven by its DevTools protocol: a page in a real browser."""
 
 from __future__ import annotations
 
@@ -67,7 +67,9 @@ class Browser:
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
         # What lies outside the window is not drawn, to save time.
         metrics = {"width": size["width"], "height": min(size["height"], most)}
-        self.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics)
+        self.call(
+            "Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics
+        )
         clip = {"x": 0, "y": 0, **metrics}
         self.run("new Promise((drawn) => setTimeout(() => requestAnimationFrame(drawn), 300))")
         shot = self.call(

@@ -45,7 +45,10 @@ class Element:
             each
             for each in self._below()
             if tag in {None, each.tag}
-            and all(each.attributes.get(name.strip("_").replace("_", "-")) == is_ for name, is_ in attributes.items())
+            and all(
+                each.attributes.get(name.strip("_").replace("_", "-")) == is_
+                for name, is_ in attributes.items()
+            )
         ]
 
     def one(self, tag: str | None = None, **attributes: str) -> Element:

@@ -59,7 +59,9 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
 
 
-def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tab: Browser, page: Path) -> None:
+def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(
+    tab: Browser, page: Path
+) -> None:
     tab.show(page)
     assert tab.complaints == []
     assert tab.requests == [page.as_uri()]
@@ -105,5 +107,4 @@ def test_axe_finds_nothing_serious(
     tab.run(f"{axe}; 0")
     found = json.loads(tab.run("axe.run().then((found) => JSON.stringify(found.violations))"))
     serious = [each for each in found if each["impact"] in {"serious", "critical"}]
-    print(f"{len(found)} findings:", [(each["id"], each["impact"]) for each in found])
     assert [(each["id"], [node["html"] for node in each["nodes"][:3]]) for each in serious] == []

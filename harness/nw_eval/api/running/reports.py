@@ -62,7 +62,7 @@ class RunReport:
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
-    """Judge a run as it was begun, by its bar and its baseline, and write report.md and report.html.
+    """Judge a run as it was begun, by its bar and its baseline, and write its two pages.
 
     Args:
         run: the run's folder.

@@ -58,7 +58,7 @@ class Report(Publishing):
 
         if self.junit is not None:
             raise UsageError("--junit is of one run", fix="name one, or drop --junit")
-        found = api.index(self.runs, out=self.out)
+        found = api.index_runs(self.runs, out=self.out)
         for sentence in found.unread:
             tell(f"warning: not read: {sentence}")
         print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")
