@@ -44,7 +44,7 @@ def test_inputs_are_options_and_outputs_are_the_verdicts_whatever_their_letters(
     assert (outputs["trials"], outputs["effect"]) == ("1", "0.000000")
     assert outputs["report-path"].startswith("reports/tiny-stand-")
     assert not list(tmp_path.rglob("owned"))
-    assert (tmp_path / "summary").read_text().startswith("# tiny, stand: INCONCLUSIVE")
+    assert (tmp_path / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n")
     python, cache, report, comment = action.used
     assert python == {"uses": "actions/setup-python", "python-version": "3.12"}
     assert cache["path"] == str(tmp_path / "temp" / "nw-eval" / "cache")

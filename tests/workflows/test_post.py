@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 POST = Path(__file__).parents[2] / ".github" / "actions" / "nw-eval-comment" / "post.py"
 MARK = "<!-- nw-eval: hurdles -->"
 PAGE = f"""{MARK}
-# hurdles, go1-parkour: REGRESSED · success 0.525
+# REGRESSED: hurdles, go1-parkour
 
 * 1 scene below the bar: `hurdles/a_b` \\<b> \\*c\\*
 
@@ -132,7 +132,7 @@ def test_a_comment_is_written_once_and_then_written_over(post: Any, repository: 
     assert post(PAGE.replace("REGRESSED", "PASS")) == ""
     assert [method for method, _ in repository.asked] == ["GET", "POST", "GET", "PATCH"]
     _, own = repository.comments
-    assert own["body"].startswith(f"{MARK}\n# hurdles, go1-parkour: PASS")
+    assert own["body"].startswith(f"{MARK}\n# PASS: hurdles, go1-parkour")
     link = "[This run](https://github.example/o/r/actions/runs/12)"
     assert own["body"].rstrip().endswith(f"</details>\n\n{link}")
 
