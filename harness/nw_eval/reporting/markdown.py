@@ -46,7 +46,7 @@ def render_page(
         run: the run's provenance.
         verdict: what the gate says of it.
         tables: in their order.
-        among_others: whether pages of other runs stand beside it, so that its title says whose it is.
+        among_others: whether pages of other runs stand beside it, and its title says whose it is.
         unfolded: tables that are shown at once; the rest is behind a line to click on. All if None.
     """
     # Markdown, not HTML: `escaped` escapes what would break a table.

@@ -10,7 +10,7 @@ import pytest
 from nw_eval.errors import Problem, SuiteError, UsageError
 from nw_eval.gate import judge
 from nw_eval.reporting.github.annotations import annotations, annotations_of_error
-from nw_eval.reporting.github.commands import command
+from nw_eval.reporting.github.commands import END_GROUP, begin_group, command
 from nw_eval.reporting.suite_lines import suite_lines
 from nw_eval.suite import Gate
 
@@ -89,6 +89,13 @@ def test_what_a_command_says_comes_back_as_it_was_and_is_no_other_command(
 ) -> None:
     (shown,) = runner.commands(command("warning", f"m {text}", title=f"t {text}", file=None))
     assert (shown.message, shown.properties) == (f"m {text}", {"title": f"t {text}"})
+
+
+def test_a_group_is_one_line_whatever_it_is_called(runner: Any, evil: str) -> None:
+    (shown,) = runner.commands(begin_group(f"nw-eval run {evil}"))
+    assert (shown.name, shown.properties) == ("group", {})
+    assert shown.message.startswith("nw-eval run \\x1b[2Jred\\u202e")
+    assert runner.commands(END_GROUP)[0].name == "endgroup"
 
 
 def test_strangers_names_are_text_in_an_annotation(
