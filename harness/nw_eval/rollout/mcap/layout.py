@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
@@ -23,15 +24,41 @@ _PLOT = {
 }
 _COLOURED_POINTS = {"visible": True, "colorMode": "rgba-fields", "pointSize": 4}
 _MOST_PICTURES = 3
+_VELOCITY = (
+    "/robot/command.forward",
+    "/robot/twist.linear.x",
+    "/robot/command.yaw_rate",
+    "/robot/twist.angular.z",
+    "/robot/command.heading_error",
+)
 
 
-def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[str]) -> str:
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line of a plot."""
+
+    path: str
+    """Topic and field: a message path."""
+    label: str = ""
+    """Its name in the legend; empty = the path."""
+
+
+def layout_json(
+    *,
+    trunk: str,
+    pictures: Sequence[str],
+    targets: Sequence[Line],
+    seen: Sequence[Line],
+    observation: str | None,
+) -> str:
     """Return a layout as JSON.
 
     Args:
         trunk: the frame that the view follows.
         pictures: topics of images; the first few get a panel each.
-        observations: names of those that are numbers; the first is shown in full.
+        targets: some of the joints' targets.
+        seen: some of the numbers that the policy was given.
+        observation: a topic of such numbers that is shown in full.
     """
     panels: dict[str, dict[str, Any]] = {
         "3D!place": {
@@ -60,18 +87,15 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
         },
         "Plot!velocity": _plot(
             "Velocity, commanded and measured",
-            "/robot/command.forward",
-            "/robot/twist.linear.x",
-            "/robot/command.yaw_rate",
-            "/robot/twist.angular.z",
-            "/robot/command.heading_error",
+            *(Line(path=path) for path in _VELOCITY),
         ),
-        "Plot!joints": _plot("Joint targets", *(f"/nw/policy.targets[{k}]" for k in range(3))),
+        "Plot!joints": _plot("Joint targets", *targets),
         "RosOut!events": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
     }
-    if observations:
-        topic = f"/observation/{observations[0]}"
-        panels["RawMessages!observation"] = {"topicPath": topic, "diffEnabled": False}
+    if seen:
+        panels["Plot!observation"] = _plot("What the policy was given", *seen)
+    if observation is not None:
+        panels["RawMessages!observation"] = {"topicPath": observation, "diffEnabled": False}
     images = {
         f"Image!{number}": {"imageMode": {"imageTopic": topic}}
         for number, topic in enumerate(pictures[:_MOST_PICTURES])
@@ -93,8 +117,16 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
     return json.dumps(layout, indent=2) + "\n"
 
 
-def _plot(title: str, *paths: str) -> dict[str, Any]:
-    series = [{"value": p, "enabled": True, "timestampMethod": "receiveTime"} for p in paths]
+def _plot(title: str, *lines: Line) -> dict[str, Any]:
+    series = [
+        {
+            "value": line.path,
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+            **({"label": line.label} if line.label else {}),
+        }
+        for line in lines
+    ]
     return {**_PLOT, "foxglovePanelTitle": title, "paths": series}
 
 
