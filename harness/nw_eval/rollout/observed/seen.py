@@ -11,29 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.wrappers import Flatten, PluginWrap
-from nw_eval.rollout.mcap.layout import Line, layout_json
-from nw_eval.rollout.observed.names import (
-    action_names,
-    element_names,
-    term_sizes,
-    value_paths,
-)
+from nw_eval.rollout.observed.names import action_names, element_names, term_sizes
 from nw_eval.rollout.observed.views import View, topic_names, views_of
-from nw_eval.rollout.pictures.cameras import LOG_TOPIC
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from nw_eval.cards import Card
-    from nw_eval.robots import RobotSpec
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
 
 MANY = 4096
 """More numbers than this, as a laser scanner gives, are kept where images are."""
-_LEG, _MOST_LINES = 3, 6
 
 
 class Seen:
@@ -116,39 +106,3 @@ class Seen:
         for number, (form, image) in enumerate(pictures):
             topic = view.topic if len(pictures) == 1 else f"{view.topic}/{number}"
             self._log.picture(self._world.time, topic, image, mount=view.mount, form=form)
-
-
-def layout_of(card: Card, robot: RobotSpec) -> str:
-    """Return the Foxglove layout for logs of a policy, as JSON."""
-    views = views_of(card)
-    # What somebody else's wrapper leaves of an image is known in a trial only.
-    sure = [v for v in views if not any(isinstance(w, Flatten | PluginWrap) for w in v.spec.wrap)]
-    pictures = [view.topic for view in sure] if views else [LOG_TOPIC]
-    cameras = {view.observation for view in views}
-    numbers = [name for name in card.observations if name not in cameras]
-    names = action_names(card, robot)
-    targets = [
-        Line(path=f"/nw/policy.targets[{k}]", label=label)
-        for k, label in enumerate(names["/nw/policy.targets"][:_LEG])
-    ]
-    return layout_json(
-        trunk=robot.bodies[0],
-        pictures=pictures,
-        targets=targets,
-        seen=_seen_lines(card, numbers, names["/nw/policy.action"]),
-        observation=f"/observation/{topic_names(card)[numbers[0]]}" if numbers else None,
-    )
-
-
-def _seen_lines(card: Card, numbers: Sequence[str], joints: Sequence[str]) -> list[Line]:
-    """Return the first numbers that have names, of the first observation that has such."""
-    for name in numbers:
-        spec = card.observations[name]
-        if names := element_names(spec, joints):
-            topic = f"/observation/{topic_names(card)[name]}"
-            paths = value_paths(term_sizes(name, spec, len(names)))
-            return [
-                Line(path=f"{topic}.{path}", label=label)
-                for path, label in list(zip(paths, names, strict=True))[:_MOST_LINES]
-            ]
-    return []

@@ -1,4 +1,4 @@
-"""A layout of Foxglove and Lichtblick for the logs of one run: what to look at when one is opened.
+"""A layout of Foxglove and Lichtblick for logs: what to look at when one is opened.
 
 The format is the one that both programs export and import (`configById`, and `layout`, a tree of
 panels). Paths of plots are message paths: https://docs.foxglove.dev/docs/visualization.
@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nw_eval.viewing.shown import Plot, Shown
 
 _PLOT = {
     "showLegend": True,
@@ -23,43 +25,15 @@ _PLOT = {
     "sidebarDimension": 240,
 }
 _COLOURED_POINTS = {"visible": True, "colorMode": "rgba-fields", "pointSize": 4}
-_MOST_PICTURES = 3
-_VELOCITY = (
-    "/robot/command.forward",
-    "/robot/twist.linear.x",
-    "/robot/command.yaw_rate",
-    "/robot/twist.angular.z",
-    "/robot/command.heading_error",
-)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Line:
-    """One line of a plot."""
-
-    path: str
-    """Topic and field: a message path."""
-    label: str = ""
-    """Its name in the legend; empty = the path."""
+def layout_json(shown: Shown) -> str:
+    """Return a layout as the text of a file that both programs import."""
+    return json.dumps(layout(shown), indent=2) + "\n"
 
 
-def layout_json(
-    *,
-    trunk: str,
-    pictures: Sequence[str],
-    targets: Sequence[Line],
-    seen: Sequence[Line],
-    observation: str | None,
-) -> str:
-    """Return a layout as JSON.
-
-    Args:
-        trunk: the frame that the view follows.
-        pictures: topics of images; the first few get a panel each.
-        targets: some of the joints' targets.
-        seen: some of the numbers that the policy was given.
-        observation: a topic of such numbers that is shown in full.
-    """
+def layout(shown: Shown) -> dict[str, Any]:
+    """Return a layout as what its JSON says."""
     panels: dict[str, dict[str, Any]] = {
         "3D!place": {
             "cameraState": {
@@ -75,7 +49,7 @@ def layout_json(
                 "far": 1000,
             },
             "followMode": "follow-position",
-            "followTf": trunk,
+            "followTf": shown.trunk,
             # Small axes: `axisSize` is Foxglove's word for Lichtblick's `axisScale`.
             "scene": {"transforms": {"showLabel": False, "axisSize": 0.1, "axisScale": 0.1}},
             "topics": {
@@ -85,24 +59,22 @@ def layout_json(
             },
             "layers": {},
         },
-        "Plot!velocity": _plot(
-            "Velocity, commanded and measured",
-            *(Line(path=path) for path in _VELOCITY),
-        ),
-        "Plot!joints": _plot("Joint targets", *targets),
         "RosOut!events": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
     }
-    if seen:
-        panels["Plot!observation"] = _plot("What the policy was given", *seen)
-    if observation is not None:
-        panels["RawMessages!observation"] = {"topicPath": observation, "diffEnabled": False}
+    for number, plot in enumerate(shown.plots):
+        panels[f"Plot!{number}"] = _plot(plot)
+    if shown.observation is not None:
+        panels["RawMessages!observation"] = {
+            "topicPath": shown.observation,
+            "diffEnabled": False,
+        }
     images = {
         f"Image!{number}": {"imageMode": {"imageTopic": topic}}
-        for number, topic in enumerate(pictures[:_MOST_PICTURES])
+        for number, topic in enumerate(shown.pictures)
     }
     left = ("3D!place", "RosOut!events")
     right = [*images, *(name for name in panels if name not in left)]
-    layout = {
+    return {
         "configById": {**panels, **images},
         "globalVariables": {},
         "userNodes": {},
@@ -114,20 +86,19 @@ def layout_json(
             "splitPercentage": 62.0,
         },
     }
-    return json.dumps(layout, indent=2) + "\n"
 
 
-def _plot(title: str, *lines: Line) -> dict[str, Any]:
+def _plot(plot: Plot) -> dict[str, Any]:
     series = [
         {
-            "value": line.path,
+            "value": f"{line.topic}.{line.field}",
             "enabled": True,
             "timestampMethod": "receiveTime",
             **({"label": line.label} if line.label else {}),
         }
-        for line in lines
+        for line in plot.lines
     ]
-    return {**_PLOT, "foxglovePanelTitle": title, "paths": series}
+    return {**_PLOT, "foxglovePanelTitle": plot.title, "paths": series}
 
 
 def _stacked(names: Sequence[str], shares: Sequence[float] = ()) -> Any:
