@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,10 +17,12 @@ from nw_eval.rollout.mcap.content.clouds import cloud_points
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.mcap.topics import TOPICS
 from nw_eval.rollout.observed.names import element_names
-from nw_eval.rollout.observed.seen import MANY, layout_of
+from nw_eval.rollout.observed.seen import MANY
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sensors.drawing.palette import PALETTE
+from nw_eval.viewing.foxglove import layout_json
+from nw_eval.viewing.shown import shown_by_card, shown_in_log
 
 CARD = """\
 nw-policy: 1
@@ -336,7 +339,8 @@ def value_at(message, path):
 def test_the_layout_names_topics_that_are_there(policy, folder, walked, watched):
     log = walked[0] if policy == "go1-parkour" else watched[0]
     card = load_bundle(policy if policy == "go1-parkour" else str(folder)).card
-    layout = json.loads(layout_of(card, get_robot("go1")))
+    shown = shown_by_card(card, get_robot("go1"))
+    layout = json.loads(layout_json(shown))
     panels = layout["configById"]
     named = set(panels["3D!place"]["topics"])
     for name, panel in panels.items():
@@ -346,6 +350,7 @@ def test_the_layout_names_topics_that_are_there(policy, folder, walked, watched)
             named.add(panel["imageMode"]["imageTopic"])
     assert named <= set(log.topics())
     assert {"/scene", "/robot/path", "/robot/twist", "/log", "/camera/ego"} <= named
+    assert replace(shown_in_log(log), start=None) == shown, "a log shows what its card promised"
     assert panels["3D!place"]["followTf"] == "trunk"
     frames = next(m for _, _, m in log.messages("/tf")).transforms
     assert "trunk" in {transform.child_frame_id for transform in frames}

@@ -52,14 +52,14 @@ class Track:
 
     def at(self, time_ns: int, entity: str, what: Any) -> None:
         """Write what is so from a time on."""
-        self._stream.set_time(TIME, duration=time_ns * 1e-9)
+        self._stream.set_time(TIME, duration=np.timedelta64(time_ns, "ns"))
         self._stream.log(entity, what, strict=True)
 
     def moves(self, entity: str, times: Times, columns: Any) -> None:
         """Write what is another at each of some times."""
-        seconds = np.asarray(times, np.float64) * 1e-9
+        since = np.asarray(times, np.int64).astype("timedelta64[ns]")
         self._stream.send_columns(
-            entity, [self.rr.TimeColumn(TIME, duration=seconds)], columns, strict=True
+            entity, [self.rr.TimeColumn(TIME, duration=since)], columns, strict=True
         )
 
     def numbers(self, entity: str, times: Times, rows: NDArray[Any], names: Sequence[str]) -> None:
