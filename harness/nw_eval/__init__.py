@@ -46,6 +46,7 @@ _ROOMS = MappingProxyType(
             "draw_sensors",
             "evaluate",
             "fold_policy",
+            "foxglove_layout",
             "init_policy",
             "judge",
             "list_baselines",
@@ -62,6 +63,8 @@ _ROOMS = MappingProxyType(
             "record_verdict",
             "render_scenes",
             "replay",
+            "rerun_layout",
+            "rerun_recording",
             "report",
             "run",
             "save_baseline",
@@ -106,6 +109,7 @@ _ROOMS = MappingProxyType(
         "sensors.gallery": ("SeenCard",),
         "splat.describe": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
+        "viewing.recording.written": ("WrittenRecording",),
     }
 )
 """Where each public name is at home."""

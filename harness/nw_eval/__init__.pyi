@@ -31,6 +31,7 @@ from nw_eval.api import (
     draw_sensors,
     evaluate,
     fold_policy,
+    foxglove_layout,
     init_policy,
     judge,
     list_baselines,
@@ -48,6 +49,8 @@ from nw_eval.api import (
     render_scenes,
     replay,
     report,
+    rerun_layout,
+    rerun_recording,
     run,
     save_baseline,
     schema,
@@ -91,6 +94,7 @@ from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.describe import SplatFigures
 from nw_eval.stats.agreement.agree import Agreement
+from nw_eval.viewing.recording.written import WrittenRecording
 
 __version__: str
 
@@ -142,6 +146,7 @@ __all__ = [
     "UsageError",
     "Verdict",
     "WarmUp",
+    "WrittenRecording",
     "WrittenSplat",
     "__version__",
     "agree",
@@ -155,6 +160,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
+    "foxglove_layout",
     "init_policy",
     "judge",
     "list_baselines",
@@ -172,6 +178,8 @@ __all__ = [
     "render_scenes",
     "replay",
     "report",
+    "rerun_layout",
+    "rerun_recording",
     "run",
     "save_baseline",
     "schema",
