@@ -47,6 +47,7 @@ _ROOMS = MappingProxyType(
             "draw_sensors",
             "evaluate",
             "fold_policy",
+            "foxglove_layout",
             "index_runs",
             "init_policy",
             "judge",
@@ -64,6 +65,8 @@ _ROOMS = MappingProxyType(
             "record_verdict",
             "render_scenes",
             "replay",
+            "rerun_layout",
+            "rerun_recording",
             "report",
             "run",
             "save_baseline",
@@ -108,6 +111,7 @@ _ROOMS = MappingProxyType(
         "sensors.gallery": ("SeenCard",),
         "splat.describe": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
+        "viewing.recording.written": ("WrittenRecording",),
     }
 )
 """Where each public name is at home."""

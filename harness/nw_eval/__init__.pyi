@@ -32,6 +32,7 @@ from nw_eval.api import (
     draw_sensors,
     evaluate,
     fold_policy,
+    foxglove_layout,
     index_runs,
     init_policy,
     judge,
@@ -50,6 +51,8 @@ from nw_eval.api import (
     render_scenes,
     replay,
     report,
+    rerun_layout,
+    rerun_recording,
     run,
     save_baseline,
     schema,
@@ -93,6 +96,7 @@ from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.describe import SplatFigures
 from nw_eval.stats.agreement.agree import Agreement
+from nw_eval.viewing.recording.written import WrittenRecording
 
 __version__: str
 
@@ -145,6 +149,7 @@ __all__ = [
     "UsageError",
     "Verdict",
     "WarmUp",
+    "WrittenRecording",
     "WrittenSplat",
     "__version__",
     "agree",
@@ -158,6 +163,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
+    "foxglove_layout",
     "index_runs",
     "init_policy",
     "judge",
@@ -176,6 +182,8 @@ __all__ = [
     "render_scenes",
     "replay",
     "report",
+    "rerun_layout",
+    "rerun_recording",
     "run",
     "save_baseline",
     "schema",

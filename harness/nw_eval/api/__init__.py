@@ -37,7 +37,7 @@ from nw_eval.api.policies import (
     serve_policy,
     show_policy,
 )
-from nw_eval.api.replays import replay
+from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
@@ -88,6 +88,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
+    "foxglove_layout",
     "index_runs",
     "init_policy",
     "judge",
@@ -106,6 +107,8 @@ __all__ = [
     "render_scenes",
     "replay",
     "report",
+    "rerun_layout",
+    "rerun_recording",
     "run",
     "save_baseline",
     "schema",

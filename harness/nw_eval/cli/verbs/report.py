@@ -44,7 +44,7 @@ class Report(Publishing):
         from nw_eval.cli.terminal.summary import summary
 
         outcome = api.report(self.runs[0], out=self.out)
-        print(summary(outcome))
+        print(summary(outcome, folded=self.on_github))
         if self.open and outcome.html is not None:
             show(outcome.html)
         return outcome, outcome.exit_code
@@ -56,8 +56,10 @@ class Report(Publishing):
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
-        if self.junit is not None:
-            raise UsageError("--junit is of one run", fix="name one, or drop --junit")
+        if self.junit is not None or self.comment is not None or self.github:
+            raise UsageError(
+                "--junit, --github and --comment are of one run", fix="name one, or drop them"
+            )
         found = api.index_runs(self.runs, out=self.out)
         for sentence in found.unread:
             tell(f"warning: not read: {sentence}")

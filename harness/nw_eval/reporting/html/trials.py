@@ -39,11 +39,11 @@ def worst_cards(
 ) -> tuple[WorstTrial, ...]:
     """Return the trials that went worst, and the others of which there is a clip.
 
-    Those with a clip come first; within both kinds the worst does.
+    Those with a clip come first, in the order of the clips, and then the worst does.
     """
-    ordered = worst_trials(rows)
-    named = [row for row in ordered if row.trial_id in clips]
-    named += [row for row in ordered[:WORST] if row.trial_id not in clips]
+    known = {row.trial_id: row for row in rows}
+    named = [known[trial] for trial in clips if trial in known]
+    named += [row for row in worst_trials(rows)[:WORST] if row.trial_id not in clips]
     return tuple(
         WorstTrial(
             row=row,
