@@ -40,14 +40,20 @@ def print_summary(
         folder: the run's folder as a reader would type it.
     """
     for table in all_tables(run, rows, verdict, folder, brief=True):
-        _draw(console, table)
+        draw(console, table)
+    print_verdict(console, run, verdict)
+
+
+def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
+    """Print a verdict, what it does and does not show, and its reasons, a line each."""
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
     console.print(blind_spot(verdict, run), markup=False, highlight=False)
     for reason in verdict.reasons:
         console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
 
 
-def _draw(console: Console, table: Table) -> None:
+def draw(console: Console, table: Table) -> None:
+    """Draw a table, and beneath it what of it is to be typed."""
     from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
