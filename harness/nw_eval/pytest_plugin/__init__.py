@@ -2,6 +2,7 @@
 
 It costs a session that has no suite next to nothing: what is here imports nothing but pytest and
 what pytest imports, prints nothing, and looks at no file that does not end in `.yaml` or `.yml`.
+PYTEST_DONT_REWRITE: there is no assertion here to explain.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def pytest_configure_node(node: Any) -> None:
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile | None:
     """Take a suite for a test file."""
-    if not is_suite(file_path, parent.session):
+    if not is_suite(file_path, parent.config):
         return None
     from nw_eval.pytest_plugin.suite_file import SuiteFile
 

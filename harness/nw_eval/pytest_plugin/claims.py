@@ -14,7 +14,7 @@ _KEY = re.compile(rb"""^(?:\xef\xbb\xbf)?(?:\{\s*)?["']?nw-eval["']?\s*:""", re.
 """The key that says of a YAML file that it is a suite."""
 
 
-def is_suite(path: Path, session: pytest.Session) -> bool:
+def is_suite(path: Path, config: pytest.Config) -> bool:
     """Return whether a file is to be taken for a suite, right or wrong.
 
     Any `*.nw.yaml` is, and what the ini file declares by `nw_suites`: such a file that is none is
@@ -25,10 +25,10 @@ def is_suite(path: Path, session: pytest.Session) -> bool:
         return False
     if path.name.endswith(".nw.yaml"):
         return True
-    declared = session.config.stash[SETTINGS].declared
-    if declared and not declared.isdisjoint((path, *path.parents)):
+    settings = config.stash[SETTINGS]
+    if not settings.declared.isdisjoint((path, *path.parents)):
         return True
-    return session.isinitpath(path) and _has_key(path)
+    return path in settings.named and _has_key(path)
 
 
 def _has_key(path: Path) -> bool:

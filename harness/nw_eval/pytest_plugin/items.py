@@ -31,8 +31,11 @@ class SuiteItem(pytest.Item):
         self.add_marker("nw")
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Return the suite's file, the line there (from 0), and the test's name."""
-        return self.path, self.line - 1, f"{self.suite.name}::{self.name}"
+        """Return the suite's file, the line there (from 0), and a title.
+
+        Dots of a title that a node's id ends with would be shown as `::`.
+        """
+        return self.path, self.line - 1, f"{self.suite.name}: {self.name}"
 
     def judged(self) -> RunReport:
         """Return the suite's run; an error of pytest's where it came to no verdict."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -57,6 +58,9 @@ class Settings:
     inconclusive: Inconclusive
     update_baseline: bool
     suites: tuple[str, ...]
+    started_in: Path
+    arguments: tuple[str, ...]
+    """What pytest was told to collect, as it was typed."""
 
     @classmethod
     def of(cls, config: pytest.Config) -> Settings:
@@ -86,7 +90,19 @@ class Settings:
             inconclusive=word,
             update_baseline=config.getoption("nw_update_baseline"),
             suites=suites,
+            started_in=config.invocation_params.dir,
+            arguments=tuple(config.args),
         )
+
+    @cached_property
+    def named(self) -> frozenset[Path]:
+        """The files and folders of the command line.
+
+        pytest itself forgets a file that is named beside its folder.
+        """
+        files = (argument.partition("::")[0] for argument in self.arguments)
+        paths = (os.path.abspath(self.started_in / file) for file in files)  # noqa: PTH100 - pytest resolves no links.
+        return frozenset(Path(path) for path in paths)
 
     @cached_property
     def declared(self) -> frozenset[Path]:
