@@ -2,17 +2,15 @@
 
 import shutil
 from functools import partial
-from importlib.metadata import entry_points
 
 import pytest
 
 from nw_eval import api
 from nw_eval.files.shipped import shipped
+from nw_eval.pytest_plugin.texts import verdict_text
 
-INSTALLED = any(each.value == "nw_eval.pytest_plugin" for each in entry_points(group="pytest11"))
-"""Whether pytest finds the plugin by itself; loaded twice, it would be refused."""
-
-PLUGIN = () if INSTALLED else ("-p", "nw_eval.pytest_plugin")
+PLUGIN = ("-p", "nw_eval.pytest_plugin")
+"""The only plugin besides pytest's own: installed or not, it is loaded once."""
 
 SUITE = """\
 nw-eval: 1
@@ -47,7 +45,13 @@ def _warm(tmp_path_factory):
     folder = tmp_path_factory.mktemp("warm")
     text = SUITE.format(trials=1, duration=0.1, scenes=FLAT, gate=BAR)
     (folder / "tiny.yaml").write_text(text)
-    api.run(folder / "tiny.yaml", out=folder / "run", in_process=True)
+    judged = api.run(folder / "tiny.yaml", out=folder / "run", in_process=True)
+    assert verdict_text(judged).startswith(judged.verdict.verdict)
+
+
+@pytest.fixture(autouse=True)
+def _no_other_plugins(monkeypatch):
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 
 @pytest.fixture
@@ -91,8 +95,7 @@ def folders(pytester):
 
 
 @pytest.fixture
-def in_process_conftest(pytester, monkeypatch):
+def in_process_conftest(pytester):
     """Write a conftest.py, and return the arguments of a pytest that is a process of its own."""
     pytester.makeconftest(HERE)
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    return ("-p", "nw_eval.pytest_plugin", "-p", "xdist", "-p", "no:cacheprovider")
+    return (*PLUGIN, "-p", "xdist", "-p", "no:cacheprovider")

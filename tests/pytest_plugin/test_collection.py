@@ -1,6 +1,5 @@
 """Which files pytest takes for suites, what their tests are called, and what a wrong one says."""
 
-import os
 import subprocess
 import sys
 
@@ -130,7 +129,6 @@ def test_a_session_without_suites_hears_nothing_and_imports_nothing_heavy(pytest
     done = subprocess.run(
         line,
         cwd=pytester.path,
-        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         capture_output=True,
         text=True,
         check=False,
