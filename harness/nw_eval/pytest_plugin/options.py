@@ -88,7 +88,7 @@ class Settings:
             rounds=_number("rounds", values["rounds"]),
             workers=_number("workers", values["workers"]),
             inconclusive=word,
-            update_baseline=config.getoption("nw_update_baseline"),
+            update_baseline=bool(config.getoption("nw_update_baseline")),
             suites=suites,
             started_in=config.invocation_params.dir,
             arguments=tuple(config.args),

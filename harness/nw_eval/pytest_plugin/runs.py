@@ -92,11 +92,15 @@ class Runs:
         judged = api.report(folder)
         return judged if judged.info.finished else self._begin(request, resume=folder)
 
-    def _begin(self, request: Request, **where: Path) -> RunReport:
+    def _begin(
+        self, request: Request, *, out: Path | None = None, resume: Path | None = None
+    ) -> RunReport:
         from nw_eval import api
         from nw_eval.pytest_plugin.progress import Log
 
-        return api.run(request, workers=self._workers, listener=Log(), **where)
+        return api.run(
+            request, workers=self._workers, out=out, resume=resume, listener=Log()
+        )
 
     @property
     def _workers(self) -> int | None:
