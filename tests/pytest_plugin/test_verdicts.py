@@ -1,5 +1,7 @@
 """What becomes of a suite's tests, by its verdict."""
 
+import os
+import signal
 import xml.etree.ElementTree as ET
 from functools import partial
 
@@ -167,6 +169,27 @@ def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
     done.stdout.fnmatch_lines(["*ERROR at setup of tiny.yaml: verdict*", sentence])
     assert "Traceback" not in done.stdout.str()
     assert folders() == []
+
+
+def test_ctrl_c_ends_the_session_and_says_how_the_run_goes_on(
+    suite, pytester, monkeypatch, folders
+):
+    opened = trial.open_trial
+
+    def open_and_interrupt(job, *rest):
+        os.kill(os.getpid(), signal.SIGINT)
+        return opened(job, *rest)
+
+    monkeypatch.setattr(trial, "open_trial", open_and_interrupt)
+    monkeypatch.setattr(api, "run", partial(api.run, in_process=True))
+    suite(trials=3)
+    done = pytester.runpytest_inprocess(
+        "-p", "nw_eval.pytest_plugin", "tiny.yaml", no_reraise_ctrlc=True
+    )
+    assert done.ret == pytest.ExitCode.INTERRUPTED
+    done.stdout.fnmatch_lines(["*interrupted; continue with nw-eval run --resume reports/tiny-*"])
+    (folder,) = folders()
+    assert 0 < len(api.report(folder).rows) < 3, "what had ended is kept"
 
 
 def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(

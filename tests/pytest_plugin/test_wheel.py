@@ -61,7 +61,9 @@ def run(installed, tmp_path):
     """Return a function that runs pytest in a project, and returns its exit code and its words."""
     (tmp_path / "gate.nw.yaml").write_text(SUITE)
     (tmp_path / "test_by_hand.py").write_text(BY_HAND)
-    clean = {name: value for name, value in os.environ.items() if name[:6] not in {"PYTHON", "PYTEST"}}
+    clean = {
+        name: value for name, value in os.environ.items() if name[:6] not in {"PYTHON", "PYTEST"}
+    }
 
     def run(*arguments):
         done = subprocess.run(
@@ -90,7 +92,7 @@ def test_a_project_with_the_wheel_alone_has_suites_as_tests(run, installed):
     assert "gate.nw.yaml::verdict FAILED" in text
     assert "test_by_hand.py::test_policy PASSED" in text
     assert "2 failed, 3 passed" in text
-    assert text.count("report: reports/gate.nw-") >= 1
+    assert text.count("report: reports/gate-") >= 1
 
     code, text = run("--lf", "-v")
     assert "1 failed" in text

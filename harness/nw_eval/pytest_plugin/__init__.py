@@ -75,9 +75,12 @@ def pytest_runtest_makereport(
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say what became of each suite; nothing where there was none."""
-    from nw_eval.pytest_plugin.last_lines import write_last_lines
+    ended = [report for reports in terminalreporter.stats.values() for report in reports]
+    verdicts = [each for each in ended if getattr(each, "nodeid", "").endswith("::verdict")]
+    if verdicts:
+        from nw_eval.pytest_plugin.last_lines import write_last_lines
 
-    write_last_lines(terminalreporter)
+        write_last_lines(terminalreporter, verdicts)
 
 
 @pytest.fixture(scope="session")

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 import pytest
 
 
-def write_last_lines(terminal: pytest.TerminalReporter) -> None:
-    """Write each suite's verdict and where its page is; nothing without a suite."""
-    lines = dict(_lines(terminal))
+def write_last_lines(
+    terminal: pytest.TerminalReporter, verdicts: Iterable[pytest.TestReport]
+) -> None:
+    """Write each suite's verdict and where its page is.
+
+    Args:
+        terminal: where to.
+        verdicts: reports of verdicts' tests, and of whatever else is called like them.
+    """
+    lines: dict[str, str] = {}
+    for report in verdicts:
+        properties = dict(report.user_properties)
+        if "headline" in properties:
+            suite = report.nodeid.removesuffix("::verdict")
+            lines[suite] = f"{properties['headline']} · report: {properties['report']}"
     if lines and terminal.config.get_verbosity() >= 0:
         terminal.write_sep("-", "nw-eval")
         for suite, line in sorted(lines.items()):
             terminal.write_line(f"{suite}: {line}")
-
-
-def _lines(terminal: pytest.TerminalReporter) -> Iterator[tuple[str, str]]:
-    """Yield the headline and the page of every suite whose verdict was a test."""
-    for reports in list(terminal.stats.values()):
-        for report in reports:
-            if not getattr(report, "nodeid", "").endswith("::verdict"):
-                continue
-            properties = dict(getattr(report, "user_properties", ()))
-            if "headline" in properties:
-                suite = report.nodeid.removesuffix("::verdict")
-                yield suite, f"{properties['headline']} · report: {properties['report']}"

@@ -98,9 +98,7 @@ class Runs:
         from nw_eval import api
         from nw_eval.pytest_plugin.progress import Log
 
-        return api.run(
-            request, workers=self._workers, out=out, resume=resume, listener=Log()
-        )
+        return api.run(request, workers=self._workers, out=out, resume=resume, listener=Log())
 
     @property
     def _workers(self) -> int | None:
@@ -113,7 +111,8 @@ class Runs:
         """Return the name of a run's folder, which is the same for every worker."""
         time, chance = self._session.split()
         mark = sha256(f"{chance} {Path.cwd()} {request}".encode()).hexdigest()[:8]
-        return f"{Path(str(request.suite)).stem}-{time}-{mark}"
+        name = Path(str(request.suite)).name.partition(".")[0]
+        return f"{name}-{time}-{mark}"
 
 
 _RUNS = pytest.StashKey[Runs]()
