@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.plural import plural
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
@@ -25,6 +26,10 @@ _COLOURS: dict[Word, str] = {
     "INFRASTRUCTURE": "bold magenta",
     "INVALID": "bold magenta",
 }
+
+
+_LINES = 64
+"""Of a table that are shown; as many as there are built-in scenes."""
 
 
 def print_summary(
@@ -67,10 +72,12 @@ def draw(console: Console, table: Table) -> None:
             overflow="fold",  # A name that is cut short names nothing.
             no_wrap=name == table.columns[0],
         )
-    for row in table.rows:
+    for row in table.rows[:_LINES]:
         cells = dict(zip(table.columns, row, strict=True))
         drawn.add_row(*(Text(_foldable(cells[name])) for name in shown))
     console.print(drawn)
+    if (more := len(table.rows) - _LINES) > 0:
+        console.print(f"{plural(more, 'more line')} in the report", style="dim", highlight=False)
     # Something to type must stay on one line, uncut: beneath the table, not in a column.
     for name in table.columns:
         if name in table.code:
