@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import NwEvalError
+from nw_eval.errors import NwEvalError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.api import Published, RunReport, Surfaces
@@ -19,6 +20,13 @@ class Publishing:
 
     junit: Path | None = None
     """Write a JUnit file here: a test case for each scene, and one for the verdict."""
+    github: bool = False
+    """Write what GitHub's runner reads: step summary, outputs, annotations, groups.
+    On by itself where GITHUB_ACTIONS is true."""
+    no_github: bool = False
+    """Write nothing of that, also there."""
+    comment: Path | None = None
+    """Write the Markdown of a comment on a pull request here; nothing is posted."""
 
     def publishing(self, suite: str, verb: Callable[[], tuple[RunReport, int]]) -> int:
         """Run what gives a judged run and an exit code, show it, and return the code.
@@ -33,19 +41,33 @@ class Publishing:
         try:
             judged, code = verb()
         except NwEvalError as error:
-            _warn(api.publish_error(error, suite, where))
+            _tell(api.publish_error(error, suite, where))
             raise
-        _warn(api.publish(judged, where))
+        _tell(api.publish(judged, where, exit_code=code))
         return code
+
+    @property
+    def on_github(self) -> bool:
+        """Whether GitHub's runner reads what is printed.
+
+        Raises:
+            UsageError: it is asked for, and its opposite too.
+        """
+        if self.github and self.no_github:
+            raise UsageError("--github and --no-github exclude each other", fix="drop one of them")
+        here = os.environ.get("GITHUB_ACTIONS") == "true"
+        return self.github or (here and not self.no_github)
 
     def _surfaces(self) -> Surfaces:
         from nw_eval import api
 
-        return api.Surfaces(junit=self.junit)
+        return api.Surfaces(junit=self.junit, github=self.on_github, comment=self.comment)
 
 
-def _warn(published: Published) -> None:
+def _tell(published: Published) -> None:
     from nw_eval.cli.terminal.last_words import tell
 
+    for command in published.commands:
+        print(command, flush=True)
     for warning in published.warnings:
         tell(f"warning: {warning}")

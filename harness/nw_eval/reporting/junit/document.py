@@ -17,12 +17,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.reporting.headline import blind_spot, headline
-from nw_eval.reporting.properties import (
-    comparison_properties,
-    provenance_properties,
-    run_properties,
-    state_properties,
-)
+from nw_eval.reporting.junit.properties import run_properties, scene_properties
 from nw_eval.reporting.scene_states import SceneState, scene_states
 from nw_eval.reporting.suite_lines import SuiteLines
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
@@ -64,12 +59,9 @@ def junit_xml(
         _scene_case(state, by_scene.get(state.scene, ()), run, name, folder, lines)
         for state in scene_states(verdict)
     ]
-    properties = {
-        **provenance_properties(run),
-        **run_properties(verdict),
-        **({} if verdict.against is None else comparison_properties(verdict.against)),
-    }
-    return _document(name, [*cases, _verdict_case(verdict, run, name, lines)], properties, run)
+    return _document(
+        name, [*cases, _verdict_case(verdict, run, name, lines)], run_properties(run, verdict), run
+    )
 
 
 def junit_of_error(suite: str, error: NwEvalError) -> bytes:
@@ -120,15 +112,15 @@ def _scene_case(
         case.file, case.line = clean(lines.file), lines.scenes.get(state.scene, lines.gate)
     worst = worst_trials(rows)[:_REPLAYED]
     commands = [command for row in worst if (command := replay_command(row, folder))]
-    _add_properties(case, state_properties(state, rows, worst))
+    _add_properties(case, scene_properties(state, rows, worst))
     body = [state.sentence, *commands]
     if state.state == "failed":
-        case.result = _result(Failure, "REGRESSED", body)
+        case.result = _result(Failure, "regressed", body)
     elif state.state == "error":
         failed = [f"{row.trial_id}: {row.error_text}" for row in rows if row.status == "error"]
-        case.result = _result(Error, "INFRASTRUCTURE", [state.sentence, *failed[:_REPLAYED]])
+        case.result = _result(Error, "infrastructure", [state.sentence, *failed[:_REPLAYED]])
     elif state.state == "unjudged":
-        case.result = _result(Skipped, "INVALID", ["not judged: the verdict is INVALID"])
+        case.result = _result(Skipped, "invalid", ["not judged: the verdict is INVALID"])
     else:
         case.system_out = "\n".join(clean(line) for line in body)
     return case
@@ -143,7 +135,7 @@ def _verdict_case(verdict: Verdict, run: RunInfo, suite: str, lines: SuiteLines 
     if kind is None:
         case.system_out = "\n".join(clean(line) for line in body)
     else:
-        case.result = _result(kind, verdict.verdict, body)
+        case.result = _result(kind, verdict.verdict.lower(), body)
     return case
 
 
@@ -153,7 +145,7 @@ _KINDS: Mapping[Word, type[Failure | Error]] = {
     "INFRASTRUCTURE": Error,
     "INVALID": Error,
 }
-"""Verdicts that are no pass, as JUnit has them; `type` says the word."""
+"""Verdicts that are no pass, as JUnit has them; `type` says the word, in small letters."""
 
 
 def _result(kind: type[FinalResult], word: str, body: Sequence[str]) -> FinalResult:

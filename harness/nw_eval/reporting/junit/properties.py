@@ -1,4 +1,4 @@
-"""A judged run's figures by name, as properties of test cases: JUnit's, and pytest's."""
+"""What test cases say in numbers: effects with their intervals, trials, digests."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
 
-def state_properties(
+def run_properties(run: RunInfo, verdict: Verdict) -> dict[str, str]:
+    """Return what is known of a whole run: where it comes from, its verdict, and its drop."""
+    against = {} if verdict.against is None else _of_comparison(verdict.against)
+    return {**_provenance(run), **_of_verdict(verdict), **against}
+
+
+def scene_properties(
     state: SceneState, rows: Sequence[Row], worst: Sequence[Row]
 ) -> dict[str, str]:
-    """Return those of one scene.
+    """Return what is known of one scene.
 
     Args:
         state: how it did.
-        rows: its trials.
-        worst: those of them that did not complete, the worst first.
+        rows: its own.
+        worst: those of them that did not complete, those first that got least far.
     """
     score = state.score
     known = {} if score.mean is None else {"effect": f"{score.mean:.6f}"}
@@ -48,8 +54,7 @@ def _cell(perturbation: Sequence[tuple[str, float]]) -> str:
     return "".join(f" {axis} {value:g}" for axis, value in perturbation)
 
 
-def run_properties(verdict: Verdict) -> dict[str, str]:
-    """Return those of the verdict on a run."""
+def _of_verdict(verdict: Verdict) -> dict[str, str]:
     return {
         "verdict": verdict.verdict,
         "exit_code": str(verdict.exit_code),
@@ -64,8 +69,7 @@ def run_properties(verdict: Verdict) -> dict[str, str]:
     }
 
 
-def comparison_properties(found: Comparison) -> dict[str, str]:
-    """Return those of a comparison with a baseline."""
+def _of_comparison(found: Comparison) -> dict[str, str]:
     drops = found.interval
     return {
         "baseline": found.bank,
@@ -79,8 +83,7 @@ def comparison_properties(found: Comparison) -> dict[str, str]:
     }
 
 
-def provenance_properties(run: RunInfo) -> dict[str, str]:
-    """Return what ran, by names and digests."""
+def _provenance(run: RunInfo) -> dict[str, str]:
     return {
         "run": run.id,
         "nw_eval": run.code.version,
