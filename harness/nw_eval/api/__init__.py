@@ -52,7 +52,7 @@ from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
-from nw_eval.api.suites import ListedSuite, list_suites
+from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
 from nw_eval.request import Request
 
 __all__ = [
@@ -73,6 +73,7 @@ __all__ = [
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "ShownSuite",
     "Surfaces",
     "TrialPlan",
     "WarmUp",
@@ -116,6 +117,7 @@ __all__ = [
     "show_baseline",
     "show_policy",
     "show_scene",
+    "show_suite",
     "splat_convert",
     "splat_info",
     "splat_render",

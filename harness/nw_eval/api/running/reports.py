@@ -41,6 +41,11 @@ class RunReport:
         return self.info.interrupted
 
     @property
+    def passed(self) -> bool:
+        """Whether nothing speaks against the policy: PASS, or RAN where the suite has no bar."""
+        return self.exit_code == 0
+
+    @property
     def exit_code(self) -> int:
         """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors or missing trials, 5 INVALID."""
         return self.verdict.exit_code
@@ -59,6 +64,10 @@ class RunReport:
     def typed_html(self) -> Path | None:
         """The page for a browser as one would type it here."""
         return None if self.html is None else typed(self.html)
+
+    def __repr__(self) -> str:
+        """Return a line; thousands of rows would say no more."""
+        return f"RunReport({self.verdict.verdict}, {str(self.typed_folder)!r})"
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
