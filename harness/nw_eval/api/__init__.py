@@ -45,6 +45,7 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.surfaces import Published, Surfaces, publish, publish_error
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -64,11 +65,13 @@ __all__ = [
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
+    "Published",
     "Request",
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "Surfaces",
     "TrialPlan",
     "WarmUp",
     "WrittenSplat",
@@ -92,6 +95,8 @@ __all__ = [
     "list_suites",
     "plan",
     "plan_trials",
+    "publish",
+    "publish_error",
     "read_ledger",
     "read_rows",
     "record_verdict",

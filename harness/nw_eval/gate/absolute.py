@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -63,6 +64,8 @@ def judge(
     """
     groups = by_scene(rows, planned)
     scores = tuple(score(scene, groups[scene], planned.get(scene, 0), gate) for scene in groups)
+    condemned = _condemned(groups, scores, gate)
+    scores = tuple(replace(item, condemned=item.scene in condemned) for item in scores)
     counted = [
         values
         for item in scores
@@ -74,9 +77,10 @@ def judge(
     word, reasons = _compare(bounds, scores, gate, alone=against is None)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
-    elif condemned := _condemned(groups, scores, gate):
+    elif condemned:
         # The suite's mean speaks first only if it convicts too.
-        word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *condemned]
+        alone = [_alone(scene, most, gate) for scene, most in condemned.items()]
+        word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *alone]
     elif word == "INCONCLUSIVE" and gate.success_rate is not None and not _is_moot(against):
         reasons.append(advice(counted, seen, gate, gate.success_rate))
     drop = gate.most_drop
@@ -159,27 +163,27 @@ def _compare(
 
 def _condemned(
     groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore], gate: Gate
-) -> list[str]:
-    """Return a reason for each critical scene that is certainly below the bar by itself."""
+) -> dict[str, float]:
+    """Return the critical scenes that are certainly below the bar, with their upper bounds."""
     critical = [item.scene for item in scores if item.tier == "critical"]
     if gate.success_rate is None or not critical:
-        return []
+        return {}
     confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
-    reasons: list[str] = []
-    for scene in critical:
-        most = upper_bound([successes(groups[scene])], confidence)
-        if most < gate.success_rate:
-            reasons.append(
-                f"critical scene {scene} alone: success is at most {most:.3f}, "
-                f"the bar is {gate.success_rate:g}"
-            )
-    return reasons
+    known = {scene: values for scene in critical if (values := successes(groups[scene])).size}
+    most = {scene: upper_bound([values], confidence) for scene, values in known.items()}
+    return {scene: bound for scene, bound in most.items() if bound < gate.success_rate}
+
+
+def _alone(scene: str, most: float, gate: Gate) -> str:
+    return (
+        f"critical scene {scene} alone: success is at most {most:.3f}, "
+        f"the bar is {gate.success_rate:g}"
+    )
 
 
 def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     """Return a reason that names the scenes whose whole interval lies below the bar, if any do."""
-    bar = gate.success_rate
-    weak = [item for item in scores if bar is not None and item.n and item.interval.high < bar]
+    weak = [item for item in scores if item.weak]
     if not weak:
         return []
     percent = f"{100 * gate.confidence:.4g} %"

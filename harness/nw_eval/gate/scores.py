@@ -42,6 +42,7 @@ def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneSco
     values = successes(rows)
     completed = sum(row.completed for row in rows)
     estimate = mean_of_scenes([values], gate.confidence) if values.size else None
+    bar = gate.success_rate
     return SceneScore(
         scene=scene,
         tier=gate.tier(scene),
@@ -52,6 +53,7 @@ def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneSco
         completion=wilson(completed, values.size, gate.confidence),
         mean=estimate.mean if estimate else None,
         interval=estimate.interval if estimate else Interval(0.0, 1.0),
+        weak=bar is not None and estimate is not None and estimate.interval.high < bar,
     )
 
 

@@ -35,6 +35,8 @@ class SceneScore:
     completion: Interval  # Of the share that completed: Wilson.
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
+    weak: bool = False  # Its whole interval lies below the bar.
+    condemned: bool = False  # Critical, and below the bar beyond doubt: it convicts alone.
 
     @property
     def missing(self) -> int:

@@ -19,7 +19,7 @@ def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) 
         failed: its entries that could not be opened. A tier that may be about one is left alone,
             for it would only echo that fault.
     """
-    perhaps = [name for entry in failed for name in _names_of(entry)]
+    perhaps = [name for entry in failed for name in folder_names(entry)]
     return [
         draft.source.problem(
             ("gate", "tiers", pattern),
@@ -31,7 +31,7 @@ def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) 
     ]
 
 
-def _names_of(entry: str) -> list[str]:
+def folder_names(entry: str) -> list[str]:
     """Return what the scene of a folder may be called: as the folder, or with the one around it."""
     parts = PurePosixPath(entry.rpartition(":")[2]).parts
     return ["/".join(parts[-count:]) for count in (1, 2)]

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
+from nw_eval.cli.verbs.publishing import Publishing
+
+if TYPE_CHECKING:
+    from nw_eval.api import RunReport
+
 
 @dataclass(frozen=True, kw_only=True)
-class GateRun:
+class GateRun(Publishing):
     """Judge a run's rows by its suite's bar and against a baseline, without running anything."""
 
     run: tyro.conf.Positional[Path]
@@ -27,6 +33,9 @@ class GateRun:
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
 
     def __call__(self) -> int:
+        return self.publishing(str(self.run), self._judge)
+
+    def _judge(self) -> tuple[RunReport, int]:
         from nw_eval import api
         from nw_eval.cli.terminal.summary import summary
 
@@ -40,4 +49,4 @@ class GateRun:
         print(summary(outcome))
         if self.ledger is not None:
             api.record_verdict(outcome, self.ledger)
-        return outcome.exit_code
+        return outcome, outcome.exit_code

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from nw_eval.cli.verbs.options import Options
+from nw_eval.cli.verbs.publishing import Publishing
+
+if TYPE_CHECKING:
+    from nw_eval.api import RunReport
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(Options):
+class Run(Publishing, Options):
     """Roll a checkpoint out through a suite, write the evidence, and give a verdict.
 
     A suite without a bar (`gate.success_rate`) is only run: its verdict is RAN, exit code 0.
@@ -32,6 +36,9 @@ class Run(Options):
     For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
 
     def __call__(self) -> int:
+        return self.publishing(str(self.suite or self.resume or "suite"), self._run)
+
+    def _run(self) -> tuple[RunReport, int]:
         from nw_eval import api
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
@@ -51,7 +58,7 @@ class Run(Options):
         # An interruption that left no trial missing has interrupted nothing.
         if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
             tell(f"interrupted; continue with --resume {outcome.folder}")
-            return INTERRUPTED
+            return outcome, INTERRUPTED
         if self.ledger is not None:
             api.record_verdict(outcome, self.ledger)
-        return outcome.exit_code
+        return outcome, outcome.exit_code

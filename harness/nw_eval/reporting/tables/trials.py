@@ -69,10 +69,15 @@ def errors_table(rows: Sequence[Row]) -> Table:
     )
 
 
+def worst_trials(rows: Sequence[Row]) -> list[Row]:
+    """Return the trials that did not complete, those first that got least far."""
+    failed = [row for row in rows if row.success is not None and not row.completed]
+    return sorted(failed, key=lambda row: (row.success, row.sim_s, row.trial_id))
+
+
 def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
     """Return the trials that went worst, each with the command that shows it again."""
-    failed = [row for row in rows if row.success is not None and not row.completed]
-    failed.sort(key=lambda row: (row.success, row.sim_s, row.trial_id))
+    failed = worst_trials(rows)
     return Table(
         title="Worst trials",
         columns=("trial", "success", "outcome", "at", "replay"),
