@@ -58,7 +58,9 @@ def compare(one: Path, other: Path) -> None:
     if one.read_bytes() == other.read_bytes():
         return
     with zipfile.ZipFile(one) as first, zipfile.ZipFile(other) as second:
-        entries = [{info.filename: info.CRC for info in file.infolist()} for file in (first, second)]
+        entries = [
+            {info.filename: info.CRC for info in file.infolist()} for file in (first, second)
+        ]
     names = sorted({name for name, _ in entries[0].items() ^ entries[1].items()})
     sys.exit(f"{one.name}: the archive makes another wheel: {', '.join(names) or 'other bytes'}")
 

@@ -25,6 +25,9 @@ Backend = Literal["cpu", "cuda"]
 Collision = Literal["terrain", "triangles"]
 """How scan meshes collide: as height fields and boxes, fast, or by their own triangles."""
 
+Tracker = Literal["wandb", "mlflow", "tensorboard"]
+"""Trackers of experiments that can show a run, each by the name of its library and extra."""
+
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 """Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
 

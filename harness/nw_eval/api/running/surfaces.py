@@ -1,4 +1,4 @@
-"""Where a judged run is shown besides its report: a JUnit file, GitHub's runner.
+"""Where a judged run is shown besides its report: a JUnit file, GitHub's runner, trackers.
 
 None of them is worth a verdict. Whatever keeps one from being written is a warning, and changes no
 exit code.
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
+from nw_eval.words import Tracker
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -25,6 +26,8 @@ class Surfaces:
 
     junit: Path | None = None
     """A file of JUnit XML."""
+    track: tuple[Tracker, ...] = ()
+    """Trackers of experiments."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,11 +40,25 @@ class Published:
     """A line for each that does not, with the reason."""
 
 
+def check_surfaces(where: Surfaces) -> None:
+    """Check, before anything runs, that what is asked for is there.
+
+    Raises:
+        UsageError: there is no such tracker.
+        PrerequisiteError: its extra is not installed.
+    """
+    if where.track:
+        from nw_eval.reporting.trackers import check_trackers
+
+        check_trackers(where.track)
+
+
 def publish(judged: RunReport, where: Surfaces) -> Published:
     """Show a judged run; what cannot be written is among the warnings, and never raised."""
     writers: list[_Writer] = []
     if where.junit is not None:
         writers.append(("JUnit", partial(_write_junit, judged, where.junit)))
+    writers += [(f"{name} run", partial(_track, judged, name)) for name in where.track]
     return _write_all(writers)
 
 
@@ -89,6 +106,13 @@ def _write_junit_error(error: NwEvalError, suite: str, path: Path) -> None:
     from nw_eval.reporting.junit import junit_of_error
 
     _write(path, junit_of_error(suite, error))
+
+
+def _track(judged: RunReport, tracker: Tracker) -> None:
+    from nw_eval.reporting.trackers import track, tracked_run
+
+    pages = () if judged.page is None else (judged.page,)
+    track(tracker, tracked_run(judged.info, judged.verdict, judged.folder, pages))
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from nw_eval.errors import NwEvalError
 
@@ -19,6 +21,10 @@ class Publishing:
 
     junit: Path | None = None
     """Write a JUnit file here: a test case for each scene, and one for the verdict."""
+    track: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
+    ] = ()
+    """Show the run in a tracker, on the run of its checkpoint: wandb, mlflow, tensorboard."""
 
     def publishing(self, suite: str, verb: Callable[[], tuple[RunReport, int]]) -> int:
         """Run what gives a judged run and an exit code, show it, and return the code.
@@ -31,6 +37,7 @@ class Publishing:
 
         where = self._surfaces()
         try:
+            api.check_surfaces(where)
             judged, code = verb()
         except NwEvalError as error:
             _warn(api.publish_error(error, suite, where))
@@ -41,7 +48,9 @@ class Publishing:
     def _surfaces(self) -> Surfaces:
         from nw_eval import api
 
-        return api.Surfaces(junit=self.junit)
+        names = (name.strip() for words in self.track for name in words.split(","))
+        trackers = dict.fromkeys(name for name in names if name)
+        return api.Surfaces(junit=self.junit, track=tuple(trackers))
 
 
 def _warn(published: Published) -> None:
