@@ -15,6 +15,10 @@ settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
+# What tests print and write is not for the runner that may run them.
+for name in [name for name in os.environ if name.startswith("GITHUB_")]:
+    del os.environ[name]
+
 # Whoever starts the tests in the background of a script has them ignore Ctrl-C, which some of them
 # are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -9,6 +9,47 @@ from nw_eval.results.row import Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
+
+SUITE = """\
+nw-eval: 1
+name: hurdles
+robot: go1
+policy: go1-parkour
+trials: 4
+seed: 7
+scenes:
+  - hurdles/one
+  - "gaps/*"
+  - places/kitchen
+gate:
+  success_rate: 0.75
+"""
+
+
+@pytest.fixture
+def evil() -> str:
+    """What a stranger may call a thing: escapes, a new line, an order, Markdown, HTML, a turn."""
+    return (
+        "\x1b[2Jred\u202e\u2066 a\n::error::owned\r\n##[error]x %0A::stop-commands::y "
+        "**bold** _low_ `code` [a](http://b) | <script>alert(1)</script> <!-- x --> &lt; "
+        "@maintainer #12 :tada: ]]> \x00\ufffe\ud800"
+    )
+
+
+@pytest.fixture
+def suite_file(tmp_path: Path) -> Path:
+    """A suite in a repository, the folder of which is `suite_file.parents[1]`."""
+    path = tmp_path / "repository" / "suites" / "hurdles.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text(SUITE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def of_suite(suite_file: Path) -> dict[str, Any]:
+    """What run.json says of that suite, for `make_run`."""
+    return {"suite_file": "suites/hurdles.yaml", "suite_folder": str(suite_file.parent)}
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ _COLOURS: dict[Word, str] = {
 def print_summary(
     console: Console, run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path
 ) -> None:
-    """Print verdict, scenes, outcomes, worst trials and times; the verdict last, where eyes are.
+    """Print scenes, outcomes, worst trials and times; the verdict last, where eyes are.
 
     Args:
         console: where to; its width is respected, and colours if it has any.
@@ -39,8 +39,20 @@ def print_summary(
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it.
     """
+    print_tables(console, run, rows, verdict, folder)
+    print_verdict(console, run, verdict)
+
+
+def print_tables(
+    console: Console, run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path
+) -> None:
+    """Print the tables of a summary; arguments as of `print_summary`."""
     for table in all_tables(run, rows, verdict, folder, brief=True):
         _draw(console, table)
+
+
+def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
+    """Print the verdict, what it speaks of, and why; arguments as of `print_summary`."""
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
     console.print(blind_spot(verdict, run), markup=False, highlight=False)
     for reason in verdict.reasons:

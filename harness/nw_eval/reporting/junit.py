@@ -118,12 +118,12 @@ def _scene_case(
     _add_properties(case, _of_scene(state, rows, worst))
     body = [state.sentence, *commands]
     if state.state == "failed":
-        case.result = _result(Failure, "REGRESSED", body)
+        case.result = _result(Failure, "regressed", body)
     elif state.state == "error":
         failed = [f"{row.trial_id}: {row.error_text}" for row in rows if row.status == "error"]
-        case.result = _result(Error, "INFRASTRUCTURE", [state.sentence, *failed[:_REPLAYED]])
+        case.result = _result(Error, "infrastructure", [state.sentence, *failed[:_REPLAYED]])
     elif state.state == "unjudged":
-        case.result = _result(Skipped, "INVALID", ["not judged: the verdict is INVALID"])
+        case.result = _result(Skipped, "invalid", ["not judged: the verdict is INVALID"])
     else:
         case.system_out = "\n".join(clean(line) for line in body)
     return case
@@ -138,7 +138,7 @@ def _verdict_case(verdict: Verdict, run: RunInfo, suite: str, lines: SuiteLines 
     if kind is None:
         case.system_out = "\n".join(clean(line) for line in body)
     else:
-        case.result = _result(kind, verdict.verdict, body)
+        case.result = _result(kind, verdict.verdict.lower(), body)
     return case
 
 
@@ -148,7 +148,7 @@ _KINDS: Mapping[Word, type[Failure | Error]] = {
     "INFRASTRUCTURE": Error,
     "INVALID": Error,
 }
-"""Verdicts that are no pass, as JUnit has them; `type` says the word."""
+"""Verdicts that are no pass, as JUnit has them; `type` says the word, in small letters."""
 
 
 def _result(kind: type[FinalResult], word: str, body: Sequence[str]) -> FinalResult:

@@ -29,7 +29,27 @@ def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder:
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
     """
-    # Markdown, not HTML: `_text` escapes what would break a table.
+    return render_page(run, verdict, all_tables(run, rows, verdict, folder))
+
+
+def render_page(
+    run: RunInfo,
+    verdict: Verdict,
+    tables: Sequence[Table],
+    *,
+    among_others: bool = False,
+    unfolded: int | None = None,
+) -> str:
+    """Return a page: the verdict, why, the tables, and how sure one may be.
+
+    Args:
+        run: the run's provenance.
+        verdict: what the gate says of it.
+        tables: in their order.
+        among_others: whether pages of other runs stand beside it, so that it must say whose it is.
+        unfolded: tables that are shown at once; the rest is behind a line to click on. All if None.
+    """
+    # Markdown, not HTML: `escaped` escapes what would break a table.
     environment = Environment(  # noqa: S701
         loader=PackageLoader("nw_eval.reporting"),
         undefined=StrictUndefined,
@@ -37,15 +57,21 @@ def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["text"] = _text
+    environment.filters["text"] = escaped
+    drawn = [(table, markdown_table(table)) for table in tables]
     return environment.get_template("report.md.j2").render(
-        headline=headline(verdict, run),
+        headline=f"{_whose(run) if among_others else ''}{headline(verdict, run)}",
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
         interrupted=run.interrupted,
         how_sure=how_sure(verdict, run),
-        tables=[(table, markdown_table(table)) for table in all_tables(run, rows, verdict, folder)],
+        tables=drawn[:unfolded],
+        folded=[] if unfolded is None else drawn[unfolded:],
     )
+
+
+def _whose(run: RunInfo) -> str:
+    return f"{run.suite.get('name', 'suite')}, {run.policy.name}: "
 
 
 def write_report(path: Path, text: str) -> None:
@@ -60,10 +86,10 @@ def write_report(path: Path, text: str) -> None:
 
 def markdown_table(table: Table) -> str:
     """Return a table in GitHub's Markdown, padded so that it reads as plain text too."""
-    cells = [[_text(name) for name in table.columns]]
+    cells = [[escaped(name) for name in table.columns]]
     cells += [
         [
-            _code(cell) if name in table.code else _text(cell)
+            _code(cell) if name in table.code else escaped(cell)
             for name, cell in zip(table.columns, row, strict=True)
         ]
         for row in table.rows
@@ -82,21 +108,28 @@ def markdown_table(table: Table) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-_ACTS = re.compile(r"@\w|#\d|\bgh-\d|://|\bwww\.", re.IGNORECASE)
-"""What GitHub makes a mention, a reference or a link of, wherever it stands in a word."""
+_ACTS = re.compile(r"@\w|#\d|\bgh-\d|://|\bwww\.|:(?:[+-]1|[\w-]*[a-z][\w-]*):", re.IGNORECASE)
+"""What GitHub makes a mention, a reference, a link or an emoji of, wherever it stands in a word."""
+
+_MARKS = re.compile(r"[\\`*\[\]<>|~$&]|(?<![^\W_])_|_(?![^\W_])")
+"""Signs of Markdown. Underscores within words are none in GitHub's, and names are full of them."""
+
+_BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
+"""What makes a heading or a list of a line that begins with it; a letter is put before its sign."""
 
 
-def _text(words: str) -> str:
+def escaped(words: str) -> str:
     """Return words from anywhere (an error's text, a name) as one line of harmless Markdown.
 
     A word that would notify somebody or become a link is set as code, where it does neither; no
-    backslash keeps GitHub from that. Underscores within words start no emphasis in GitHub's
-    Markdown, and names are full of them.
+    backslash keeps GitHub from that.
     """
-    return " ".join(
-        _code(word) if _ACTS.search(word) else re.sub(r"([\\`*\[\]<>|~$&])", r"\\\1", word)
+    line = " ".join(
+        _code(word) if _ACTS.search(word) else _MARKS.sub(r"\\\g<0>", word)
         for word in clean(words, at_most=_LONGEST).split()
     )
+    begins = _BEGINS.match(line)
+    return line if begins is None else f"{line[: begins.end() - 1]}\\{line[begins.end() - 1 :]}"
 
 
 def _code(words: str) -> str:

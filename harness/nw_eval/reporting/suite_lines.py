@@ -64,5 +64,5 @@ def _line(scene: str, named: list[str], lines: list[int]) -> int | None:
 
 
 def _is_folder_of(scene: str, entry: str) -> bool:
-    """Whether an entry is the path, or a glob, of a folder that a scene may be called after."""
-    return any(fnmatchcase(scene, name) for name in folder_names(entry))
+    """Whether an entry is the path of a folder that a scene may be called after."""
+    return scene in folder_names(entry)

@@ -10,7 +10,7 @@ SUCCESS = "nw-eval/hurdles/all/success"
 
 
 @pytest.fixture
-def client(at_home):
+def client(at_home):  # noqa: ARG001 - it reads its variables there.
     return pytest.importorskip("mlflow").MlflowClient()
 
 

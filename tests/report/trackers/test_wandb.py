@@ -11,7 +11,7 @@ from nw_eval.reporting.trackers import track
 
 
 @pytest.fixture
-def wandb(at_home):
+def wandb(at_home):  # noqa: ARG001 - it reads its variables there.
     """The library, which reads its variables once: again for each test."""
     module = pytest.importorskip("wandb")
     yield module

@@ -13,11 +13,17 @@ _PAGE = 120
 """Columns of text where there is no terminal to ask."""
 
 
-def summary(judged: RunReport) -> str:
-    """Return the first tables of a judged run, its verdict and where its report lies."""
+def summary(judged: RunReport, *, folded: bool = False) -> str:
+    """Return the first tables of a judged run, its verdict and where its report lies.
+
+    Args:
+        judged: the run.
+        folded: whether GitHub's runner is to fold the tables.
+    """
     from rich.console import Console
 
-    from nw_eval.reporting.console import print_summary
+    from nw_eval.reporting.console import print_tables, print_verdict
+    from nw_eval.reporting.github.commands import END_GROUP, begin_group
 
     stream = StringIO()
     screen = Console(file=sys.stdout)
@@ -27,7 +33,12 @@ def summary(judged: RunReport) -> str:
         force_terminal=screen.is_terminal,
         no_color=screen.no_color,
     )
-    print_summary(console, judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    if folded:
+        stream.write(f"{begin_group('Tables')}\n")
+    print_tables(console, judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    if folded:
+        stream.write(f"{END_GROUP}\n")
+    print_verdict(console, judged.info, judged.verdict)
     if judged.typed_page is not None:
         console.print(f"report: {judged.typed_page}", highlight=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

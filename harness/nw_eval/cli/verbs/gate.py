@@ -46,7 +46,7 @@ class GateRun(Publishing):
             tolerate=self.tolerate,
             out=self.out,
         )
-        print(summary(outcome))
+        print(summary(outcome, folded=self.on_github))
         if self.ledger is not None:
             api.record_verdict(outcome, self.ledger)
         return outcome, outcome.exit_code

@@ -33,5 +33,5 @@ class Report(Publishing):
         from nw_eval.cli.terminal.summary import summary
 
         outcome = api.report(self.run, out=self.out)
-        print(summary(outcome))
+        print(summary(outcome, folded=self.on_github))
         return outcome, outcome.exit_code

@@ -40,12 +40,16 @@ class Run(Publishing, Options):
 
     def _run(self) -> tuple[RunReport, int]:
         from nw_eval import api
+        from nw_eval.cli.terminal.groups import group
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.terminal.summary import summary
 
-        with RunProgress(bars=not self.in_process) as progress:
+        with (
+            group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
+            RunProgress(bars=not self.in_process) as progress,
+        ):
             outcome = api.run(
                 self.request,
                 workers=self.workers,
@@ -54,7 +58,7 @@ class Run(Publishing, Options):
                 in_process=self.in_process,
                 listener=progress,
             )
-        print(summary(outcome))
+        print(summary(outcome, folded=self.on_github))
         # An interruption that left no trial missing has interrupted nothing.
         if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
             tell(f"interrupted; continue with --resume {outcome.folder}")

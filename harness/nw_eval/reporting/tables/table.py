@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 from nw_eval.clean import clean
 from nw_eval.stats import Interval
@@ -35,6 +37,21 @@ class Table:
             for row in self.rows
         )
         object.__setattr__(self, "rows", rows)
+
+    def first(self, most: int, where: str) -> Self:
+        """Return the table with its first rows only; its note says how many more are elsewhere.
+
+        Args:
+            most: rows that it keeps.
+            where: the others are, such as `the artifact`.
+        """
+        if len(self.rows) <= most:
+            return self
+        shorter = copy(self)  # Not made anew: what is cleaned is not to be cut again.
+        note = f"{len(self.rows) - most} more in {where}. {self.note}"
+        object.__setattr__(shorter, "rows", self.rows[:most])
+        object.__setattr__(shorter, "note", note.strip())
+        return shorter
 
 
 def span(interval: Interval) -> str:
