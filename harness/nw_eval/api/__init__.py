@@ -41,6 +41,7 @@ from nw_eval.api.replays import replay
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
+from nw_eval.api.running.indexes import RunIndex, index
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
@@ -73,6 +74,7 @@ __all__ = [
     "ListedSuite",
     "Published",
     "Request",
+    "RunIndex",
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
@@ -93,6 +95,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
+    "index",
     "init_policy",
     "judge",
     "list_baselines",

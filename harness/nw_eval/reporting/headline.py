@@ -12,6 +12,11 @@ from nw_eval.results.provenance import RunInfo
 
 def headline(verdict: Verdict, run: RunInfo) -> str:
     """Return verdict, success (share of waypoints), completed (of trials) and cost, on a line."""
+    return " · ".join(headline_parts(verdict, run))
+
+
+def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
+    """Return what the headline is joined of, the verdict's word first."""
     parts = [verdict.verdict, *_against(verdict.against)]
     if verdict.effect is not None:
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
@@ -24,7 +29,7 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
         parts.append(plural(verdict.errors, "error"))
     cost = _duration(run.wall_s) if run.finished else "not finished"
     parts.append(f"{cost} on {plural(run.workers, 'worker')}")
-    return " · ".join(parts)
+    return tuple(parts)
 
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:

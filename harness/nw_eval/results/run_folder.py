@@ -43,6 +43,11 @@ class RunFolder:
         return self.path / "report.md"
 
     @property
+    def report_html(self) -> Path:
+        """The report for a browser, in one file."""
+        return self.path / "report.html"
+
+    @property
     def baseline(self) -> RunFolder:
         """The run of the bank's own policy, on a class of machine that the bank has not seen."""
         return RunFolder(path=self.path / "baseline")

@@ -30,6 +30,8 @@ class RunReport:
     rows: tuple[Row, ...]
     page: Path | None
     """Its report in Markdown; None if none was written."""
+    html: Path | None = None
+    """The same for a browser, in one file beside it; None if none was written."""
     bank: BaselineInfo | None = None
     """The bank that it was compared with."""
 
@@ -46,23 +48,46 @@ class RunReport:
     @property
     def typed_folder(self) -> Path:
         """The folder as one would type it here."""
-        return _typed(self.folder)
+        return typed(self.folder)
 
     @property
     def typed_page(self) -> Path | None:
         """The page as one would type it here."""
-        return None if self.page is None else _typed(self.page)
+        return None if self.page is None else typed(self.page)
+
+    @property
+    def typed_html(self) -> Path | None:
+        """The page for a browser as one would type it here."""
+        return None if self.html is None else typed(self.html)
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
-    """Judge a run as it was begun, by its bar and its baseline, and write report.md.
+    """Judge a run as it was begun, by its bar and its baseline, and write report.md and report.html.
+
+    Args:
+        run: the run's folder.
+        out: of the page in Markdown, or of that in HTML; the other one is written beside it. The
+            run's own report.md and report.html if None.
+
+    Raises:
+        StoreError: there is no such run, its rows are damaged, or the report cannot be written.
+    """
+    from nw_eval.results.run_folder import RunFolder
+
+    judged = as_begun(run)
+    return _written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
+
+
+def as_begun(run: str | Path) -> RunReport:
+    """Judge a run as it was begun, by its bar and its baseline, and write nothing.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
     Where the bank that it was begun against is gone or does not hold for it the verdict is INVALID,
     and what the bar alone would say is among the reasons.
 
     Raises:
-        StoreError: there is no such run, its rows are damaged, or the report cannot be written.
+        UsageError: it is no run's folder.
+        StoreError: its run.json or its rows are damaged.
     """
     from nw_eval.api.running.against.banks import kept_bank
     from nw_eval.api.running.saved_run import saved_suite
@@ -74,11 +99,10 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)
     try:
-        judged = _judged(folder, info, suite, lambda: kept_bank(folder, info))
+        return _judged(folder, info, suite, lambda: kept_bank(folder, info))
     except IncomparableError as error:
         judged = _judged(folder, info, suite, lambda: None)
-        judged = replace(judged, verdict=without_bank(judged.verdict, str(error)))
-    return _written(judged, out or folder.report_md)
+        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
 
 
 def judge(
@@ -97,7 +121,7 @@ def judge(
             against, or else the one that its suite names.
         max_drop: in place of the suite's.
         tolerate: in place of the suite's.
-        out: where to write the report in Markdown; nowhere if None.
+        out: where to write the report, as in `report`; nowhere if None.
 
     Raises:
         UsageError: it is no run's folder, there is no such bank, or a drop is none.
@@ -144,16 +168,30 @@ def _judged(
     )
 
 
-def _written(judged: RunReport, path: Path) -> RunReport:
-    """Write the page of a judged run."""
+def _written(judged: RunReport, out: Path) -> RunReport:
+    """Write the pages of a judged run: one in Markdown, and beside it the other in HTML."""
+    from nw_eval.api.running.evidence.gather import gather_evidence
+    from nw_eval.reporting.html import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
+    from nw_eval.results.run_folder import RunFolder
 
-    page = render_markdown(judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    write_report(path, page)
-    return replace(judged, page=path)
+    page, html = _pages(out)
+    facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    write_report(page, render_markdown(*facts))
+    evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows)
+    write_report(html, render_html(*facts, evidence))
+    return replace(judged, page=page, html=html)
 
 
-def _typed(path: Path) -> Path:
+def _pages(out: Path) -> tuple[Path, Path]:
+    """Return where the page in Markdown goes, and that in HTML, of which one was named."""
+    if out.suffix.lower() in {".html", ".htm"}:
+        return out.with_suffix(".md"), out
+    beside = out.with_suffix("") if out.suffix.lower() == ".md" else out
+    return out, beside.with_name(f"{beside.name}.html")
+
+
+def typed(path: Path) -> Path:
     """Return a path as one would type it here: relative where it lies below."""
     resolved, here = path.resolve(), Path.cwd()
     return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved

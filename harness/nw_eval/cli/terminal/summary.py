@@ -40,5 +40,6 @@ def summary(judged: RunReport, *, folded: bool = False) -> str:
         stream.write(f"{END_GROUP}\n")
     print_verdict(console, judged.info, judged.verdict)
     if judged.typed_page is not None:
-        console.print(f"report: {judged.typed_page}", highlight=False, soft_wrap=True)
+        both = "" if judged.html is None else f" and {judged.html.name}"
+        console.print(f"report: {judged.typed_page}{both}", highlight=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

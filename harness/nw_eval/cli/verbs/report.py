@@ -1,4 +1,4 @@
-"""`nw-eval report`: write a run's pages again, from its rows."""
+"""`nw-eval report`: write a run's pages again, from its rows; or one page over many runs."""
 
 from __future__ import annotations
 
@@ -16,22 +16,53 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Publishing):
-    """Judge a finished or interrupted run again from its rows, and write its report."""
+    """Judge a finished or interrupted run again from its rows, and write its report.
+
+    Of several runs, write one page that lists them and shows trends by scene; their own pages stay
+    as they are.
+    """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
-    run: tyro.conf.Positional[Path]
-    """A run's folder."""
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """The folder of a run, or of several."""
     out: Path | None = None
-    """Where to write the Markdown; the run's own report.md when absent."""
+    """Where to write the Markdown, with the page in HTML beside it; the run's own report.md and
+    report.html when absent. Of several runs, where to write their page; when absent, index.html
+    in the folder that all of them lie in."""
+    open: bool = False
+    """Show the page in HTML in a browser."""
 
     def __call__(self) -> int:
-        return self.publishing(str(self.run), self._judge)
+        if len(self.runs) != 1:
+            return self._index()
+        return self.publishing(str(self.runs[0]), self._judge)
 
     def _judge(self) -> tuple[RunReport, int]:
         from nw_eval import api
+        from nw_eval.cli.terminal.browser import show
         from nw_eval.cli.terminal.summary import summary
 
-        outcome = api.report(self.run, out=self.out)
+        outcome = api.report(self.runs[0], out=self.out)
         print(summary(outcome, folded=self.on_github))
+        if self.open and outcome.html is not None:
+            show(outcome.html)
         return outcome, outcome.exit_code
+
+    def _index(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.browser import show
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.errors import UsageError
+        from nw_eval.plural import plural
+
+        for option in ("junit", "track"):
+            if getattr(self, option):
+                raise UsageError(f"--{option} is of one run", fix=f"name one, or drop --{option}")
+        found = api.index(self.runs, out=self.out)
+        for sentence in found.unread:
+            tell(f"warning: not read: {sentence}")
+        print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")
+        if self.open:
+            show(found.page)
+        return found.exit_code

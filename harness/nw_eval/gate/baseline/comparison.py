@@ -9,6 +9,7 @@ from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row.column import Settings
 from nw_eval.stats import Interval
 from nw_eval.stats.bank import CurvePoint
+from nw_eval.stats.hazard import Ends
 from nw_eval.words import Tier
 
 Basis = Literal["same", "panel", "sample", "fresh"]
@@ -49,6 +50,9 @@ class SceneDrop:
     waypoint: int | None = None
     """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
     have, or that speaks most of a policy that was convicted."""
+    ends: tuple[Ends, Ends] | None = None
+    """Of all starts of the bank, and of the trials of the rounds judged that came to a result: how
+    many ended after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property
     def stratum(self) -> Stratum:

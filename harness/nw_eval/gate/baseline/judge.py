@@ -17,7 +17,7 @@ from nw_eval.gate.baseline.finding import Finding, find, margins_of
 from nw_eval.gate.baseline.further import foresight
 from nw_eval.gate.baseline.holding.basis import basis_of, claim_of
 from nw_eval.gate.baseline.holding.match import check_match
-from nw_eval.gate.baseline.parting import waypoints
+from nw_eval.gate.baseline.parting import ends, waypoints
 from nw_eval.gate.baseline.reasons import in_words
 from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds
 from nw_eval.results.bank import Panel, SavedBank, Stratum
@@ -124,6 +124,7 @@ def _scene(
         evidence=finding.evidence.get(stratum, 1.0),
         named=stratum in finding.named,
         waypoint=waypoint,
+        ends=ends(stratum, rounds, panel),
     )
 
 

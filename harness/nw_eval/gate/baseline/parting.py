@@ -23,16 +23,19 @@ def waypoints(strata: Iterable[Stratum], rounds: Rounds, panel: Panel) -> Mappin
         rounds: of the candidate.
         panel: of the baseline.
     """
-    pairs: dict[Stratum, tuple[Ends, Ends]] = {}
-    for stratum in strata:
-        starts = panel.by_stratum[stratum]
-        rows = [row for row in rounds.rows[stratum] if row is not None and row.status == "ok"]
-        total = max(trial.waypoints_total for trial in (*starts, *rows))
-        if total:
-            pairs[stratum] = (_ends(starts, total), _ends(rows, total))
-    return {stratum: found.waypoint for stratum, found in first_partings(pairs).items()}
+    pairs = {stratum: ends(stratum, rounds, panel) for stratum in strata}
+    known = {stratum: pair for stratum, pair in pairs.items() if pair is not None}
+    return {stratum: found.waypoint for stratum, found in first_partings(known).items()}
 
 
-def _ends(trials: Sequence[Start | Row], total: int) -> Ends:
+def ends(stratum: Stratum, rounds: Rounds, panel: Panel) -> tuple[Ends, Ends] | None:
+    """Return how many trials of both ended after 0, 1, .. K waypoints; None without waypoints."""
+    starts = panel.by_stratum[stratum]
+    rows = [row for row in rounds.rows[stratum] if row is not None and row.status == "ok"]
+    total = max(trial.waypoints_total for trial in (*starts, *rows))
+    return (_ended(starts, total), _ended(rows, total)) if total else None
+
+
+def _ended(trials: Sequence[Start | Row], total: int) -> Ends:
     reached = np.array([trial.waypoints_reached for trial in trials], dtype=np.int64)
     return [int(count) for count in np.bincount(reached, minlength=total + 1)]

@@ -10,6 +10,7 @@ from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
 from nw_eval.reporting.tables.table import WORST, Table
+from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.reporting.tables.trials import (
     contacts_table,
     coverage_table,
@@ -20,7 +21,7 @@ from nw_eval.reporting.tables.trials import (
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
-__all__ = ["Table", "all_tables"]
+__all__ = ["Table", "all_tables", "named_tables"]
 
 
 def all_tables(
@@ -50,3 +51,26 @@ def all_tables(
         *(() if brief else (provenance_table(run),)),
     )
     return tuple(table for table in tables if table.rows)
+
+
+def named_tables(run: RunInfo, rows: Sequence[Row], verdict: Verdict) -> dict[str, Table]:
+    """Return every table, with rows or without, by a name; for a page that puts each in its place.
+
+    Args:
+        run: the run's provenance.
+        rows: one for each trial, in the order of their names.
+        verdict: what the gate says of them.
+    """
+    return {
+        "tasks": tasks_table(rows, verdict),
+        "against": baseline_table(verdict.against),
+        "scenes": scenes_table(verdict),
+        "perturbations": perturbations_table(rows, verdict.confidence),
+        "outcomes": outcomes_table(rows),
+        "contacts": contacts_table(rows, run),
+        "failures": failures_table(rows, compared=verdict.against is not None),
+        "errors": errors_table(rows),
+        "coverage": coverage_table(rows),
+        "throughput": throughput_table(rows, run),
+        "provenance": provenance_table(run),
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Table
+from nw_eval.reporting.tables.table import Bar, Table
 from nw_eval.stats.bank import SUSPECT
 
 _SHOWN = 1e6
@@ -31,6 +31,11 @@ def baseline_table(found: Comparison | None) -> Table:
         rows=tuple(_line(item, tiers=tiers) for item in items),
         numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
         note="" if found is None else _note(found),
+        marked="baseline",
+        bars=tuple(
+            None if item.candidate is None else Bar(value=item.candidate, mark=item.baseline)
+            for item in items
+        ),
     )
 
 

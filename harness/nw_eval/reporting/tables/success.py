@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.tables.table import Table, mean, span
+from nw_eval.reporting.tables.table import Bar, Table, mean, span
 from nw_eval.results.row import Row
 from nw_eval.stats import mean_of_scenes
 from nw_eval.words import OUTCOMES
@@ -47,6 +47,13 @@ def scenes_table(verdict: Verdict) -> Table:
         "that reached all. Each interval is for its scene alone: of many, some miss. That of "
         "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
         "neither, but bounds that hold for any distribution.",
+        marked="" if verdict.bar is None else "the bar",
+        bars=tuple(
+            None
+            if item.mean is None
+            else Bar(value=item.mean, interval=item.interval, mark=verdict.bar)
+            for item in scores
+        ),
     )
 
 

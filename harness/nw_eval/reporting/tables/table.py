@@ -17,6 +17,15 @@ _SHOWN, _TYPED = 500, 4000  # characters of a cell, and of one to type
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bar:
+    """What a page that draws shows beside a row, on an axis from 0 to 1."""
+
+    value: float
+    interval: Interval | None = None
+    mark: float | None = None  # What to compare with: a baseline's value, a bar.
+
+
+@dataclass(frozen=True, kw_only=True)
 class Table:
     """A titled table. `code` names the columns that hold something to type.
 
@@ -29,6 +38,8 @@ class Table:
     numbers: frozenset[str] = frozenset()  # Columns to align on the right.
     code: frozenset[str] = frozenset()
     note: str = ""
+    bars: tuple[Bar | None, ...] = ()  # One for each row, or none at all.
+    marked: str = ""  # What the marks of the bars are.
 
     def __post_init__(self) -> None:
         longest = [_TYPED if name in self.code else _SHOWN for name in self.columns]

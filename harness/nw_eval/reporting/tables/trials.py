@@ -85,7 +85,7 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
             (
                 row.trial_id,
                 f"{row.waypoints_reached}/{row.waypoints_total}",
-                f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome,
+                how_ended(row),
                 f"{row.sim_s:.2f} s",
                 replay_command(row, folder),
             )
@@ -95,6 +95,11 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
         code=frozenset({"replay"}),
         note=more(len(failed), most),
     )
+
+
+def how_ended(row: Row) -> str:
+    """Return a trial's outcome, and what decided it."""
+    return f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome
 
 
 def replay_command(row: Row, folder: Path) -> str:

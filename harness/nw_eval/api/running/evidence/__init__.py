@@ -1,0 +1,1 @@
+"""What trials' logs show of them: for pages, and for whoever else shows a run."""

@@ -1,0 +1,1 @@
+"""What a page draws, as numbers: its templates only lay them out."""

@@ -1,0 +1,75 @@
+"""How templates become a page: foreign words as text, and leave for nothing but what is ours.
+
+The page asks no network for anything, and a policy of its own (a `Content-Security-Policy`) says
+so to the browser: it runs the one script and draws by the one style sheet whose hashes stand there,
+and shows pictures that are in the file. Text from strangers is made visible (`clean`) and escaped
+wherever a template prints it; none of them could load or run anything even if that failed.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from functools import cache, lru_cache
+from hashlib import sha256
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from nw_eval.clean import clean
+
+_LONGEST = 4000  # characters of a text
+
+
+@cache
+def environment() -> Environment:
+    """Return what renders the templates of this room."""
+    found = Environment(
+        loader=PackageLoader("nw_eval.reporting.html"),
+        autoescape=True,
+        finalize=_visible,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    style, script = _source(found, "page.css"), _source(found, "page.js")
+    found.globals.update(
+        style=Markup(style),  # noqa: S704 - A file of ours.
+        script=Markup(script),  # noqa: S704 - A file of ours.
+        leave="; ".join((
+            "default-src 'none'",
+            f"style-src {_hash(style)}",
+            f"script-src {_hash(script)}",
+            "img-src data:",
+            "base-uri 'none'",
+            "form-action 'none'",
+            "require-trusted-types-for 'script'",
+        )),
+    )  # fmt: skip
+    found.filters["data"] = data_uri
+    return found
+
+
+def data_uri(data: bytes, mime: str) -> str:
+    """Return bytes as an address that holds them."""
+    # Markup: there may be millions of characters, none of which needs a look.
+    return Markup(f"data:{mime};base64,{b64encode(data).decode('ascii')}")  # noqa: S704 - As above.
+
+
+def _visible(value: Any) -> Any:
+    return _cleaned(value) if type(value) is str else value
+
+
+@lru_cache(maxsize=1024)
+def _cleaned(text: str) -> str:
+    return clean(text, at_most=_LONGEST)
+
+
+def _source(found: Environment, name: str) -> str:
+    if found.loader is None:
+        raise ValueError("templates come from the package")
+    return found.loader.get_source(found, name)[0]
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"

@@ -1,0 +1,100 @@
+"""What a page shows of trials' logs: where the robot walked, the place from above, short clips.
+
+Rows say what a trial came to, and the page is whole with them alone; logs may be deleted, were not
+recorded, or cannot be read. Whoever reads logs hands what they hold over in these values. The page
+looks up a trial's scene and outcome in its row, thins paths, and leaves out what its budget has no
+room for, and says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+CLIP_BYTES = 2_000_000
+"""Bytes of all clips of a page together; base64 adds a third, and a page of 160 trials has 5 MB."""
+
+PICTURE_BYTES = 600_000
+"""Bytes of all pictures of places of a page together."""
+
+ClipType = Literal["image/webp", "image/png", "image/gif"]
+PictureType = Literal["image/webp", "image/png", "image/jpeg"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkedPath:
+    """Where the trunk of one trial's robot went, in the scene's world frame."""
+
+    trial_id: str
+    points: NDArray[np.floating]
+    """Shape (n, 2): x and y, metres, in the order of time; as dense as the log has them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacePicture:
+    """A picture of a place from straight above: x to the right, y up.
+
+    It is in greys on a light ground: a dark page shows it inverted.
+    """
+
+    mime: PictureType
+    data: bytes
+    west: float
+    """Of its edges, metres in the world frame: the least x; `east` is the greatest."""
+    east: float
+    south: float
+    """Of its edges, metres in the world frame: the least y; `north` is the greatest."""
+    north: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceView:
+    """A place from above, as far as its logs show it."""
+
+    scene: str
+    waypoints: NDArray[np.floating]
+    """Shape (k, 2): x and y, metres, in their order."""
+    reach: float | None = None
+    """Metres from a waypoint at which it counts as reached; None where that is not known."""
+    outlines: tuple[NDArray[np.floating], ...] = ()
+    """Closed polygons of what stands or is missing there, each of shape (n, 2), metres."""
+    picture: PlacePicture | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """What a trial's policy saw up to its end, as a picture that moves by itself or stands."""
+
+    trial_id: str
+    mime: ClipType
+    data: bytes
+    """Of one whole file, such as an animated WebP."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    still: bytes | None = None
+    """A WebP of its last frame, for paper and for whoever wants nothing to move; may be absent."""
+    seconds: float
+    """That it shows, simulated."""
+    caption: str
+    """One sentence on what is seen; may be a stranger's text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """All of it, in any order; at most one path and one clip of a trial, one place of a scene."""
+
+    paths: tuple[WalkedPath, ...] = ()
+    places: tuple[PlaceView, ...] = ()
+    clips: tuple[Clip, ...] = ()
+    """The worst trial first; what exceeds `CLIP_BYTES` is left out from the end."""
+    remarks: tuple[str, ...] = ()
+    """Sentences on what could not be shown and why; may hold a stranger's text."""
+
+
+NO_EVIDENCE = Evidence()
+"""What a run without logs has to show beside its rows."""

@@ -1,0 +1,64 @@
+"""Single trials on a page: the worst ones with what they saw, and all of them in a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nw_eval.reporting.html.evidence import Clip
+from nw_eval.reporting.tables.table import WORST
+from nw_eval.reporting.tables.trials import how_ended, replay_command, worst_trials
+from nw_eval.results.row import Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstTrial:
+    """A trial that went badly."""
+
+    row: Row
+    ended: str
+    clip: Clip | None
+    command: str
+    """That replays it; empty without a log."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialLine:
+    """A trial in the table of all of them."""
+
+    row: Row
+    setting: str
+    """What was changed; empty where nothing was."""
+    success: str
+    command: str
+
+
+def worst_cards(
+    rows: Sequence[Row], clips: Mapping[str, Clip], folder: Path
+) -> tuple[WorstTrial, ...]:
+    """Return the trials that went worst, and after them the others of which there is a clip."""
+    named = worst_trials(rows)[:WORST]
+    named += [row for row in rows if row.trial_id in clips and row not in named]
+    return tuple(
+        WorstTrial(
+            row=row,
+            ended=how_ended(row),
+            clip=clips.get(row.trial_id),
+            command=replay_command(row, folder),
+        )
+        for row in named
+    )
+
+
+def trial_lines(rows: Sequence[Row], folder: Path) -> tuple[TrialLine, ...]:
+    """Return every trial, in the order of `rows`."""
+    return tuple(
+        TrialLine(
+            row=row,
+            setting=", ".join(f"{axis} {value:g}" for axis, value in row.perturbation),
+            success="" if row.success is None else f"{row.waypoints_reached}/{row.waypoints_total}",
+            command=replay_command(row, folder),
+        )
+        for row in rows
+    )

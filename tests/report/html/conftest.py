@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from nw_eval.gate import judge
+from nw_eval.reporting.html import render_html
+from nw_eval.reporting.html.evidence import (
+    NO_EVIDENCE,
+    Clip,
+    Evidence,
+    PlacePicture,
+    PlaceView,
+    WalkedPath,
+)
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from nw_eval.results.row import Row
+
+_EMPTY = {"meta", "link", "img", "br", "input"}
+
+
+class Element:
+    """An element of a page, with its children and the text right within it."""
+
+    def __init__(self, tag: str, attributes: dict[str, str | None]) -> None:
+        self.tag = tag
+        self.attributes = attributes
+        self.parts: list[Element | str] = []
+
+    def all(self, tag: str | None = None, **attributes: str) -> list[Element]:
+        return [
+            each
+            for each in self._below()
+            if tag in {None, each.tag}
+            and all(each.attributes.get(name.strip("_")) == is_ for name, is_ in attributes.items())
+        ]
+
+    def one(self, tag: str | None = None, **attributes: str) -> Element:
+        (found,) = self.all(tag, **attributes)
+        return found
+
+    @property
+    def text(self) -> str:
+        return "".join(part if isinstance(part, str) else part.text for part in self.parts).strip()
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """Of a table: its rows, the header first."""
+        return [
+            [cell.text for cell in row.all() if cell.tag in {"th", "td"}] for row in self.all("tr")
+        ]
+
+    def _below(self) -> Iterator[Element]:
+        for part in self.parts:
+            if isinstance(part, Element):
+                yield part
+                yield from part._below()
+
+
+class _Reader(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open = [Element("", {})]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len(dict(attrs)) == len(attrs), (tag, attrs)
+        self.open[-1].parts.append(element := Element(tag, dict(attrs)))
+        if tag not in _EMPTY:
+            self.open.append(element)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.open[-1].parts.append(Element(tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop().tag == tag, f"</{tag}> closes another element"
+
+    def handle_data(self, data: str) -> None:
+        self.open[-1].parts.append(data)
+
+
+@pytest.fixture
+def read() -> Callable[[str], Element]:
+    """Parse a page; every element must be closed where it ought to be."""
+
+    def reading(text: str) -> Element:
+        reader = _Reader()
+        reader.feed(text)
+        reader.close()
+        assert len(reader.open) == 1, [each.tag for each in reader.open]
+        return reader.open[0]
+
+    return reading
+
+
+@pytest.fixture
+def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
+    """The page of some rows, judged by a bar."""
+
+    def make(
+        rows: Sequence[Row],
+        evidence: Evidence = NO_EVIDENCE,
+        *,
+        gate: Gate | None = None,
+        **facts: Any,
+    ) -> str:
+        planned = {scene: sum(row.scene == scene for row in rows) for scene in _scenes(rows)}
+        verdict = judge(rows, gate or Gate(success_rate=0.75), planned)
+        return render_html(
+            make_run(planned, **facts), rows, verdict, Path("reports/run one"), evidence
+        )
+
+    return make
+
+
+@pytest.fixture
+def full_evidence() -> Callable[[Sequence[Row]], Evidence]:
+    """As much as logs could ever hold of some trials: long paths, large pictures and clips."""
+
+    def make(rows: Sequence[Row]) -> Evidence:
+        rng = np.random.Generator(np.random.PCG64(7))
+        return Evidence(
+            paths=tuple(
+                WalkedPath(
+                    trial_id=row.trial_id,
+                    points=np.cumsum(rng.normal((0.01, 0.0), 0.01, (600, 2)), axis=0),
+                )
+                for row in rows
+            ),
+            places=tuple(
+                PlaceView(
+                    scene=scene,
+                    waypoints=np.array([[1.0, 0.0], [2.5, 0.4]]),
+                    reach=0.3,
+                    picture=PlacePicture(
+                        mime="image/webp", data=rng.bytes(40_000),
+                        west=-1.0, east=5.0, south=-2.0, north=2.0,
+                    ),
+                )
+                for scene in _scenes(rows)
+            ),
+            clips=tuple(
+                Clip(
+                    trial_id=row.trial_id, mime="image/webp", data=rng.bytes(250_000),
+                    still=rng.bytes(20_000), width=320, height=180, seconds=2.5,
+                    caption="What the camera saw before the end.",
+                )
+                for row in rows[:12]
+            ),
+        )  # fmt: skip
+
+    return make
+
+
+def _scenes(rows: Sequence[Row]) -> list[str]:
+    return sorted({row.scene for row in rows})

@@ -1,0 +1,219 @@
+"""What stands in report.html, read by a parser of HTML."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from nw_eval.reporting.html.evidence import Clip, Evidence, PlaceView, WalkedPath
+from nw_eval.suite import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Make = Callable[..., Any]
+
+
+@pytest.fixture
+def rows(make_row: Make) -> list[Any]:
+    """Two scenes of ten trials; in the second most trials miss the third waypoint."""
+    good = [make_row("hurdles/low", index, 4) for index in range(10)]
+    return good + [make_row("hurdles/high", index, 2 if index < 8 else 4) for index in range(10)]
+
+
+def walked(trial: str) -> WalkedPath:
+    return WalkedPath(trial_id=trial, points=np.array([[0.0, 0.0], [0.5, 0.1], [1.0, -0.2]]))
+
+
+CLIP = Clip(
+    trial_id="hurdles-high-003",
+    mime="image/webp",
+    data=b"moving",
+    still=b"standing",
+    width=80,
+    height=45,
+    seconds=2.5,
+    caption="It looks down.",
+)
+
+
+def test_the_verdict_comes_first_with_what_it_rests_on(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    page = read(make_page(rows))
+    heading = next(each for each in page.all() if each.tag in {"h1", "h2"})
+    assert (heading.tag, heading.text) == ("h1", "INCONCLUSIVE")
+    assert page.one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
+    facts = [each.text for each in page.one("ul", class_="facts").all("li")]
+    assert facts[0].startswith("success 0.800 (95 % bounds 0.")
+    assert "bar 0.75" in facts[0]
+    drawing = page.one("header").one("svg", role="img")
+    assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for fresh starts")
+
+
+def test_a_reader_without_eyes_finds_a_way_through(
+    make_page: Make, read: Make, rows: list[Any], full_evidence: Make
+) -> None:
+    page = read(make_page(rows, full_evidence(rows)))
+    ids = [each.attributes["id"] for each in page.all() if "id" in each.attributes]
+    assert len(ids) == len(set(ids))
+    for link in page.all("a"):
+        assert link.attributes["href"].removeprefix("#") in ids
+    for table in page.all("table"):
+        assert table.one("caption").text
+        for head in table.all("th"):
+            assert head.attributes["scope"] in {"row", "col"}
+    for drawing in page.all("svg"):
+        named = drawing.attributes.get("role") == "img" and drawing.attributes.get("aria-label")
+        assert named or drawing.attributes.get("aria-hidden") == "true"
+    for picture in page.all("img"):
+        assert picture.attributes["alt"]
+    levels = [int(each.tag[1]) for each in page.all() if re.fullmatch(r"h[1-6]", each.tag)]
+    assert levels[0] == 1
+    assert all(deeper - level <= 1 for level, deeper in zip(levels, levels[1:], strict=False))
+    assert page.one("html").attributes["lang"] == "en"
+
+
+def test_every_trial_has_a_line_with_the_command_that_replays_it(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    header, *lines = read(make_page(rows)).one("table", id="all").cells
+    assert header[:2] == ["trial", "scene"]
+    assert [line[0] for line in lines] == sorted(row.trial_id for row in rows)
+    assert lines[0][-1] == (
+        "nw-eval replay 'reports/run one/mcap/hurdles/high/hurdles-high-000.mcap'"
+    )
+    assert lines[0][4] == "2/4"
+
+
+def test_where_trials_fail_is_told_waypoint_by_waypoint(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    page = read(make_page(rows))
+    scenes = page.one("table", class_="heat").cells
+    assert scenes[1] == ["hurdles/high", "0 of 10", "0 of 10", "8 of 10", "0 of 2"]
+    assert scenes[2][0] == "hurdles/low"
+    together = page.one("section", id="course").all("table")[0].cells
+    assert together[3][:3] == ["3", "60 %", "8 of 20"]
+    survival = page.one("figure", class_="survival").one("svg").attributes["aria-label"]
+    assert "100 % waypoint 1, 100 % waypoint 2, 60 % waypoint 3, 60 % waypoint 4" in survival
+
+
+def test_a_page_without_logs_is_whole_and_claims_none(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    page = read(make_page([replace(row, mcap_path="") for row in rows]))
+    assert not page.all("img")
+    assert not page.all("section", id="course")[0].all("figure", class_="view")
+    assert "replay" not in page.one("section", id="worst").text
+    titles = [each.text for each in page.one("main").all("h2")]
+    assert titles == [
+        "Tasks",
+        "Scenes",
+        "Where on the course it fails",
+        "Worst trials",
+        "Outcomes",
+        "Where the time went",
+        "Provenance",
+        "All trials",
+    ]
+
+
+def test_a_run_of_which_nothing_came_says_so(make_page: Make, read: Make, make_row: Make) -> None:
+    page = read(make_page([make_row("a", 0, None)]))
+    assert page.one("h1").text == "INFRASTRUCTURE"
+    assert "signal 11" in page.one("section", id="outcomes").text
+    assert "No trial has a row." in read(make_page([])).one("section", id="outcomes").text
+
+
+def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    place = PlaceView(scene="hurdles/high", waypoints=np.array([[1.0, 0.0]]), reach=0.3)
+    evidence = Evidence(
+        paths=(walked("hurdles-high-003"), walked("hurdles-high-009"), walked("not-of-this-run")),
+        places=(place, PlaceView(scene="elsewhere", waypoints=np.zeros((0, 2)))),
+    )
+    view = read(make_page(rows, evidence)).one("figure", class_="view")
+    assert view.one("figcaption").text == "hurdles/high"
+    # A centimetre is the unit, and y points down: what fell lies above what completed.
+    paths = [(each.attributes["class"], each.attributes["d"]) for each in view.all("path")[:2]]
+    assert paths == [("p o-completed", "M0 0l50 -10l50 30"), ("p o-fell", "M0 0l50 -10l50 30")]
+    assert [each.attributes["class"] for each in view.all("use")] == ["end o-fell"]
+    assert view.one("circle").attributes["r"] == "30"
+
+
+def test_a_clip_stands_still_until_somebody_plays_it(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    page = read(make_page(rows, Evidence(clips=(CLIP,), remarks=("One log is cut short.",))))
+    worst = page.one("section", id="worst")
+    (card,) = [each for each in worst.all("li") if each.all("img")]
+    assert card.one("h3").text == "hurdles-high-003"
+    still, moving = card.all("img")
+    assert still.attributes["src"] == "data:image/webp;base64,c3RhbmRpbmc="
+    assert moving in card.one("details").all("img")
+    assert "open" not in card.one("details").attributes
+    assert "One log is cut short." in worst.text
+
+
+def test_what_the_page_has_no_room_for_is_left_out_and_said(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    large = [replace(CLIP, trial_id=row.trial_id, data=bytes(900_000)) for row in rows[10:13]]
+    page = read(make_page(rows, Evidence(clips=tuple(large))))
+    assert len(page.one("section", id="worst").all("details")) == 2
+    assert "1 clip left out: the page is full." in page.one("section", id="worst").text
+
+
+def test_the_same_run_gives_the_same_page_byte_for_byte(
+    make_page: Make, rows: list[Any], full_evidence: Make
+) -> None:
+    evidence = full_evidence(rows)
+    turned = replace(evidence, paths=evidence.paths[::-1], places=evidence.places[::-1])
+    assert make_page(rows, evidence) == make_page(rows[::-1], turned)
+
+
+def test_no_process_draws_a_page_otherwise() -> None:
+    script = (
+        "from hashlib import sha256;"
+        "from nw_eval.reporting.html.environment import environment as e;"
+        "print(sha256(str(sorted(e().globals['leave'].split())).encode()).hexdigest());"
+        "from nw_eval.reporting.html import render_index; print(render_index([], ['x']))"
+    )
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(texts) == 1
+
+
+def test_scenes_that_do_not_count_are_in_no_task(make_page: Make, read: Make, rows: list[Any]) -> None:
+    gate = Gate(success_rate=0.75, tiers={"hurdles/high": "informational"})
+    tasks = read(make_page(rows, gate=gate)).one("section", id="tasks").one("table").cells
+    assert tasks[1][0] == "hurdles"
+    assert tasks[1][2:5] == ["1", "10", "1.000"]
+
+
+@pytest.mark.parametrize(("trials", "scenes", "most"), [(160, 16, 5e6), (3200, 64, 15e6)])
+def test_a_page_stays_small(
+    make_page: Make, make_row: Make, full_evidence: Make, trials: int, scenes: int, most: float
+) -> None:
+    drawn = [
+        make_row(f"hurdles/scene_with_a_name_{index % scenes:02d}", index, index % 5)
+        for index in range(trials)
+    ]
+    assert len(make_page(drawn, full_evidence(drawn)).encode()) < most
