@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.gate.side_by_side.result import PolicyComparison
-from nw_eval.reporting.markdown import markdown_table
+from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.side_by_side.tables import comparison_tables
 
 
@@ -12,5 +12,5 @@ def comparison_page(found: PolicyComparison) -> str:
     parts: list[str] = []
     for level, table in enumerate(comparison_tables(found)):
         parts += [f"{'##' if level else '#'} {table.title}", markdown_table(table)]
-        parts += [table.note] if table.note else []
+        parts += [escaped(table.note)] if table.note else []
     return "\n\n".join(parts) + "\n"
