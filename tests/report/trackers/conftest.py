@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import pytest
+from PIL import Image
 
 from nw_eval.gate import judge
+from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers import tracked_run
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
@@ -48,8 +52,25 @@ def at_home(monkeypatch, tmp_path):
         monkeypatch.delenv(name, raising=False)
 
 
+@pytest.fixture(scope="session")
+def clip():
+    """Two frames of a trial whose name is a stranger's, as an animated WebP."""
+    frames = [Image.new("RGB", (16, 9), colour) for colour in ("red", "blue")]
+    data = BytesIO()
+    frames[0].save(data, "WEBP", save_all=True, append_images=frames[1:], duration=100)
+    return Clip(
+        trial_id="a/<b>-000",
+        mime="image/webp",
+        data=data.getvalue(),
+        width=16,
+        height=9,
+        seconds=0.2,
+        caption="it `fell` <b>here</b>",
+    )
+
+
 @pytest.fixture
-def tracked(make_row, make_run, tmp_path):
+def tracked(clip, make_row, make_run, tmp_path):
     """Return a maker of tracked runs: two trials in each scene reached some of four waypoints."""
 
     def make(scenes=("hurdles/three_low", "b"), reached=2, **changes):
@@ -63,7 +84,7 @@ def tracked(make_row, make_run, tmp_path):
         verdict = judge(rows, Gate(success_rate=0.9), names)
         page = tmp_path / "report.md"
         page.write_text("# A report\n")
-        return tracked_run(run, verdict, tmp_path, (page,))
+        return tracked_run(run, verdict, tmp_path, (page,), [clip])
 
     return make
 

@@ -25,7 +25,7 @@ def only_run(client):
     return find
 
 
-def test_a_run_of_its_own_has_verdict_scores_and_report(tracked, client, only_run):
+def test_a_run_of_its_own_has_verdict_scores_and_report(tracked, clip, only_run, tmp_path):
     track("mlflow", tracked(reached=3))
     run = only_run()
     assert run.info.run_name == "hurdles-go1-parkour-20261121T110005Z-01234567"
@@ -33,8 +33,9 @@ def test_a_run_of_its_own_has_verdict_scores_and_report(tracked, client, only_ru
     assert run.data.metrics[SUCCESS] == 0.75
     assert run.data.metrics["nw-eval/hurdles/success/hurdles/three_low"] == 0.75
     assert run.data.tags["nw-eval/hurdles/verdict"] == "INCONCLUSIVE"
-    (report,) = client.list_artifacts(run.info.run_id, "nw-eval/hurdles")
-    assert report.path == "nw-eval/hurdles/report.md"
+    folder = tmp_path / "mlruns" / run.info.experiment_id / run.info.run_id / "artifacts"
+    assert (folder / "nw-eval/hurdles/report.md").read_text() == "# A report\n"
+    assert [file.read_bytes() for file in folder.rglob("clips/*.webp")] == [clip.data]
 
 
 def test_a_second_time_updates_the_run_and_makes_no_other(tracked, client, only_run):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import pytest
+from PIL import Image
 
 from nw_eval.reporting.trackers import track
 
@@ -16,6 +19,8 @@ def events(folder):
     numbers, texts = {}, {}
     for key in found.Tags()["tensors"]:
         (event,) = found.Tensors(key)
+        if found.SummaryMetadata(key).plugin_data.plugin_name == "images":
+            continue
         if event.tensor_proto.string_val:
             texts[key] = event.tensor_proto.string_val[0].decode()
         else:
@@ -49,3 +54,16 @@ def test_strangers_names_are_keys_of_their_own_and_their_words_are_code(hostile,
     assert numbers == pytest.approx(dict(hostile.numbers))
     policy = texts["nw-eval/hurdles/policy"]
     assert policy == r"`[p](http://evil) <b>'x' \x1b[31m`"
+
+
+def test_clips_of_the_worst_trials_move(tracked, tmp_path):
+    track("tensorboard", tracked())
+    found = reader.EventAccumulator(str(tmp_path))
+    found.Reload()
+    (key,) = (key for key in found.Tags()["tensors"] if "/clips/" in key)
+    (event,) = found.Tensors(key)
+    *size, picture = event.tensor_proto.string_val
+    assert size == [b"16", b"9"]
+    with Image.open(BytesIO(picture)) as shown:
+        assert (shown.format, shown.n_frames) == ("GIF", 2)
+    assert found.SummaryMetadata(key).summary_description == "`it 'fell' <b>here</b>`"

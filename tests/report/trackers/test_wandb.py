@@ -68,7 +68,9 @@ def test_a_run_of_its_own_has_verdict_scores_and_report(tracked, kept):
     assert summary["nw-eval/hurdles/success/hurdles/three_low"] == 0.75
     assert summary["nw-eval/hurdles/verdict"] == "INCONCLUSIVE"
     (artifact,) = (r.artifact for r in records if r.WhichOneof("record_type") == "artifact")
-    assert [entry.path for entry in artifact.manifest.contents] == ["report.md"]
+    clip, report = sorted(entry.path for entry in artifact.manifest.contents)
+    assert clip.startswith("clips/a._b_-000-")
+    assert report == "report.md"
     assert not [r for r in records if r.WhichOneof("record_type") == "history"]
 
 

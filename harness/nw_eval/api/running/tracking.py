@@ -10,12 +10,13 @@ if TYPE_CHECKING:
 
 
 def track_run(judged: RunReport, tracker: Tracker) -> None:
-    """Show a run in a tracker, with the pages that were written of this verdict.
+    """Show a run in a tracker, with pages and clips that were written of this verdict.
 
     Raises:
         Exception: whatever the tracker's library raises.
     """
     from nw_eval.reporting.trackers import track, tracked_run
 
-    pages = () if judged.page is None else (judged.page,)
-    track(tracker, tracked_run(judged.info, judged.verdict, judged.folder, pages))
+    pages = tuple(page for page in (judged.page, judged.html) if page is not None)
+    clips = () if judged.evidence is None else judged.evidence.clips
+    track(tracker, tracked_run(judged.info, judged.verdict, judged.folder, pages, clips))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from datetime import UTC, datetime
 from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from nw_eval.reporting.trackers.tracked import PROJECT, TrackedRun
@@ -39,6 +41,10 @@ def track(run: TrackedRun) -> None:
         client.log_batch(run_id, metrics=metrics[first : first + _AT_ONCE])
     for file in run.files:
         client.log_artifact(run_id, str(file), artifact_path=run.place)
+    with TemporaryDirectory() as folder:
+        for name, clip in run.clips.items():
+            Path(folder, name).write_bytes(clip.data)
+        client.log_artifacts(run_id, folder, artifact_path=f"{run.place}/clips")
     if not of_others:
         client.set_terminated(run_id, "FINISHED", end_time=_ms(run.ended))
 

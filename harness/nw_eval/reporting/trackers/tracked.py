@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
@@ -13,6 +13,7 @@ from nw_eval.clean import clean
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers.keys import key_of, keys_of
 from nw_eval.results.provenance import RunInfo
 
@@ -40,10 +41,16 @@ class TrackedRun:
     folder: Path
     files: tuple[Path, ...]
     """Its report, in all forms that there are."""
+    clips: Mapping[str, Clip]
+    """Of its worst trials, each by the name of a file."""
 
 
 def tracked_run(
-    run: RunInfo, verdict: Verdict, folder: Path, files: tuple[Path, ...]
+    run: RunInfo,
+    verdict: Verdict,
+    folder: Path,
+    files: tuple[Path, ...],
+    clips: Iterable[Clip] = (),
 ) -> TrackedRun:
     """Return what trackers get of a run.
 
@@ -52,6 +59,7 @@ def tracked_run(
         verdict: what the gate says of it.
         folder: the run's.
         files: its report.
+        clips: of its worst trials.
     """
     begun = datetime.fromisoformat(run.started)
     place = f"{PROJECT}/{key_of(str(run.suite.get('name', 'suite')))}"
@@ -73,6 +81,7 @@ def tracked_run(
         },
         folder=folder,
         files=files,
+        clips={_file_name(clip): clip for clip in clips},
     )
 
 
@@ -81,6 +90,10 @@ def _id(run: RunInfo) -> str:
     parts = (run.id, run.started, run.suite_digest, run.policy.checkpoint_digest)
     digest = sha256("\n".join(parts).encode("utf-8", "surrogatepass")).hexdigest()[:12]
     return f"{key_of(run.id).replace('/', '.')[:40]}-{digest}"
+
+
+def _file_name(clip: Clip) -> str:
+    return f"{key_of(clip.trial_id).replace('/', '.')}.{clip.mime.removeprefix('image/')}"
 
 
 def _words(run: RunInfo, verdict: Verdict) -> dict[str, str]:

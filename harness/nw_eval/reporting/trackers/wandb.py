@@ -34,6 +34,9 @@ def track(run: TrackedRun) -> None:
         artifact = wandb.Artifact(f"report-{run.id}", type="nw-eval-report")
         for file in run.files:
             artifact.add_file(str(file))
+        for name, clip in run.clips.items():
+            with artifact.new_file(f"clips/{name}", mode="wb") as file:
+                file.write(clip.data)
         session.log_artifact(artifact)
 
 
