@@ -43,6 +43,7 @@ _ROOMS = MappingProxyType(
             "check_baseline",
             "check_policy",
             "check_scenes",
+            "check_surfaces",
             "compare",
             "diff_baselines",
             "draw_sensors",

@@ -46,7 +46,13 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
-from nw_eval.api.running.surfaces import Published, Surfaces, publish, publish_error
+from nw_eval.api.running.surfaces import (
+    Published,
+    Surfaces,
+    check_surfaces,
+    publish,
+    publish_error,
+)
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -84,6 +90,7 @@ __all__ = [
     "check_baseline",
     "check_policy",
     "check_scenes",
+    "check_surfaces",
     "compare",
     "diff_baselines",
     "draw_sensors",

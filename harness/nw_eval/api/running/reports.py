@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.gate.verdict import Verdict
+    from nw_eval.reporting.html.evidence import Evidence
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
@@ -32,6 +33,8 @@ class RunReport:
     """Its report in Markdown; None if none was written."""
     html: Path | None = None
     """The same for a browser, in one file beside it; None if none was written."""
+    evidence: Evidence | None = None
+    """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
     """The bank that it was compared with."""
 
@@ -190,7 +193,7 @@ def _written(judged: RunReport, out: Path) -> RunReport:
     texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
     for path, text in texts.items():
         write_report(path, text)
-    return replace(judged, page=page, html=html)
+    return replace(judged, page=page, html=html, evidence=evidence)
 
 
 def _pages(out: Path) -> tuple[Path, Path]:
