@@ -168,6 +168,7 @@ def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
     done.assert_outcomes(errors=2)
     done.stdout.fnmatch_lines(["*ERROR at setup of tiny.yaml: verdict*", sentence])
     assert "Traceback" not in done.stdout.str()
+    assert "During handling" not in done.stdout.str()
     assert folders() == []
 
 
