@@ -66,6 +66,7 @@ def test_what_has_no_verdict_fails_the_test_in_words(suite, run, pytester, call,
     done.assert_outcomes(failed=1)
     done.stdout.fnmatch_lines(["*_ test_policy _*", sentence])
     assert "Traceback" not in done.stdout.str()
+    assert "During handling" not in done.stdout.str()
     assert "nw_eval/" not in done.stdout.str()
 
 

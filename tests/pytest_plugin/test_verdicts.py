@@ -50,7 +50,7 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
             "Success by scene",
             f" {FLAT} *",
             "nw-eval replay out/tiny-*/mcap/flat/carpet_room/flat-carpet_room-00*.mcap",
-            "report: out/tiny-*/report.md",
+            "report: out/tiny-*/report.md and report.html",
             "*_ tiny.yaml: verdict _*",
             "REGRESSED * success 0.000 *",
             f" {HURDLE} *",
@@ -168,6 +168,7 @@ def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
     done.assert_outcomes(errors=2)
     done.stdout.fnmatch_lines(["*ERROR at setup of tiny.yaml: verdict*", sentence])
     assert "Traceback" not in done.stdout.str()
+    assert "During handling" not in done.stdout.str()
     assert folders() == []
 
 

@@ -32,13 +32,16 @@ def update(suite: SuiteFile) -> None:
         checkpoint=settings.checkpoint,
         listener=Log(),
     )
+    saved, fault = None, ""
     try:
         with chdir(suite.project):
             saved = save()
             if saved.action == "kept":  # Only what says something else is replaced.
                 saved = save(renew=True)
     except NwEvalError as error:
-        pytest.fail(str(error), pytrace=False)
+        fault = str(error)
+    if saved is None:
+        pytest.fail(fault, pytrace=False)
     if saved.action == "unchanged":
         return
     manifest = saved.bank.manifest

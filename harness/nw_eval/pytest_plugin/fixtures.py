@@ -62,7 +62,8 @@ class RunSuite:
             request = api.Request.of(suite, **{**options, **changes})
             return runs_of(self._config).of(request)
         except NwEvalError as error:
-            pytest.fail(str(error), pytrace=False)
+            fault = str(error)
+        pytest.fail(fault, pytrace=False)
 
 
 class GateSuite:

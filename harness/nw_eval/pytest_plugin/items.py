@@ -42,7 +42,9 @@ class SuiteItem(pytest.Item):
         try:
             return self.suite.judged()
         except NwEvalError as error:
-            pytest.fail(str(error), pytrace=False)
+            fault = str(error)
+        # Raised in there, it would be shown with what it was raised in.
+        pytest.fail(fault, pytrace=False)
 
 
 class SceneItem(SuiteItem):

@@ -58,5 +58,7 @@ def _text(judged: RunReport, tables: Sequence[Table], rows: Sequence[Row]) -> st
             console.print()
             draw(console, replace(table, note=""))
     if judged.typed_page is not None:
-        console.print(f"report: {judged.typed_page}", highlight=False, markup=False, soft_wrap=True)
+        both = "" if judged.html is None else f" and {judged.html.name}"
+        line = f"report: {judged.typed_page}{both}"
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
