@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Generator
 
 CHROMIUM = shutil.which("chromium")
-SECONDS = 60.0
+SECONDS = 240.0
 
 
 class Browser:

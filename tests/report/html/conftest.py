@@ -9,6 +9,8 @@ import pytest
 
 from nw_eval.api.running.saved_run import saved_suite, saved_trials
 from nw_eval.gate import judge
+from nw_eval.gate.baseline.combine import combined
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
 from nw_eval.reporting.html import render_html
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,
@@ -22,6 +24,7 @@ from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import write_run_info
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.stats import Interval
 from nw_eval.suite import Gate, new_suite
 
 if TYPE_CHECKING:
@@ -117,15 +120,36 @@ def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
         evidence: Evidence = NO_EVIDENCE,
         *,
         gate: Gate | None = None,
+        against: Comparison | None = None,
         **facts: Any,
     ) -> str:
         planned = {scene: sum(row.scene == scene for row in rows) for scene in _scenes(rows)}
-        verdict = judge(rows, gate or Gate(success_rate=0.75), planned)
+        verdict = judge(rows, gate or Gate(success_rate=0.75), planned, against=against)
+        verdict = verdict if against is None else combined(verdict, against)
         return render_html(
             make_run(planned, **facts), rows, verdict, Path("reports/run one"), evidence
         )
 
     return make
+
+
+@pytest.fixture
+def compared() -> Comparison:
+    """What five rounds in two scenes show: one fell at its second waypoint, the other did not."""
+    high = SceneDrop(
+        scene="hurdles/high", tier="critical", baseline=0.95, candidate=0.45, trials=5,
+        evidence=2.5e6, named=True, waypoint=2, ends=([0, 1, 1, 0, 18], [0, 3, 1, 0, 1]),
+    )  # fmt: skip
+    low = SceneDrop(
+        scene="hurdles/low", tier="supporting", baseline=0.9, candidate=1.0, trials=5,
+        evidence=0.3, named=False, ends=([2, 0, 0, 0, 18], [0, 0, 0, 0, 5]),
+    )  # fmt: skip
+    return Comparison(
+        word="REGRESSED", bank="shipped", policy="go1-act-rgb", basis="panel", claim="panel",
+        rounds=5, budget=20, starts=20, baseline=0.925, drop=0.2, interval=Interval(0.12, 0.41),
+        max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
+        scenes=(low, high), reasons=("worse than the baseline shipped",),
+    )  # fmt: skip
 
 
 @pytest.fixture

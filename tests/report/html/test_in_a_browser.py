@@ -5,17 +5,27 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 pytest.importorskip("websockets")
 
-from tests.report.html.browser import CHROMIUM, Browser, browser
+from nw_eval.gate import judge
+from nw_eval.gate.baseline.combine import combined
+from nw_eval.reporting.html import ListedRun, render_index
+from nw_eval.suite import Gate
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from browser import CHROMIUM, Browser, browser
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
+
+    from nw_eval.gate.baseline.comparison import Comparison
 
     Make = Callable[..., Any]
 
@@ -30,9 +40,16 @@ def tab() -> Iterator[Browser]:
         yield found
 
 
-@pytest.fixture
-def page(make_page: Make, make_row: Make, full_evidence: Make, tmp_path: Path) -> Path:
-    """A page with all that one can have: several scenes and outcomes, paths, pictures and clips."""
+@pytest.fixture(params=[150])
+def page(
+    request: pytest.FixtureRequest,
+    make_page: Make,
+    make_row: Make,
+    full_evidence: Make,
+    compared: Comparison,
+    tmp_path: Path,
+) -> Path:
+    """A page with all that one can have: a baseline, many outcomes, paths, pictures and clips."""
     rows = [
         make_row(
             f"hurdles/{scene}", index, index % 5,
@@ -40,9 +57,10 @@ def page(make_page: Make, make_row: Make, full_evidence: Make, tmp_path: Path) -
         )
         for scene in ("low", "high")
         for index, outcome in enumerate(("fell", "collided", "stuck", "off_course", "timeout") * 30)
+        if index < request.param
     ]  # fmt: skip
     path = tmp_path / "report.html"
-    path.write_text(make_page(rows, full_evidence(rows)), encoding="utf-8")
+    path.write_text(make_page(rows, full_evidence(rows), against=compared), encoding="utf-8")
     return path
 
 
@@ -93,15 +111,32 @@ def test_a_stranger_s_script_would_not_run_even_in_the_page(tab: Browser, page: 
     assert sum("Content Security Policy" in line for line in tab.complaints) == 2
 
 
+@pytest.fixture
+def index_page(make_run: Make, make_row: Make, compared: Comparison, tmp_path: Path) -> Path:
+    """A page over two runs, one of which cannot be read."""
+    rows = [make_row("hurdles/high", index, index % 5) for index in range(20)]
+    verdict = combined(judge(rows, Gate(), {"hurdles/high": 20}, against=compared), compared)
+    runs = [
+        ListedRun(folder=name, href=href, info=make_run({"hurdles/high": 20}), verdict=verdict)
+        for name, href in (("one", "one/report.html"), ("two", None))
+    ]
+    path = tmp_path / "index.html"
+    path.write_text(render_index(runs, ["three: damaged"]), encoding="utf-8")
+    return path
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390], ids=["desktop", "phone"])
+@pytest.mark.parametrize("shown", ["page", "index_page"])
+@pytest.mark.parametrize("page", [10], indirect=True, ids=["small"])
 def test_axe_finds_nothing_serious(
-    tab: Browser, page: Path, axe: str, width: int, dark: bool
+    tab: Browser, axe: str, page: Path, index_page: Path, shown: str, width: int, dark: bool
 ) -> None:
-    tab.show(page, width=width, dark=dark)
+    path = page if shown == "page" else index_page
+    tab.show(path, width=width, dark=dark)
     assert tab.complaints == []
-    assert tab.requests == [page.as_uri()]
+    assert tab.requests == [path.as_uri()]
     # No part of the page is wider than the screen: what is wide scrolls within itself.
     assert tab.run("document.documentElement.scrollWidth") == width
     tab.run(f"{axe}; 0")

@@ -1,0 +1,65 @@
+"""What report.html shows of a comparison with a baseline."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.gate.baseline.comparison import Comparison
+
+    Make = Callable[..., Any]
+
+
+@pytest.fixture
+def page(make_page: Make, make_row: Make, read: Make, compared: Comparison) -> Any:
+    rows = [make_row("hurdles/low", index, 4) for index in range(5)]
+    rows += [make_row("hurdles/high", index, 1 if index < 4 else 4) for index in range(5)]
+    return read(make_page(rows, against=compared))
+
+
+def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> None:
+    assert page.one("h1").text == "REGRESSED"
+    assert page.one("ul", class_="facts").all("li")[0].text == (
+        "baseline shipped 0.925, drop 0.200 (at least 0.120, at most 0.410) in 5 of 20 rounds"
+    )
+    drop = page.all("figure", class_="gauge")[0].one("svg")
+    assert drop.attributes["aria-label"] == (
+        "Mean success fell by 0.200, from 0.925: by at least 0.120 (99 %) and at most 0.410 (95 %)."
+        " Up to 0.02 is tolerated; 0.1 must not pass."
+    )
+    assert [each.text for each in drop.all("text")[:2]] == ["tolerated 0.02", "max_drop 0.1"]
+    # What is tolerated lies left of what must not pass, and the estimate in that.
+    good, left_open, bad = (float(each.attributes["x"]) for each in drop.all("rect"))
+    assert good < left_open < bad < float(drop.one("circle").attributes["cx"])
+
+
+def test_scenes_are_shown_beside_the_baseline_what_fell_first(page: Any) -> None:
+    table = page.one("section", id="scenes").all("table")[0]
+    header, high, low = table.cells
+    assert [name for name in header if name][-8:] == [
+        "tier", "trials", "baseline", "candidate", "drop", "evidence", "fell", "from waypoint",
+    ]  # fmt: skip
+    assert high[0] == "hurdles/high"
+    assert high[-6:] == ["0.950", "0.450", "0.500", "over 1000000", "yes", "2"]
+    assert low[-4:-2] == ["-0.100", "0.3"]
+    lost, won = (each.all("path")[1] for each in table.one("tbody").all("svg"))
+    assert (lost.attributes["class"], won.attributes["class"]) == ("lost", "won")
+    tasks = page.one("section", id="tasks").one("table").cells
+    assert tasks[1][-2:] == ["0.925", "0.200"]
+
+
+def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: Any) -> None:
+    section = page.one("section", id="course")
+    together = section.all("table")[0].cells
+    # Of 40 starts of the bank 38 reached the first waypoint, and 37 the second as well.
+    assert together[1][4:6] == ["95 %", "2 of 40"]
+    assert together[2][1:3] == ["70 %", "3 of 10"]
+    assert together[2][4:6] == ["92 %", "1 of 38"]
+    high, low = section.one("table", class_="heat").cells[1:]
+    assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 partsbaseline 5 %"]
+    assert low[0] == "hurdles/low"
+    assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]
