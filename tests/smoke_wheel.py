@@ -14,7 +14,8 @@ import venv
 import zipfile
 from pathlib import Path
 
-CONSTRAINTS = Path(__file__).resolve().parents[1] / "constraints.txt"
+ROOT = Path(__file__).resolve().parents[1]
+CONSTRAINTS = ROOT / "constraints.txt"
 
 COMMANDS: tuple[tuple[tuple[int, ...], str], ...] = (
     ((0,), "nw-eval --version"),
@@ -22,14 +23,25 @@ COMMANDS: tuple[tuple[tuple[int, ...], str], ...] = (
     ((0,), "nw-eval baseline list"),
     # Two trials rarely decide a gate: INCONCLUSIVE (3) is a working installation too.
     ((0, 3), "nw-eval run smoke --trials 1 --out out"),
-    ((0, 3), "nw-eval gate out"),
+    ((0, 3), "nw-eval gate out --junit junit.xml"),
+    # pytest comes beside the wheel, which brings the plugin.
+    ((0,), "python -m pip install -q --disable-pip-version-check pytest"),
+    ((0,), f"pytest -q {ROOT}/suites/smoke.yaml --nw-rounds 1 -o nw_inconclusive=pass"),
+    # The shell steps of the action, with this nw-eval.
+    (
+        (0,),
+        (
+            f"pytest -q --rootdir {ROOT}/tests/workflows --confcutdir {ROOT}/tests/workflows "
+            f"-p no:cacheprovider {ROOT}/tests/workflows/test_action.py"
+        ),
+    ),
 )
 """What the wheel alone is asked to do, one after another in one empty folder, and how it may end.
 
 Words between spaces; none needs a shell.
 """
 
-WRITTEN = ("out/trials.parquet", "out/report.md", "out/run.json")
+WRITTEN = ("out/trials.parquet", "out/report.md", "out/report.html", "out/run.json", "junit.xml")
 """What those commands leave behind."""
 
 

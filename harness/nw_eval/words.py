@@ -25,6 +25,9 @@ Backend = Literal["cpu", "cuda"]
 Collision = Literal["terrain", "triangles"]
 """How scan meshes collide: as height fields and boxes, fast, or by their own triangles."""
 
+Viewer = Literal["foxglove", "rerun"]
+"""A program that shows logs; Lichtblick reads what Foxglove does."""
+
 Tracker = Literal["wandb", "mlflow", "tensorboard"]
 """Trackers of experiments that can show a run, each by the name of its library and extra."""
 

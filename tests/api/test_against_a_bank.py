@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 import pytest
 
 from nw_eval import api
@@ -41,6 +42,10 @@ record: none
 gate: {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, confidence: 0.6}
 """
 BANK = Path("reports/baselines/quick/shipped.parquet")
+LIMP = {
+    "control": {"action": "joint_position_offset"},
+    "observations": {"body": {"sensor": "proprio", "terms": ["gravity", "joint_pos"]}},
+}
 ONE_LINE = MappingProxyType({"in_process": True})
 
 
@@ -334,3 +339,43 @@ def test_a_bank_whose_policy_is_not_here_says_where_to_name_it():
         against()
     with pytest.raises(IncomparableError, match=r"\./soft is another one: checkpoint 1d9068e0"):
         against("other", baseline_policy="./soft")
+
+
+def test_an_object_is_compared_with_a_bank_as_a_policy_by_name_is():
+    judged = api.evaluate(lambda _: np.zeros(12), suite="quick.yaml", card=LIMP, baseline="shipped")
+    assert (judged.verdict.verdict, judged.bank.name) == ("REGRESSED", "shipped")
+    assert judged.verdict.against.word == "REGRESSED"
+    assert len(judged.rows) < 8
+    forged(elsewhere)
+    again = api.evaluate(lambda _: np.zeros(12), suite="quick.yaml", card=LIMP, baseline="shipped")
+    assert (again.verdict.against.basis, again.info.baseline.checked) == ("panel", "bits")
+
+
+def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_bank():
+    text = SUITE.replace(", hurdles/two_logs_park", "").replace("trials: 4", "trials: 2")
+    text = text.replace("max_drop: 0.5", "max_drop: 0.2").replace(
+        "record: none", "record: none\nperturb: {friction: [0.25, 1.0]}"
+    )
+    Path("slippery.yaml").write_text(text.replace("quick", "slippery"))
+    whole = api.run("slippery.yaml", baseline="none", in_process=True)
+    bank = bank_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
+    write_bank(Path("slippery.parquet").with_stem("shipped"), bank)
+    judged = api.run(
+        "slippery.yaml",
+        policy="./soft",
+        baseline="./shipped.parquet",
+        trials=2,
+        in_process=True,
+    )
+    scenes = judged.verdict.against.scenes
+    icy, usual = sorted(scenes, key=lambda one: one.perturbation)
+    assert [one.perturbation for one in (icy, usual)] == [
+        (("friction", 0.25),),
+        (("friction", 1.0),),
+    ]
+    for scene in scenes:
+        known = [row.success for row in whole.rows if row.perturbation == scene.perturbation]
+        assert scene.baseline == np.mean(known)
+        mine = [row.success for row in judged.rows if row.perturbation == scene.perturbation]
+        assert (scene.candidate, scene.trials) == (np.mean(mine), len(mine))
+    assert icy.baseline < usual.baseline

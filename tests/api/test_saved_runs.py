@@ -210,6 +210,12 @@ def test_rows_of_another_run_are_noticed_by_their_digest(saved, tmp_path):
     assert api.report(folder.path).verdict.effect == 1.0
 
 
+def test_a_journal_as_it_was_at_the_end_is_not_compared_with_the_plan_again(saved, monkeypatch):
+    folder = saved(ROWS)
+    monkeypatch.setattr(Trial, "seed", property(lambda _: pytest.fail("a seed was reckoned")))
+    assert len(api.report(folder.path).rows) == 6
+
+
 def test_an_older_parquet_file_does_not_hide_what_a_resumed_run_has_done_since(saved):
     folder = saved(ROWS[:4])
     info = read_run_info(folder.run_json)

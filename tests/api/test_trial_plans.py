@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank.file import read_bank, write_bank
 from nw_eval.results.bank.manifest import BankPolicy
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
@@ -184,12 +186,30 @@ def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
 
 
 def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run: Path) -> None:
-    with pytest.raises(UsageError, match="names no bank to plan with; name one with --baseline"):
+    with pytest.raises(
+        UsageError, match="no bank to plan with, and has none; name one with --base"
+    ):
         api.plan_trials(suite)
     with pytest.raises(UsageError, match="has no bank 'gone'"):
         api.plan_trials(suite, baseline="gone")
     with pytest.raises(UsageError, match="exclude each other"):
         api.plan_trials(suite, baseline="gone", run=run)
+
+
+def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
+    suite: Path, bank: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = Path("reports/baselines/two")
+    folder.mkdir(parents=True)
+    shutil.copy(bank, folder)
+    assert api.plan_trials(suite).source == api.plan_trials(suite, baseline=str(bank)).source
+    other = replace(
+        read_bank(bank), manifest=read_bank(bank).manifest.model_copy(update={"name": "b"})
+    )
+    write_bank(folder / "b.parquet", other)
+    with pytest.raises(UsageError, match=f"no bank to plan with, and has b, {bank.stem};"):
+        api.plan_trials(suite)
 
 
 @pytest.mark.parametrize("drop", [0.0, -0.1, 0.975, float("nan")])

@@ -71,7 +71,9 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
         "report-path": "reports/r",
     }
     assert code == 3
-    assert (step / "summary").read_text().startswith("# tiny, stand: INCONCLUSIVE · success 0.000")
+    assert (
+        (step / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n\nINCONCLUSIVE · s")
+    )
 
 
 def test_github_is_told_nothing_where_nobody_wants_it(
@@ -111,7 +113,7 @@ def test_a_surface_that_cannot_be_written_is_a_warning_and_the_others_are_writte
     assert junit.startswith(f"warning: no JUnit file: cannot write {nowhere}: File exists")
     assert summary.startswith("warning: no step summary: cannot write GITHUB_STEP_SUMMARY: Is a di")
     assert outputs(step)["verdict"] == "REGRESSED"
-    assert comment.read_text().startswith("<!-- nw-eval: tiny -->\n# tiny, stand: REGRESSED")
+    assert comment.read_text().startswith("<!-- nw-eval: tiny -->\n# REGRESSED: tiny, stand\n")
 
 
 def test_a_summary_that_is_full_is_a_warning(

@@ -49,7 +49,6 @@ NOT_RUN = MappingProxyType(
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
         "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
-        "nw-eval run hurdles --policy ./my-policy --out reports/gate": "likewise, in a CI's YAML",
         "nw-eval plan hurdles --detect 0.05 --run reports/hurdles": (
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"
         ),

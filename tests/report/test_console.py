@@ -48,6 +48,18 @@ def test_a_replay_command_is_one_whole_line_however_narrow_the_terminal(
     assert "nw-eval replay reports/r/mcap/hurdles/one/hurdles-one-000.mcap" in lines
 
 
+def test_a_table_of_hundreds_of_scenes_shows_the_worst_and_says_how_many_more_there_are(
+    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
+) -> None:
+    names = [f"place/{number:02d}" for number in range(70)]
+    rows = [make_row(name, 0, 0 if name == "place/69" else 4) for name in names]
+    lines = summary(rows, make_run(dict.fromkeys(names, 1)))
+    shown = [line for line in lines if line.lstrip().startswith("place/")]
+    assert shown[0].lstrip().startswith("place/69")
+    assert sum(" 1 of 1 " in line or " 0 of 1 " in line for line in shown) == 64
+    assert "6 more lines in the report" in lines
+
+
 def test_brackets_in_an_error_are_text_not_markup(
     make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
 ) -> None:

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.results.row import MEASURED, Row, from_dict, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, MEASURED, Row, from_dict, from_dicts, rows_digest, to_dict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,6 +50,52 @@ def test_a_row_that_contradicts_itself_is_refused(
 def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
     row = make_row(status="error", outcome="hung", success=None, error_text="no step for 60 s")
     assert row.success is None
+
+
+VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-2, 2**65),
+    st.floats(),
+    st.text(max_size=12),
+    st.sampled_from(["ok", "error", "completed", "crashed", "candidate", "\x1b[2J", "::error::"]),
+    st.lists(st.floats(), max_size=3),
+    st.lists(st.tuples(st.text(max_size=4), st.floats()).map(list), max_size=2),
+    st.dictionaries(st.text(max_size=2), st.integers(), max_size=1),
+)
+
+
+@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    changes=st.lists(
+        st.dictionaries(st.sampled_from(sorted(COLUMNS)), VALUES, max_size=2), max_size=3
+    )
+)
+def test_many_rows_at_once_are_what_they_are_one_by_one(
+    make_row: Callable[..., Row], changes: list[dict[str, Any]]
+) -> None:
+    kept = json.loads(json.dumps(to_dict(make_row(perturbation=(("friction", 0.5),)))))
+    values = [kept, *({**kept, **change} for change in changes)]
+    try:
+        one_by_one = [from_dict(one) for one in values]
+    except ValueError as error:
+        with pytest.raises(ValueError, match=re.escape(str(error))):
+            from_dicts(values)
+    else:
+        at_once = from_dicts(values)
+        assert [to_dict(row) for row in at_once] == [to_dict(row) for row in one_by_one]
+        assert [row.digest for row in at_once] == [row.digest for row in one_by_one]
+        assert [list(map(type, to_dict(row).values())) for row in at_once] == [
+            list(map(type, to_dict(row).values())) for row in one_by_one
+        ]
+
+
+def test_many_rows_that_are_fine_are_not_looked_at_one_by_one(
+    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = [to_dict(make_row(seed_index=number)) for number in range(3)]
+    monkeypatch.setattr(Row, "__post_init__", lambda _: pytest.fail("one by one"))
+    assert [row.seed_index for row in from_dicts(kept)] == [0, 1, 2]
 
 
 def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:

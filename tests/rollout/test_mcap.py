@@ -61,6 +61,7 @@ def test_every_topic_has_its_schema_and_its_number_of_messages(walk):
         "/waypoints": "foxglove.SceneUpdate",
         "/points/place": "foxglove.PointCloud",
         "/points/trail": "foxglove.PointCloud",
+        "/points/waypoints": "foxglove.PointCloud",
         **bodies,
         "/camera/ego": "foxglove.CompressedImage",
         "/camera/ego/calib": "foxglove.CameraCalibration",
@@ -85,6 +86,7 @@ def test_every_topic_has_its_schema_and_its_number_of_messages(walk):
         "/waypoints": 1 + reached,
         "/points/place": 1,
         "/points/trail": 1 + reached,
+        "/points/waypoints": 1 + reached,
         **dict.fromkeys(bodies, 1),
         "/camera/ego": STEPS / 5,
         "/camera/ego/calib": 1,
@@ -186,7 +188,7 @@ def test_metadata_and_attachments_tell_the_trial_and_its_verdict(walk):
         reader = make_reader(stream)
         records = {record.name: record.metadata for record in reader.iter_metadata()}
         attached = {record.name: record.data for record in reader.iter_attachments()}
-    assert set(records) == {"nw.trial", "nw.provenance", "nw.verdict"}
+    assert set(records) == {"nw.trial", "nw.provenance", "nw.elements", "nw.verdict"}
     assert records["nw.verdict"]["state_digest"] == result.state_digest
     assert records["nw.trial"]["scene"] == "flat/carpet_room"
     assert records["nw.provenance"]["mujoco"].startswith("4.")

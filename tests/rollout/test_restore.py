@@ -65,6 +65,20 @@ def test_a_replay_is_identical_from_the_start_and_from_the_middle(recorded, libr
     assert "identical bit for bit" in replay_line(half.report)
 
 
+@pytest.mark.parametrize("past", [0.0, 0.5, 1e9])
+def test_a_start_at_the_end_or_later_is_refused_with_the_log_s_length(recorded, library, past):
+    path, result = recorded
+    with pytest.raises(UsageError, match=rf"ends at {result.sim_seconds:g} s; give less"):
+        replay(path, start=result.sim_seconds + past, library=library)
+
+
+def test_a_start_between_two_states_takes_the_earlier_one_and_not_the_end(recorded, library):
+    path, result = recorded
+    late = replay(path, start=result.sim_seconds - 0.001, library=library)
+    assert late.is_identical
+    assert 0 < late.start_step < result.steps
+
+
 def test_a_replay_says_what_differs(recorded, library, monkeypatch):
     path, _ = recorded
     monkeypatch.setattr(

@@ -2,10 +2,12 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from nw_eval.cards.observations import ProprioObservation
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
@@ -14,10 +16,13 @@ from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.content.clouds import cloud_points
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.mcap.topics import TOPICS
-from nw_eval.rollout.observed.seen import MANY, layout_of
+from nw_eval.rollout.observed.names import element_names
+from nw_eval.rollout.observed.seen import MANY
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sensors.drawing.palette import PALETTE
+from nw_eval.viewing.foxglove import layout_json
+from nw_eval.viewing.shown import shown_by_card, shown_in_log
 
 CARD = """\
 nw-policy: 1
@@ -114,6 +119,40 @@ def test_numbers_of_the_body_have_the_names_of_their_terms(watched):
     assert list(terms) == ["gravity", "command", "joint_pos"]
     assert [len(values) for values in terms.values()] == [3, 3, 12]
     assert terms["gravity"] == given["body"][0][1][:3].tolist()
+
+
+def test_each_number_of_the_body_has_a_name_and_a_past_one_that_of_its_age(walked):
+    log, _ = walked
+    names = log.elements()
+    now = [dict(zip(names["/observation/proprio"], values.tolist(), strict=True))
+           for _, values in log.observations("proprio")]  # fmt: skip
+    past = [dict(zip(names["/observation/history"], values.tolist(), strict=True))
+            for _, values in log.observations("history")]  # fmt: skip
+    aged = [name.rpartition(" t-") for name in names["/observation/history"]]
+    assert {age for _, _, age in aged} == {"1", "2", "3"}
+    for step in (3, 50, 99):
+        for name, _, age in aged:
+            was = now[step - int(age)][name]
+            assert past[step][f"{name} t-{age}"] == was
+    assert now[50]["joint_pos FR_hip"] != now[50]["joint_pos FL_hip"]
+
+
+def test_names_follow_the_order_of_the_card_and_targets_that_of_the_robot(watched, walked):
+    past = {"steps": 2, "by": "term"}
+    spec = ProprioObservation.model_validate(
+        {"sensor": "proprio", "terms": ["joint_pos", "command"], "history": past}
+    )
+    assert element_names(spec, ["RL_calf_joint", "FR_hip"]) == (
+        "joint_pos RL_calf t-1", "joint_pos FR_hip t-1", "joint_pos RL_calf", "joint_pos FR_hip",
+        "command forward t-1", "command left t-1", "command yaw_rate t-1",
+        "command forward", "command left", "command yaw_rate",
+    )  # fmt: skip
+    joints = tuple(name.removesuffix("_joint") for name in get_robot("go1").joints)
+    assert walked[0].elements()["/nw/policy.targets"] == joints
+    assert set(watched[0].elements()) == {
+        "/nw/policy.action", "/nw/policy.applied", "/nw/policy.targets",
+        "/observation/body", "/observation/past",
+    }, "pictures and scans have no names"  # fmt: skip
 
 
 def test_depth_is_what_the_policy_saw_to_half_a_millimetre(watched):
@@ -259,16 +298,49 @@ def test_points_of_the_place_lie_on_its_faces_and_those_of_the_robot_in_its_bodi
     assert np.abs(cloud_points(trunk)[0]).max() < 0.5
 
 
+def test_a_ring_around_each_waypoint_turns_green_where_the_robot_has_been(walked):
+    log, _ = walked
+    last = None
+    for drawn, cloud in zip(
+        log.messages("/waypoints"), log.messages("/points/waypoints"), strict=True
+    ):
+        (_, when, discs), (_, also, last) = drawn, cloud
+        assert when == also
+        places = [entity.cylinders[0] for entity in discs.entities]
+        points, colours = cloud_points(last)
+        rings = points.reshape(len(places), -1, 3)
+        of_rings = colours.reshape(*rings.shape[:2], 4)
+        for disc, ring, colour in zip(places, rings, of_rings, strict=True):
+            centre = (disc.pose.position.x, disc.pose.position.y)
+            radii = np.linalg.norm(ring[:, :2] - centre, axis=1)
+            np.testing.assert_allclose(radii, 0.3, atol=0.01)
+            assert colour[0].tolist() == [round(255 * c) for c in _rgba(disc.color)]
+    assert last is not None
+
+
+def _rgba(color):
+    return color.r, color.g, color.b, color.a
+
+
 def topic_of(path):
     """Return the topic of a message path."""
     return re.match(r"(/[\w/]+)", path)[1]
+
+
+def value_at(message, path):
+    """Return what a path such as `/topic.field[2].other` names in a message of that topic."""
+    for field, index in re.findall(r"\.(\w+)(?:\[(\d+)\])?", path):
+        message = getattr(message, field)
+        message = message[int(index)] if index else message
+    return message
 
 
 @pytest.mark.parametrize("policy", ["go1-parkour", "watches"])
 def test_the_layout_names_topics_that_are_there(policy, folder, walked, watched):
     log = walked[0] if policy == "go1-parkour" else watched[0]
     card = load_bundle(policy if policy == "go1-parkour" else str(folder)).card
-    layout = json.loads(layout_of(card, get_robot("go1")))
+    shown = shown_by_card(card, get_robot("go1"))
+    layout = json.loads(layout_json(shown))
     panels = layout["configById"]
     named = set(panels["3D!place"]["topics"])
     for name, panel in panels.items():
@@ -278,7 +350,19 @@ def test_the_layout_names_topics_that_are_there(policy, folder, walked, watched)
             named.add(panel["imageMode"]["imageTopic"])
     assert named <= set(log.topics())
     assert {"/scene", "/robot/path", "/robot/twist", "/log", "/camera/ego"} <= named
+    assert replace(shown_in_log(log), start=None) == shown, "a log shows what its card promised"
     assert panels["3D!place"]["followTf"] == "trunk"
+    frames = next(m for _, _, m in log.messages("/tf")).transforms
+    assert "trunk" in {transform.child_frame_id for transform in frames}
+    first = {topic: message for topic, _, message in reversed(list(log.messages()))}
+    for panel in panels.values():
+        for line in panel.get("paths", ()):
+            topic = topic_of(line["value"])
+            assert isinstance(value_at(first[topic], line["value"]), float), line
+            if "label" in line and topic.startswith("/observation"):
+                values = [v for term in first[topic].terms for v in term.values]
+                place = log.elements()[topic].index(line["label"])
+                assert values[place] == value_at(first[topic], line["value"])
 
     def leaves(tree):
         return (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,7 @@ def test_inputs_are_options_and_outputs_are_the_verdicts_whatever_their_letters(
     assert (outputs["trials"], outputs["effect"]) == ("1", "0.000000")
     assert outputs["report-path"].startswith("reports/tiny-stand-")
     assert not list(tmp_path.rglob("owned"))
-    assert (tmp_path / "summary").read_text().startswith("# tiny, stand: INCONCLUSIVE")
+    assert (tmp_path / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n")
     python, cache, report, comment = action.used
     assert python == {"uses": "actions/setup-python", "python-version": "3.12"}
     assert cache["path"] == str(tmp_path / "temp" / "nw-eval" / "cache")
@@ -74,10 +76,7 @@ def test_the_action_runs_smoke(composite: Any, tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 def test_the_action_installs_its_own_commit(composite: Any, tmp_path: Path) -> None:
-    """Into an environment of its own, which sees this one's libraries."""
-    import subprocess
-    import sys
-
+    # Into an environment of its own, which sees this one's libraries.
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "own"], check=True)
     inherited = next(p for p in map(Path, sys.path) if p.name == "site-packages")
     (site,) = (tmp_path / "own" / "lib").glob("python3*/site-packages")
@@ -86,9 +85,7 @@ def test_the_action_installs_its_own_commit(composite: Any, tmp_path: Path) -> N
     action = composite(
         "nw-eval",
         {"suite": "smoke", "rounds": "1"},
-        PIP_NO_DEPS="1",
         PIP_DISABLE_PIP_VERSION_CHECK="1",
-        PIP_IGNORE_INSTALLED="1",
         PYTHONPATH="",
     )
     action.environment["PATH"] = f"{own}:{action.environment['PATH']}"

@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from nw_eval.reporting.markdown import escaped, markdown_table
+from nw_eval.reporting.tables import Table
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 POST = Path(__file__).parents[2] / ".github" / "actions" / "nw-eval-comment" / "post.py"
 MARK = "<!-- nw-eval: hurdles -->"
 PAGE = f"""{MARK}
-# hurdles, go1-parkour: REGRESSED · success 0.525
+# REGRESSED: hurdles, go1-parkour
 
 * 1 scene below the bar: `hurdles/a_b` \\<b> \\*c\\*
 
@@ -132,7 +135,7 @@ def test_a_comment_is_written_once_and_then_written_over(post: Any, repository: 
     assert post(PAGE.replace("REGRESSED", "PASS")) == ""
     assert [method for method, _ in repository.asked] == ["GET", "POST", "GET", "PATCH"]
     _, own = repository.comments
-    assert own["body"].startswith(f"{MARK}\n# hurdles, go1-parkour: PASS")
+    assert own["body"].startswith(f"{MARK}\n# PASS: hurdles, go1-parkour")
     link = "[This run](https://github.example/o/r/actions/runs/12)"
     assert own["body"].rstrip().endswith(f"</details>\n\n{link}")
 
@@ -231,8 +234,9 @@ def test_a_token_that_may_not_write_or_is_missing_is_a_warning(
 def test_what_nw_eval_writes_of_strangers_names_is_posted(
     post: Any, repository: Repository
 ) -> None:
-    from nw_eval.reporting.markdown import escaped
-
     evil = "<b> @maintainer #12 `code` [a](http://b) &lt; \\<i> \x1b \u202e www.x :tada: ` ``@x"
-    assert post(f"{MARK}\n# {escaped(evil)}\n\n| {escaped(evil)} |\n") == ""
+    table = Table(
+        title="x", columns=("name", "replay"), rows=((evil, evil),), code=frozenset({"replay"})
+    )
+    assert post(f"{MARK}\n# {escaped(evil)}\n\n{markdown_table(table)}\n") == ""
     assert len(repository.comments) == 1

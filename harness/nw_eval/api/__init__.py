@@ -37,11 +37,11 @@ from nw_eval.api.policies import (
     serve_policy,
     show_policy,
 )
-from nw_eval.api.replays import replay
+from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
-from nw_eval.api.running.indexes import RunIndex, index
+from nw_eval.api.running.indexes import RunIndex, index_runs
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
@@ -58,7 +58,7 @@ from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
-from nw_eval.api.suites import ListedSuite, list_suites
+from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
 from nw_eval.request import Request
 
 __all__ = [
@@ -79,6 +79,7 @@ __all__ = [
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "ShownSuite",
     "Surfaces",
     "TrialPlan",
     "WarmUp",
@@ -95,7 +96,8 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fold_policy",
-    "index",
+    "foxglove_layout",
+    "index_runs",
     "init_policy",
     "judge",
     "list_baselines",
@@ -113,6 +115,8 @@ __all__ = [
     "render_scenes",
     "replay",
     "report",
+    "rerun_layout",
+    "rerun_recording",
     "run",
     "save_baseline",
     "schema",
@@ -120,6 +124,7 @@ __all__ = [
     "show_baseline",
     "show_policy",
     "show_scene",
+    "show_suite",
     "splat_convert",
     "splat_info",
     "splat_render",

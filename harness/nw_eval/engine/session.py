@@ -176,14 +176,14 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
 
 def _make_ready(plan: Plan, folder: RunFolder, listener: Listener) -> None:
     """Make what all workers need, and how Foxglove is to show the logs of this policy."""
-    from nw_eval.rollout.observed.seen import (
-        layout_of,  # It knows the simulator, and takes as long.
-    )
+    # They know the simulator, and take as long.
+    from nw_eval.viewing.foxglove import layout_json
+    from nw_eval.viewing.shown import shown_by_card
 
     ready_scans(plan.scenes, listener)
     with atomic_path(folder.layout) as temporary:
-        layout = layout_of(plan.bundle.card, get_robot(plan.suite.robot))
-        temporary.write_text(layout, encoding="utf-8")
+        shown = shown_by_card(plan.bundle.card, get_robot(plan.suite.robot))
+        temporary.write_text(layout_json(shown), encoding="utf-8")
     if plan.renders:
         build_splats(plan.scenes, listener)
 

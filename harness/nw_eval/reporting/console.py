@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.plural import plural
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.tables import Table, all_tables
 from nw_eval.results.provenance import RunInfo
@@ -25,6 +26,10 @@ _COLOURS: dict[Word, str] = {
     "INFRASTRUCTURE": "bold magenta",
     "INVALID": "bold magenta",
 }
+
+
+_LINES = 64
+"""Of a table that are shown; as many as there are built-in scenes."""
 
 
 def print_summary(
@@ -48,7 +53,7 @@ def print_tables(
 ) -> None:
     """Print the tables of a summary; arguments as of `print_summary`."""
     for table in all_tables(run, rows, verdict, folder, brief=True):
-        _draw(console, table)
+        draw(console, table)
 
 
 def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
@@ -59,7 +64,8 @@ def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
         console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
 
 
-def _draw(console: Console, table: Table) -> None:
+def draw(console: Console, table: Table) -> None:
+    """Draw a table, and beneath it what of it is to be typed."""
     from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
@@ -73,10 +79,12 @@ def _draw(console: Console, table: Table) -> None:
             overflow="fold",  # A name that is cut short names nothing.
             no_wrap=name == table.columns[0],
         )
-    for row in table.rows:
+    for row in table.rows[:_LINES]:
         cells = dict(zip(table.columns, row, strict=True))
         drawn.add_row(*(Text(_foldable(cells[name])) for name in shown))
     console.print(drawn)
+    if (more := len(table.rows) - _LINES) > 0:
+        console.print(f"{plural(more, 'more line')} in the report", style="dim", highlight=False)
     # Something to type must stay on one line, uncut: beneath the table, not in a column.
     for name in table.columns:
         if name in table.code:

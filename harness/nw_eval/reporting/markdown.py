@@ -46,7 +46,7 @@ def render_page(
         run: the run's provenance.
         verdict: what the gate says of it.
         tables: in their order.
-        among_others: whether pages of other runs stand beside it, so that it must say whose it is.
+        among_others: whether pages of other runs stand beside it, and its title says whose it is.
         unfolded: tables that are shown at once; the rest is behind a line to click on. All if None.
     """
     # Markdown, not HTML: `escaped` escapes what would break a table.
@@ -60,7 +60,8 @@ def render_page(
     environment.filters["text"] = escaped
     drawn = [(table, markdown_table(table)) for table in tables]
     return environment.get_template("report.md.j2").render(
-        headline=f"{_whose(run) if among_others else ''}{headline(verdict, run)}",
+        title=_whose(run, verdict) if among_others else "",
+        headline=headline(verdict, run),
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
         interrupted=run.interrupted,
@@ -70,8 +71,8 @@ def render_page(
     )
 
 
-def _whose(run: RunInfo) -> str:
-    return f"{run.suite.get('name', 'suite')}, {run.policy.name}: "
+def _whose(run: RunInfo, verdict: Verdict) -> str:
+    return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.name}"
 
 
 def write_report(path: Path, text: str) -> None:

@@ -47,11 +47,11 @@ def scene_states(verdict: Verdict) -> tuple[SceneState, ...]:
 
 
 def worst_first(states: Sequence[SceneState]) -> tuple[SceneState, ...]:
-    """Return scenes by what they cost the verdict, then by their success, the lowest first."""
+    """Return scenes by their state; within one critical ones first, then the lowest success."""
 
-    def rank(item: SceneState) -> tuple[int, float, str]:
+    def rank(item: SceneState) -> tuple[int, bool, float, str]:
         known = -1.0 if item.score.mean is None else item.score.mean
-        return _ORDER.index(item.state), known, item.scene
+        return _ORDER.index(item.state), item.score.tier != "critical", known, item.scene
 
     return tuple(sorted(states, key=rank))
 

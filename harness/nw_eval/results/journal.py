@@ -22,13 +22,14 @@ from typing import IO, Any, Self
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.files.cache import sync_folder
-from nw_eval.results.row import Row, from_dict, to_dict
-from nw_eval.results.seal import seal, unseal
+from nw_eval.results.row import Row, from_dict, from_dicts, to_dict
+from nw_eval.results.seal import seal, sum_of, unseal
 
 _VERSION = 3
 _MOST = 256 * 2**20
 """Bytes of a journal that is read: some 200,000 trials."""
 _LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
+_DAMAGED = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,9 +247,20 @@ def read_journal(path: Path) -> JournalContents:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
 
 
+def last_sum(path: Path) -> str:
+    """Return the sum of a journal's last line; empty if there is no such line."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(max(0, path.stat().st_size - _LONGEST_LINE))
+            lines = stream.read(_LONGEST_LINE).splitlines(keepends=True)
+    except OSError:
+        return ""
+    return sum_of(lines[-1]) if lines else ""
+
+
 def _read(path: Path, stream: IO[bytes]) -> JournalContents:
     header: JournalHeader | None = None
-    rows: dict[str, Row] = {}
+    values: dict[int, dict[str, Any]] = {}  # Of rows, by line.
     dropped: str | None = None
     good, last_sum = 0, ""
     for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
@@ -258,15 +270,18 @@ def _read(path: Path, stream: IO[bytes]) -> JournalContents:
             break  # Only the last line can lack its end.
         try:
             record, last_sum = _record(line, last_sum)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise StoreError(f"{place}: damaged ({clean(error)})", fix=_mend(number)) from None
-        if isinstance(record, Row):
-            rows[record.trial_id] = _later(rows.get(record.trial_id), record, path)
-        else:
-            header = record
+            if "row" in record:
+                values[number] = record["row"]
+            else:
+                header = _header(record)
+        except _DAMAGED as error:
+            raise _damaged(place, number, error) from None
         good += len(line)
     if header is None:
         raise StoreError(f"{path} is empty", fix="start the run again; nothing of it is lost")
+    rows: dict[str, Row] = {}
+    for row in _rows(path, values):
+        rows[row.trial_id] = _later(rows.get(row.trial_id), row, path)
     return JournalContents(
         header=header,
         rows=tuple(rows.values()),
@@ -276,20 +291,34 @@ def _read(path: Path, stream: IO[bytes]) -> JournalContents:
     )
 
 
+def _rows(path: Path, values: Mapping[int, dict[str, Any]]) -> list[Row]:
+    """Return the rows of a journal's lines, by number."""
+    try:
+        return from_dicts(tuple(values.values()))
+    except _DAMAGED:
+        for number, one in values.items():
+            try:
+                from_dict(one)
+            except _DAMAGED as error:
+                raise _damaged(f"{path}:{number}", number, error) from None
+        raise
+
+
+def _damaged(place: str, number: int, error: Exception) -> StoreError:
+    return StoreError(f"{place}: damaged ({clean(error)})", fix=_mend(number))
+
+
 def _mend(number: int) -> str:
     if number == 1:
         return "start a new run"
     return f"keep the {number - 1} lines before it (`head -n`), and --resume runs the others again"
 
 
-def _record(line: bytes, last_sum: str) -> tuple[Row | JournalHeader, str]:
+def _record(line: bytes, last_sum: str) -> tuple[dict[str, Any], str]:
     if line.startswith(b'{"journal":1,'):
         raise ValueError(f"journal version 1, this nw-eval reads {_VERSION}")
     body, last_sum = unseal(line, last_sum)
-    record = json.loads(body)
-    if "row" not in record:
-        return _header(record), last_sum
-    return from_dict(record["row"]), last_sum
+    return json.loads(body), last_sum
 
 
 def _header(record: dict[str, Any]) -> JournalHeader:

@@ -20,10 +20,11 @@ LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "embreex", "pya
 
 JUDGING = frozenset(
     {"__init__", "clean", "errors", "plural", "request", "words"}
-    | {"api", "cli", "gate", "onboarding", "reporting", "results", "stats"}
+    | {"api", "cli", "gate", "onboarding", "pytest_plugin", "reporting", "results", "stats"}
+    | {"viewing"}
 )
-"""Rooms that no bit of a row comes from: they say what is to be run, keep rows, or judge them. All
-others count, those that are added too."""
+"""Rooms that no bit of a row comes from: they say what is to be run, keep rows, judge them, or show
+logs. All others count, those that are added too."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

@@ -109,6 +109,7 @@ class RunInfo(_Saved):
     engine: dict[str, str] = {}  # What makes bits differ: `JournalHeader.engine`.
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
+    journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
 
     @property
     def planned(self) -> dict[str, int]:

@@ -31,6 +31,12 @@ def seal(text: str, before: str = "") -> tuple[str, str]:
     return f'{head},"sum":"{value}"}}\n', value
 
 
+def sum_of(data: bytes) -> str:
+    """Return the sum that a JSON object says it has, true or not; empty if it says none."""
+    end = _END.search(data[-_LONGEST_END:])
+    return end.group(1).decode() if end else ""
+
+
 def unseal(data: bytes, before: str = "") -> tuple[bytes, str]:
     """Return a JSON object without its sum, and the sum.
 

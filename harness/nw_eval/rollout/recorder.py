@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.episode.digest import observation_digest
+from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
@@ -80,7 +81,11 @@ class Recorder(Observer):
             mesh=self._trial.scene.mesh(),
             start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.progress.waypoints,
-            metadata={TRIAL: trial_metadata(job), PROVENANCE: provenance()},
+            metadata={
+                TRIAL: trial_metadata(job),
+                PROVENANCE: provenance(),
+                ELEMENTS: self._seen.elements(),
+            },
             attachments=job.attachments,
         )
         self._seen.calibrate()

@@ -93,7 +93,7 @@ def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_a
     assert gate(folder, "--baseline", str(BANK), "--out", "page.md") == 0
     out = capsys.readouterr().out
     assert "PASS \u00b7 baseline shipped 0.938, drop " in out
-    assert out.endswith("report: page.md\n")
+    assert out.endswith("report: page.md and page.html\n")
     assert Path("page.md").read_text(encoding="utf-8").startswith("# PASS \u00b7 baseline shipped")
     assert not Path("run/report.md").exists()
 

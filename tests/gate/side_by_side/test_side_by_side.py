@@ -142,9 +142,30 @@ def test_every_field_that_differs_is_named():
         side_by_side([GOOD, entrant("b", [[4], [4]], seed=2, protocol="x")])
 
 
-def test_a_scene_without_a_common_start_compares_nobody():
-    late = entrant("late", [[None] * 10 + [4], [4] * 10])
-    with pytest.raises(IncomparableError, match="no start of scene hurdles/low has a result"):
+def test_policies_that_share_too_few_starts_are_compared_on_as_many_of_their_own():
+    late = entrant("late", [[None] * 10 + [4, 1], [None] * 8 + [1] * 6])
+    found = side_by_side([GOOD, late])
+    assert not found.shared
+    assert [(each.scene, each.starts, each.means) for each in found.scenes] == [
+        ("hurdles/high", 6, (1.0, 0.25)),
+        ("hurdles/low", 2, (1.0, 0.625)),
+    ]
+    # Of `good` the first six and two; the last two in the higher scene both have a result from.
+    assert found.left_out == 12 - 2
+    assert side_by_side([GOOD, LAME]).shared
+
+
+def test_ranks_on_starts_of_their_own_are_decided_only_by_what_the_scores_show():
+    few = [entrant("a", [[4] * 10, [4] * 10]), entrant("b", [[None] * 10 + [1] * 10] * 2)]
+    good, lame = side_by_side(few).policies
+    assert (good.ranks.worst, lame.ranks.best) == (1, 2)
+    alike = [few[0], entrant("c", [[None] * 10 + [4] * 10] * 2)]
+    assert [each.ranks.worst for each in side_by_side(alike).policies] == [2, 2]
+
+
+def test_a_policy_without_any_result_from_a_scene_is_not_compared():
+    late = entrant("late", [[None] * 10, [4] * 10])
+    with pytest.raises(IncomparableError, match="late has no result from scene hurdles/low"):
         side_by_side([GOOD, late])
 
 

@@ -44,7 +44,7 @@ def test_a_small_run_is_shown_whole_under_its_suite_and_policy(
     make_row: Any, make_run: Any
 ) -> None:
     page = summary_page(*judged(make_row, make_run, 14))
-    assert page.startswith("# hurdles, go1-parkour: INCONCLUSIVE · success 0.500")
+    assert page.startswith("# INCONCLUSIVE: hurdles, go1-parkour\n\nINCONCLUSIVE · success 0")
     assert len(cells(page, "Success by scene")) == 14
     assert "more in" not in page
     assert "## How sure" in page
@@ -88,7 +88,7 @@ def test_a_comment_is_marked_short_and_mostly_folded(make_row: Any, make_run: An
     page = comment_page(*judged(make_row, make_run, 3200))
     mark, first, *_ = page.splitlines()
     assert mark == "<!-- nw-eval: hurdles -->"
-    assert first.startswith("# hurdles, go1-parkour: INCONCLUSIVE")
+    assert first.startswith("# INCONCLUSIVE: hurdles, go1-parkour")
     assert len(page) < 60_000
     assert len(cells(page, "Success by scene")) == 20
     open_part = page.split("<details>")[0]

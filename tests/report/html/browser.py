@@ -1,4 +1,4 @@
-"""Chromium without a screen, driven by its DevTools protocol: what a page does in a real browser."""
+"""Chromium without a screen, driven by its DevTools protocol: a page in a real browser."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -23,8 +23,8 @@ SECONDS = 60.0
 class Browser:
     """One tab of a browser, and all that it said of the page that it shows."""
 
-    def __init__(self, address: str) -> None:
-        self._socket = connect(address, max_size=None)
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
         self._count = 0
         self.events: list[dict[str, Any]] = []
         for domain in ("Page", "Runtime", "Log", "Network"):
@@ -67,7 +67,9 @@ class Browser:
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
         # What lies outside the window is not drawn, to save time.
         metrics = {"width": size["width"], "height": min(size["height"], most)}
-        self.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics)
+        self.call(
+            "Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **metrics
+        )
         clip = {"x": 0, "y": 0, **metrics}
         self.run("new Promise((drawn) => setTimeout(() => requestAnimationFrame(drawn), 300))")
         shot = self.call(
@@ -120,7 +122,9 @@ def browser() -> Generator[Browser]:
                 socket.send(json.dumps({"id": 1, "method": "Target.getTargets"}))
                 targets = json.loads(socket.recv(timeout=SECONDS))["result"]["targetInfos"]
             tab = next(target["targetId"] for target in targets if target["type"] == "page")
-            yield Browser(f"{root.split('/devtools')[0]}/devtools/page/{tab}")
+            address = f"{root.split('/devtools')[0]}/devtools/page/{tab}"
+            with connect(address, max_size=None) as socket:
+                yield Browser(socket)
         finally:
             process.terminate()
             process.wait(timeout=SECONDS)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from nw_eval.api.running.saved_run import saved_suite, saved_trials
 from nw_eval.gate import judge
 from nw_eval.reporting.html import render_html
 from nw_eval.reporting.html.evidence import (
@@ -17,7 +18,11 @@ from nw_eval.reporting.html.evidence import (
     PlaceView,
     WalkedPath,
 )
-from nw_eval.suite import Gate
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.provenance import write_run_info
+from nw_eval.results.run_folder import RunFolder
+from nw_eval.suite import Gate, new_suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -40,7 +45,10 @@ class Element:
             each
             for each in self._below()
             if tag in {None, each.tag}
-            and all(each.attributes.get(name.strip("_")) == is_ for name, is_ in attributes.items())
+            and all(
+                each.attributes.get(name.strip("_").replace("_", "-")) == is_
+                for name, is_ in attributes.items()
+            )
         ]
 
     def one(self, tag: str | None = None, **attributes: str) -> Element:
@@ -161,3 +169,45 @@ def full_evidence() -> Callable[[Sequence[Row]], Evidence]:
 
 def _scenes(rows: Sequence[Row]) -> list[str]:
     return sorted({row.scene for row in rows})
+
+
+@pytest.fixture
+def save_run(
+    make_run: Callable[..., Any], make_row: Callable[..., Row]
+) -> Callable[[Path, Sequence[int]], Path]:
+    """Write the folder of a run in scene `a` that has ended, from the waypoints of its trials."""
+
+    def save(path: Path, reached: Sequence[int], **facts: Any) -> Path:
+        suite = new_suite(
+            {
+                "nw-eval": 1, "name": "hurdles", "robot": "go1", "policy": "go1-parkour",
+                "trials": len(reached), "seed": 7, "scenes": ("a",), "gate": {"success_rate": 0.5},
+            }
+        )  # fmt: skip
+        run = make_run(
+            {"a": len(reached)},
+            id=path.name,
+            suite=suite.model_dump(by_alias=True, mode="json"),
+            suite_digest=suite.digest,
+            **facts,
+        )
+        trials = saved_trials(run, saved_suite(run))
+        rows = [
+            make_row("a", index, count, trial_id=trial.id, seed=trial.seed, mcap_path="")
+            for index, (count, trial) in enumerate(zip(reached, trials, strict=True))
+        ]
+        folder = RunFolder(path=path)
+        folder.path.mkdir(parents=True)
+        header = JournalHeader(
+            suite_digest=run.suite_digest,
+            policy_digest=run.policy.card_digest,
+            scene_digests={name: scene.digest for name, scene in run.scenes.items()},
+            engine=run.engine,
+        )
+        with Journal.create(folder.journal, header) as journal:
+            for row in rows:
+                journal.append(row)
+        write_run_info(folder.run_json, write_trials(folder, run, rows))
+        return path
+
+    return save

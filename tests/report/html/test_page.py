@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,7 +51,7 @@ def test_the_verdict_comes_first_with_what_it_rests_on(
     page = read(make_page(rows))
     heading = next(each for each in page.all() if each.tag in {"h1", "h2"})
     assert (heading.tag, heading.text) == ("h1", "INCONCLUSIVE")
-    assert page.one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
+    assert page.one("head").one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
     facts = [each.text for each in page.one("ul", class_="facts").all("li")]
     assert facts[0].startswith("success 0.800 (95 % bounds 0.")
     assert "bar 0.75" in facts[0]
@@ -77,7 +78,7 @@ def test_a_reader_without_eyes_finds_a_way_through(
         assert picture.attributes["alt"]
     levels = [int(each.tag[1]) for each in page.all() if re.fullmatch(r"h[1-6]", each.tag)]
     assert levels[0] == 1
-    assert all(deeper - level <= 1 for level, deeper in zip(levels, levels[1:], strict=False))
+    assert all(deeper - level <= 1 for level, deeper in pairwise(levels))
     assert page.one("html").attributes["lang"] == "en"
 
 
@@ -182,13 +183,8 @@ def test_the_same_run_gives_the_same_page_byte_for_byte(
 
 
 def test_no_process_draws_a_page_otherwise() -> None:
-    script = (
-        "from hashlib import sha256;"
-        "from nw_eval.reporting.html.environment import environment as e;"
-        "print(sha256(str(sorted(e().globals['leave'].split())).encode()).hexdigest());"
-        "from nw_eval.reporting.html import render_index; print(render_index([], ['x']))"
-    )
-    texts = {
+    script = "from nw_eval.reporting.html import render_index; print(render_index([], ['x']))"
+    pages = {
         subprocess.run(
             [sys.executable, "-c", script],
             env={**os.environ, "PYTHONHASHSEED": seed},
@@ -198,10 +194,12 @@ def test_no_process_draws_a_page_otherwise() -> None:
         ).stdout
         for seed in ("1", "2")
     }
-    assert len(texts) == 1
+    assert len(pages) == 1
 
 
-def test_scenes_that_do_not_count_are_in_no_task(make_page: Make, read: Make, rows: list[Any]) -> None:
+def test_scenes_that_do_not_count_are_in_no_task(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
     gate = Gate(success_rate=0.75, tiers={"hurdles/high": "informational"})
     tasks = read(make_page(rows, gate=gate)).one("section", id="tasks").one("table").cells
     assert tasks[1][0] == "hurdles"

@@ -38,8 +38,8 @@ class RunIndex:
         return StoreError.exit_code if self.unread else 0
 
 
-def index(runs: Sequence[str | Path], *, out: Path | None = None) -> RunIndex:
-    """Judge runs again as they were begun, and write a page that lists them; theirs stay as they are.
+def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunIndex:
+    """Judge runs again as they were begun, and write a page over all; their own stay as they are.
 
     Args:
         runs: their folders.

@@ -44,6 +44,11 @@ class RunReport:
         return self.info.interrupted
 
     @property
+    def passed(self) -> bool:
+        """Whether nothing speaks against the policy: PASS, or RAN where the suite has no bar."""
+        return self.exit_code == 0
+
+    @property
     def exit_code(self) -> int:
         """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors or missing trials, 5 INVALID."""
         return self.verdict.exit_code
@@ -63,9 +68,13 @@ class RunReport:
         """The page for a browser as one would type it here."""
         return None if self.html is None else typed(self.html)
 
+    def __repr__(self) -> str:
+        """Return a line; thousands of rows would say no more."""
+        return f"RunReport({self.verdict.verdict}, {str(self.typed_folder)!r})"
+
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
-    """Judge a run as it was begun, by its bar and its baseline, and write report.md and report.html.
+    """Judge a run as it was begun, by its bar and its baseline, and write its two pages.
 
     Args:
         run: the run's folder.
@@ -180,9 +189,10 @@ def _written(judged: RunReport, out: Path) -> RunReport:
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    write_report(page, render_markdown(*facts))
     evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows)
-    write_report(html, render_html(*facts, evidence))
+    texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
+    for path, text in texts.items():
+        write_report(path, text)
     return replace(judged, page=page, html=html, evidence=evidence)
 
 

@@ -181,19 +181,19 @@ def _write_outputs(outputs: dict[str, str]) -> None:
 
 
 def _annotations(judged: RunReport) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import annotations
+    from nw_eval.reporting.github.annotations import run_annotations
     from nw_eval.reporting.github.runner import runner_of
     from nw_eval.reporting.suite_lines import suite_lines
 
     lines = suite_lines(judged.info, runner_of(os.environ).workspace)
-    return annotations(judged.info, judged.verdict, lines)
+    return run_annotations(judged.info, judged.verdict, lines)
 
 
 def _annotations_of_error(error: NwEvalError) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import annotations_of_error
+    from nw_eval.reporting.github.annotations import error_annotations
     from nw_eval.reporting.github.runner import runner_of
 
-    return annotations_of_error(error, runner_of(os.environ).workspace)
+    return error_annotations(error, runner_of(os.environ).workspace)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -60,7 +60,8 @@ def plan_trials(
     Args:
         suite: a file, the name of a shipped one, or one that was read already.
         detect: drop of mean success; the suite's `gate.max_drop` if None.
-        baseline: the bank to compare with, by name or path; the suite's if None.
+        baseline: the bank to compare with, by name or path; if None the suite's, or the only one
+            that there is of it.
         run: a run's folder in place of a bank: what it scored is taken for the baseline's success.
         png: file to draw the curve into.
         workers: processes to reckon minutes with; one for each core if None.
@@ -128,15 +129,32 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
 
     suite = resolved.suite
     if reference is None or reference == NO_BASELINE:
-        raise UsageError(
-            f"suite {suite.name!r} names no bank to plan with",
-            fix="name one with --baseline, or a run of the suite with --run",
-        )
-    bank = read_bank(find_bank(reference, suite=suite.name))
+        file = _only_bank(suite.name)
+    else:
+        file = find_bank(reference, suite=suite.name)
+    bank = read_bank(file)
     manifest = bank.manifest
     source = f"bank {manifest.name} of {manifest.policy.name}"
     _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
     return source, outset_of_bank(bank.panels[0], suite.gate)
+
+
+def _only_bank(suite: str) -> Path:
+    """Return the bank that a suite which names none can be planned with.
+
+    Raises:
+        UsageError: it has none, or several.
+    """
+    from nw_eval.results.bank.find import bank_files
+
+    files = bank_files(suite)
+    if len(files) == 1:
+        return files[0]
+    there = f"has {', '.join(sorted({file.stem for file in files}))}" if files else "has none"
+    raise UsageError(
+        f"suite {suite!r} names no bank to plan with, and {there}",
+        fix="name one with --baseline, or a run of the suite with --run",
+    )
 
 
 def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:

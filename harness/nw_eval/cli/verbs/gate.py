@@ -28,7 +28,7 @@ class GateRun(Publishing):
     tolerate: float | None = None
     """Drop against the baseline that must not be convicted; the suite's own when absent."""
     out: Path | None = None
-    """Where to write the report in Markdown; nowhere when absent."""
+    """Where to write the report in Markdown, with a page in HTML beside it; nowhere when absent."""
     ledger: Path | None = None
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
 

@@ -22,7 +22,8 @@ class PlanTrials:
     detect: float | None = None
     """Drop of mean success to convict; the suite's gate.max_drop when absent."""
     baseline: str | None = None
-    """The bank to compare with, by name or path; the suite's gate.baseline when absent."""
+    """The bank to compare with, by name or path; when absent the suite's gate.baseline, or the only
+    one that there is of the suite."""
     run: Path | None = None
     """In place of a bank, a run of the suite: its scores are taken for the baseline's."""
     png: Path | None = None

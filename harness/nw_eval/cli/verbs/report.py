@@ -56,10 +56,12 @@ class Report(Publishing):
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
-        for option in ("junit", "track"):
-            if getattr(self, option):
-                raise UsageError(f"--{option} is of one run", fix=f"name one, or drop --{option}")
-        found = api.index(self.runs, out=self.out)
+        if self.junit is not None or self.comment is not None or self.github or self.track:
+            raise UsageError(
+                "--junit, --github, --comment and --track are of one run",
+                fix="name one, or drop them",
+            )
+        found = api.index_runs(self.runs, out=self.out)
         for sentence in found.unread:
             tell(f"warning: not read: {sentence}")
         print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")

@@ -31,6 +31,9 @@ from nw_eval.suite.model import Gate
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
+_FEWEST, _DRAWS = 200, 6_000_000
+"""Of banks with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outset:
@@ -67,9 +70,14 @@ class Outset:
         worst = self.rules.margins.max_drop
         drops = (0.0, worst / 2, worst)
         same, half, worse = operating_curve(
-            self.seen, self.rules, starts=self._drawn, drops=drops, repetitions=_FEW
+            self.seen, self.rules, starts=self._drawn, drops=drops, repetitions=self._few
         )
         return same, half, worse
+
+    @property
+    def _few(self) -> int:
+        """Repetitions that take about as long whatever the size of the bank."""
+        return max(_FEWEST, min(_FEW, _DRAWS // (self.starts * len(self.seen))))
 
     @property
     def _drawn(self) -> int | None:

@@ -1,13 +1,18 @@
-"""Several policies on the starts that all of them have a result from.
+"""Several policies, each on as many starts of each scene: on the same ones, if they share them.
 
 On these starts success is known. What is left to chance, and what intervals and ranks speak of, is
 fresh starts in the same scenes. Every scene counts alike, whatever its tier.
+
+Runs that each drew rounds of their own from a bank share few starts. They are compared on starts of
+their own, the first of each with the first of the others: which ones they drew follows from hashes,
+so that the differences are as independent as those of fresh starts.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import groupby, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +35,9 @@ from nw_eval.stats.hazard import (
 )
 from nw_eval.stats.ranks import Ranks, possible_ranks
 
+_Starts = Mapping[str, list[StartName]]
+"""Starts by scene, in alphabetical order."""
+
 
 def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyComparison:
     """Return what policies show side by side.
@@ -40,16 +48,20 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
 
     Raises:
         UsageError: there are fewer than two.
-        IncomparableError: they differ in suite, scenes, starts or simulator; or a scene has no
-            start that all have a result from.
+        IncomparableError: they differ in suite, scenes, starts or simulator; or one has no result
+            from a scene.
     """
     if len(entrants) < 2:
         raise UsageError("one policy has nothing to compare with", fix="name two runs or more")
     check_alike(entrants)
-    starts = _common(entrants)
-    groups = [[_successes(entrant, names) for names in starts.values()] for entrant in entrants]
+    shared = _shared(entrants)
+    met = [shared] * len(entrants) if shared else _own(entrants)
+    groups = [
+        [_successes(entrant, names) for names in scenes.values()]
+        for entrant, scenes in zip(entrants, met, strict=True)
+    ]
     ranks = possible_ranks(groups, 1.0 - confidence)
-    partings, waypoints = _partings(entrants, starts, confidence)
+    partings, waypoints = _partings(entrants, met, confidence)
     return PolicyComparison(
         suite=entrants[0].suite,
         confidence=confidence,
@@ -65,28 +77,53 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
                 starts=len(names),
                 means=tuple(float(values[index].mean()) for values in groups),
             )
-            for index, (scene, names) in enumerate(starts.items())
+            for index, (scene, names) in enumerate(met[0].items())
         ),
+        shared=bool(shared),
         partings=partings,
         waypoints=waypoints,
         left_out=len({name for each in entrants for name in each.results})
-        - sum(map(len, starts.values())),
+        - len({name for scenes in met for names in scenes.values() for name in names}),
     )
 
 
-def _common(entrants: Sequence[Entrant]) -> Mapping[str, list[StartName]]:
-    """Return the starts that all have a result from, in order, by scene."""
-    shared = set(entrants[0].results).intersection(*(each.results for each in entrants[1:]))
-    starts: dict[str, list[StartName]] = {scene: [] for scene in sorted(entrants[0].key.scenes)}
-    for name in sorted(shared):
-        starts[name[0]].append(name)
-    if bare := [scene for scene, names in starts.items() if not names]:
-        raise IncomparableError(
-            f"no start of scene {bare[0]} has a result from every one of "
-            f"{', '.join(each.source for each in entrants)}",
-            fix="--resume the runs that lack it, or run them with as many --trials",
-        )
-    return starts
+def _shared(entrants: Sequence[Entrant]) -> _Starts:
+    """Return the starts that all have a result from, in order; none if these are too few.
+
+    Too few is less than half of what the one with the fewest has, or none in a scene.
+    """
+    fewest = min(len(each.results) for each in entrants)
+    names = set(entrants[0].results).intersection(*(each.results for each in entrants[1:]))
+    scenes = {
+        scene: [name for name in sorted(names) if name[0] == scene] for scene in _scenes(entrants)
+    }
+    return scenes if all(scenes.values()) and 2 * len(names) >= fewest else {}
+
+
+def _own(entrants: Sequence[Entrant]) -> list[_Starts]:
+    """Return starts of each policy's own: in each scene, and cell of what is changed, as many."""
+    results = [sorted(each.results) for each in entrants]
+    counts = [Counter(name[:2] for name in names) for names in results]
+    strata = sorted(set().union(*counts))
+    most = {stratum: min(count[stratum] for count in counts) for stratum in strata}
+    for scene in _scenes(entrants):
+        for entrant, count in zip(entrants, counts, strict=True):
+            if not any(count[stratum] for stratum in strata if stratum[0] == scene):
+                raise IncomparableError(
+                    f"{entrant.source} has no result from scene {scene}",
+                    fix="--resume it, or run it again",
+                )
+    found: list[_Starts] = []
+    for names in results:
+        scenes: dict[str, list[StartName]] = {scene: [] for scene in _scenes(entrants)}
+        for stratum, group in groupby(names, key=lambda name: name[:2]):
+            scenes[stratum[0]] += islice(group, most[stratum])
+        found.append(scenes)
+    return found
+
+
+def _scenes(entrants: Sequence[Entrant]) -> list[str]:
+    return sorted(entrants[0].key.scenes)
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
@@ -132,11 +169,12 @@ def _short(source: str) -> str:
 
 
 def _partings(
-    entrants: Sequence[Entrant], starts: Mapping[str, list[StartName]], confidence: float
+    entrants: Sequence[Entrant], starts: Sequence[_Starts], confidence: float
 ) -> tuple[tuple[SceneParting, ...], int]:
     """Return where each policy parts from the first, and how many waypoints were looked at."""
     first, *others = [
-        {scene: _ends(entrant, names) for scene, names in starts.items()} for entrant in entrants
+        {scene: _ends(entrant, names) for scene, names in scenes.items()}
+        for entrant, scenes in zip(entrants, starts, strict=True)
     ]
     together: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     alone: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}

@@ -19,7 +19,7 @@ class ComparedPolicy:
     source: str
     """The run or bank as it was named."""
     mean: float
-    """Mean success over the starts that all have in common."""
+    """Mean success over its starts."""
     interval: Interval
     """Of mean success for fresh starts, this policy alone: `mean_of_scenes`."""
     completed: int
@@ -34,7 +34,7 @@ class ComparedScene:
 
     scene: str
     starts: int
-    """That every policy has a result from."""
+    """Of each policy."""
     means: tuple[float, ...]
     """Mean success, in the order of the policies."""
 
@@ -67,10 +67,12 @@ class PolicyComparison:
     """By policy and scene, all scenes together before each; those shown first."""
     waypoints: int
     """That were looked at for partings, over all scenes and policies."""
+    shared: bool
+    """Whether all have a result from the same starts; else each has as many starts of its own."""
     left_out: int
-    """Starts that only some of the policies have a result from."""
+    """Starts that some policies have a result from, and that are not looked at."""
 
     @property
     def starts(self) -> int:
-        """Starts that all have in common: what every number here is over."""
+        """Of each policy: what every number here is over."""
         return sum(scene.starts for scene in self.scenes)

@@ -21,10 +21,28 @@ from nw_eval.clean import clean
 _LONGEST = 4000  # characters of a text
 
 
+def render(template: str, **values: Any) -> str:
+    """Return a page.
+
+    Args:
+        template: its file.
+        values: what it lays out.
+    """
+    environment = _environment()
+    style, script = _source(environment, "page.css"), _source(environment, "page.js")
+    return environment.get_template(template).render(
+        style=Markup(style),  # noqa: S704 - A file of ours.
+        script=Markup(script),  # noqa: S704 - A file of ours.
+        leave=f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; "
+        "img-src data:; base-uri 'none'; form-action 'none'; require-trusted-types-for 'script'",
+        data_uri=data_uri,
+        **values,
+    )
+
+
 @cache
-def environment() -> Environment:
-    """Return what renders the templates of this room."""
-    found = Environment(
+def _environment() -> Environment:
+    return Environment(
         loader=PackageLoader("nw_eval.reporting.html"),
         autoescape=True,
         finalize=_visible,
@@ -32,22 +50,6 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    style, script = _source(found, "page.css"), _source(found, "page.js")
-    found.globals.update(
-        style=Markup(style),  # noqa: S704 - A file of ours.
-        script=Markup(script),  # noqa: S704 - A file of ours.
-        leave="; ".join((
-            "default-src 'none'",
-            f"style-src {_hash(style)}",
-            f"script-src {_hash(script)}",
-            "img-src data:",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "require-trusted-types-for 'script'",
-        )),
-    )  # fmt: skip
-    found.filters["data"] = data_uri
-    return found
 
 
 def data_uri(data: bytes, mime: str) -> str:
@@ -65,10 +67,10 @@ def _cleaned(text: str) -> str:
     return clean(text, at_most=_LONGEST)
 
 
-def _source(found: Environment, name: str) -> str:
-    if found.loader is None:
+def _source(environment: Environment, name: str) -> str:
+    if environment.loader is None:
         raise ValueError("templates come from the package")
-    return found.loader.get_source(found, name)[0]
+    return environment.loader.get_source(environment, name)[0]
 
 
 def _hash(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.headline import headline_parts
-from nw_eval.reporting.html.environment import environment
+from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.provenance import RunInfo
 
@@ -104,11 +104,12 @@ def render_index(runs: Sequence[ListedRun], unread: Sequence[str]) -> str:
     """
     ordered = sorted(runs, key=lambda run: (run.info.started, run.info.id, run.folder))
     suites = sorted({run.suite for run in ordered})
-    return environment().get_template("index.html.j2").render(
+    return render(
+        "index.html.j2",
         runs=ordered[::-1],
         unread=tuple(unread),
         suites=[_trends(suite, [run for run in ordered if run.suite == suite]) for suite in suites],
-    )  # fmt: skip
+    )
 
 
 def _trends(suite: str, runs: Sequence[ListedRun]) -> SuiteTrends:

@@ -13,7 +13,7 @@ from nw_eval.reporting.html.budget import clips_that_fit, pictures_that_fit
 from nw_eval.reporting.html.drawn.course import course
 from nw_eval.reporting.html.drawn.gauge import gauges
 from nw_eval.reporting.html.drawn.plan_view import plan_views
-from nw_eval.reporting.html.environment import environment
+from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import NO_EVIDENCE, Evidence
 from nw_eval.reporting.html.trials import trial_lines, worst_cards
 from nw_eval.reporting.tables import named_tables
@@ -45,7 +45,8 @@ def render_html(
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
     word, *parts = headline_parts(verdict, run)
-    return environment().get_template("report.html.j2").render(
+    return render(
+        "report.html.j2",
         run=run,
         suite=str(run.suite.get("name", "suite")),
         word=word,

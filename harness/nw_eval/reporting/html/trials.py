@@ -37,9 +37,13 @@ class TrialLine:
 def worst_cards(
     rows: Sequence[Row], clips: Mapping[str, Clip], folder: Path
 ) -> tuple[WorstTrial, ...]:
-    """Return the trials that went worst, and after them the others of which there is a clip."""
-    named = worst_trials(rows)[:WORST]
-    named += [row for row in rows if row.trial_id in clips and row not in named]
+    """Return the trials that went worst, and the others of which there is a clip.
+
+    Those with a clip come first, in the order of the clips, and then the worst does.
+    """
+    known = {row.trial_id: row for row in rows}
+    named = [known[trial] for trial in clips if trial in known]
+    named += [row for row in worst_trials(rows)[:WORST] if row.trial_id not in clips]
     return tuple(
         WorstTrial(
             row=row,

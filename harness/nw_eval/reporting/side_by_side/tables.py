@@ -41,17 +41,21 @@ def _policies(found: PolicyComparison) -> Table:
             for each in order
         ),
         numbers=frozenset({"success"}),
-        note="Success is the mean over scenes of the share of waypoints reached, from the "
-        f"{plural(found.starts, 'start')} that all have a result from{_left_out(found)}. On these "
-        "starts it is known; intervals and ranks are what fresh starts in the same scenes may give "
-        "(a Bayesian bootstrap, and bets on the differences start by start). A range of ranks is "
-        f"not decided yet; with {percent} confidence no policy's true rank is outside its own "
+        note=f"Success is the mean over scenes of the share of waypoints reached, {_met(found)}. "
+        "On these starts it is known; intervals and ranks are what fresh starts in the same scenes "
+        "may give (a Bayesian bootstrap, and bets on the differences of trials). A range of ranks "
+        f"is not decided yet; with {percent} confidence no policy's true rank is outside its own "
         "(Mogstad, Romano, Shaikh and Wilhelm, 2024, with Holm's procedure).",
     )
 
 
-def _left_out(found: PolicyComparison) -> str:
-    return f"; {plural(found.left_out, 'start')} of some only left out" if found.left_out else ""
+def _met(found: PolicyComparison) -> str:
+    """Return which starts the numbers are over."""
+    starts = plural(found.starts, "start")
+    left = f"; {plural(found.left_out, 'start')} of some only left out" if found.left_out else ""
+    if found.shared:
+        return f"from the {starts} that all have a result from{left}"
+    return f"from {starts} of its own each: too few are shared for a comparison of the same{left}"
 
 
 def _scenes(found: PolicyComparison) -> Table:

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, replace
+from functools import lru_cache
 from typing import Any
 
 from nw_eval.clean import clean
@@ -15,6 +16,7 @@ from nw_eval.results.bank.start import Panel, SavedBank, Start, Stratum
 from nw_eval.results.row import COLUMNS
 from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
 from nw_eval.results.row.column import NamedColumns, Settings
+from nw_eval.results.row.many import all_as_kept
 from nw_eval.words import OUTCOMES
 
 MOST_PANELS = 64
@@ -79,8 +81,10 @@ def _fault_of_machines(bank: SavedBank) -> str | None:
 
 def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     """Return what is wrong with one panel: a start, their numbers, their scenes, their order."""
+    table = {name: [getattr(start, name) for start in panel.starts] for name in SHARED}
+    fault_of_start = _contradiction if all_as_kept(table, SHARED) else _fault_of_start
     for start in panel.starts:
-        if fault := _fault_of_start(start):
+        if fault := fault_of_start(start):
             return f"start {start.seed_index} of {clean(start.scene, at_most=80)}: {fault}"
     if fault := _fault_of_scenes({start.scene for start in panel.starts}, set(manifest.key.scenes)):
         return fault
@@ -104,6 +108,11 @@ def _fault_of_start(start: Start) -> str | None:
     kept = as_kept(values, SHARED)
     if unclean := next((name for name, value in kept.items() if value != values[name]), None):
         return f"{unclean} {clean(values[unclean], at_most=80)!r} is no plain line"
+    return _contradiction(start) or out_of_bounds(values, SHARED)
+
+
+def _contradiction(start: Start) -> str | None:
+    """Return in what values that are all right alone make no result together, or None."""
     if not 0.0 <= start.success <= 1.0:
         return f"success {start.success} is not between 0 and 1"
     if start.completed != (start.success == 1.0):
@@ -112,12 +121,17 @@ def _fault_of_start(start: Start) -> str | None:
         return f"outcome {start.outcome!r} is none of {', '.join(OUTCOMES)}"
     if start.waypoints_reached > start.waypoints_total:
         return f"{start.waypoints_reached} of {start.waypoints_total} waypoints reached"
-    axes = [axis for axis, _ in start.perturbation]
-    if len({*axes}) < len(axes) or any(clean(axis) != axis for axis in axes):
-        return f"perturbation {clean(axes, at_most=80)} has an axis twice, or no plain line"
+    axes = tuple(axis for axis, _ in start.perturbation)
+    if not _are_names(axes):
+        return f"perturbation {clean([*axes], at_most=80)} has an axis twice, or no plain line"
     if not _TRAJECTORY.fullmatch(start.trajectory):
         return f"its trajectory {clean(start.trajectory, at_most=40)!r} is not 16 hex digits"
-    return out_of_bounds(values, SHARED)
+    return None
+
+
+@lru_cache(maxsize=64)  # All scenes have the same ones.
+def _are_names(axes: tuple[str, ...]) -> bool:
+    return len({*axes}) == len(axes) and all(clean(axis) == axis for axis in axes)
 
 
 def _fault_of_scenes(found: set[str], keyed: set[str]) -> str | None:

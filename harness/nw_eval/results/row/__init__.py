@@ -7,6 +7,7 @@ from nw_eval.results.row.row import (
     OF_THE_PLAN,
     Row,
     from_dict,
+    from_dicts,
     rows_digest,
     to_dict,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "Column",
     "Row",
     "from_dict",
+    "from_dicts",
     "rows_digest",
     "to_dict",
 ]

@@ -63,6 +63,11 @@ def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | Non
     return None
 
 
+def is_harmless(text: str) -> bool:
+    """Say whether `as_kept` leaves a text as it is."""
+    return _harmless(text) == text
+
+
 def _harmless(text: str) -> str:
     """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
     return _harmless_word(text) if len(text) <= _WORD else _cleaned(text)

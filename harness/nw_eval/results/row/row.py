@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Annotated, Any
@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from nw_eval.clean import clean
 from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
 from nw_eval.results.row.column import Column, Numbers, Settings, columns_of
+from nw_eval.results.row.many import all_as_kept
 from nw_eval.words import FAULTS, OUTCOMES, Arm, Fault, Outcome, Status, Tier
 
 
@@ -203,6 +204,38 @@ def from_dict(values: dict[str, Any]) -> Row:
         return Row(**{**values, **lists})
     except (TypeError, OverflowError, struct.error) as error:
         raise ValueError(clean(error)) from error
+
+
+def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
+    """Make many rows of plain values; the same as `from_dict` of each, in a tenth of the time.
+
+    Raises:
+        ValueError: as the first of them that is no row.
+    """
+    return _quickly(values) or [from_dict(one) for one in values]
+
+
+def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
+    """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
+    try:
+        if not all(one.keys() == COLUMNS.keys() for one in values):
+            return None  # Of a version that had other columns.
+        table = {name: [one[name] for one in values] for name in COLUMNS}
+        for name, column in COLUMNS.lists:
+            table[name] = [column.of_plain(value) for value in table[name]]
+        if not all_as_kept(table, COLUMNS):
+            return None
+    except (TypeError, ValueError, OverflowError):
+        return None
+    rows = [_of_kept(kept) for kept in zip(*table.values(), strict=True)]
+    return None if any(map(_contradiction, rows)) else rows
+
+
+def _of_kept(values: Iterable[Any]) -> Row:
+    """Return the row of values that are as `__post_init__` would leave them."""
+    row = object.__new__(Row)
+    vars(row).update(zip(COLUMNS, values, strict=True))
+    return row
 
 
 def rows_digest(rows: Iterable[Row]) -> str:

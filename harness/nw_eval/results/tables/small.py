@@ -6,7 +6,7 @@ The process that reads it imports little besides Arrow, so that it takes a fract
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,4 +111,4 @@ def small_table(path: Path) -> PlainTable:
 
 
 if __name__ == "__main__":
-    answer(lambda path: [asdict(small_table(path))])
+    answer(lambda path: [vars(small_table(path))])

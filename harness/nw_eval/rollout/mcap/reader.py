@@ -34,6 +34,7 @@ from nw_eval.rollout.mcap.messages import (
     Twist,
 )
 from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, attached, logged, texts
+from nw_eval.rollout.mcap.topics import ELEMENTS
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping
@@ -93,6 +94,11 @@ class LogReader:
         """Return the records of texts by name, such as `nw.trial` and `nw.verdict`."""
         with self._open() as stream:
             return {record.name: dict(record.metadata) for record in texts(stream)}
+
+    def elements(self) -> dict[str, tuple[str, ...]]:
+        """Return what numbers are called, by topic, or topic and field; older logs do not say."""
+        found = self.metadata().get(ELEMENTS, {})
+        return {topic: tuple(names.split(",")) for topic, names in found.items()}
 
     def attachments(self) -> dict[str, bytes]:
         """Return attached files by name, such as `suite.yaml`."""

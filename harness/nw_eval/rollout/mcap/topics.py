@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+ELEMENTS = "nw.elements"
+"""The record of texts that names numbers: by topic, or topic and field, with commas between."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
@@ -138,6 +141,13 @@ TOPICS = (
         schema="foxglove.PointCloud",
         rate="as `/waypoints`",
         holds="dots along the trail, green as far as it is done; m",
+        frame="world",
+    ),
+    Topic(
+        name="/points/waypoints",
+        schema="foxglove.PointCloud",
+        rate="as `/waypoints`",
+        holds="a ring around each waypoint, green once it is reached; m",
         frame="world",
     ),
     Topic(

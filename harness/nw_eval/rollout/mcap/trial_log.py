@@ -26,7 +26,13 @@ from nw_eval.rollout.mcap.content.body import (
     transforms_form,
     twist_form,
 )
-from nw_eval.rollout.mcap.content.clouds import path_cloud, place_cloud, robot_clouds, trail_cloud
+from nw_eval.rollout.mcap.content.clouds import (
+    path_cloud,
+    place_cloud,
+    robot_clouds,
+    trail_cloud,
+    waypoints_cloud,
+)
 from nw_eval.rollout.mcap.content.entities import (
     place_update,
     robot_entities,
@@ -314,6 +320,7 @@ class TrialLog:
         start, trail = self._place
         self._out.add("/waypoints", when, waypoints_update(when, trail, reached=reached))
         self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
+        self._out.add("/points/waypoints", when, waypoints_cloud(when, trail, reached=reached))
 
     def _fill(self, topic: str, when: int, numbers: np.ndarray, make: Callable[[], Form]) -> None:
         """Write a message of the form that the topic's first one had."""

@@ -11,18 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import ProprioObservation
-from nw_eval.cards.observations.wrappers import Flatten, PluginWrap
-from nw_eval.cards.terms import term_size
-from nw_eval.rollout.mcap.layout import layout_json
+from nw_eval.rollout.observed.names import action_names, element_names, term_sizes
 from nw_eval.rollout.observed.views import View, topic_names, views_of
-from nw_eval.rollout.pictures.cameras import LOG_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from nw_eval.cards import Card
-    from nw_eval.robots import RobotSpec
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
@@ -44,6 +39,7 @@ class Seen:
     def __init__(
         self, *, card: Card, sensors: Mapping[str, Sensor], world: World, log: TrialLog
     ) -> None:
+        self._card = card
         self._sensors = sensors
         self._world = world
         self._log = log
@@ -55,7 +51,7 @@ class Seen:
         }
         self._names = topic_names(card)
         self._terms = {
-            name: _terms(name, spec, sensors[name].shape)
+            name: term_sizes(name, spec, prod(sensors[name].shape))
             for name, spec in card.observations.items()
             if name not in self._views
         }
@@ -64,6 +60,17 @@ class Seen:
     def views(self) -> tuple[View, ...]:
         """The observations that are pictures."""
         return tuple(self._views.values())
+
+    def elements(self) -> dict[str, str]:
+        """Return what the numbers of a log are called, by topic, or topic and field."""
+        robot = self._world.robot
+        found = action_names(self._card, robot)
+        for name in self._terms:
+            spec = self._card.observations[name]
+            names = element_names(spec, found["/nw/policy.action"])
+            if len(names) == prod(self._sensors[name].shape):
+                found[f"/observation/{self._names[name]}"] = names
+        return {topic: ",".join(names) for topic, names in found.items()}
 
     def calibrate(self) -> None:
         """Write the calibration of every camera, if its pictures can be kept."""
@@ -99,25 +106,3 @@ class Seen:
         for number, (form, image) in enumerate(pictures):
             topic = view.topic if len(pictures) == 1 else f"{view.topic}/{number}"
             self._log.picture(self._world.time, topic, image, mount=view.mount, form=form)
-
-
-def layout_of(card: Card, robot: RobotSpec) -> str:
-    """Return the Foxglove layout for logs of a policy, as JSON."""
-    views = views_of(card)
-    # What somebody else's wrapper leaves of an image is known in a trial only.
-    sure = [v for v in views if not any(isinstance(w, Flatten | PluginWrap) for w in v.spec.wrap)]
-    pictures = [view.topic for view in sure] if views else [LOG_TOPIC]
-    cameras = {view.observation for view in views}
-    numbers = [topic for name, topic in topic_names(card).items() if name not in cameras]
-    return layout_json(trunk=robot.bodies[0], pictures=pictures, observations=numbers)
-
-
-def _terms(name: str, spec: object, shape: tuple[int, ...]) -> tuple[tuple[str, int], ...]:
-    """Return name and size of the parts of a row: the card's terms, where they are all of it."""
-    size = prod(shape)
-    if isinstance(spec, ProprioObservation):
-        terms = tuple((term.term, term_size(term)) for term in spec.frame_terms)
-        is_whole = spec.select is None and spec.history is None and not spec.wrap
-        if is_whole and sum(count for _, count in terms) == size:
-            return terms
-    return ((name, size),)

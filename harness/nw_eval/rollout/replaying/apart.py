@@ -15,7 +15,7 @@ from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.logged import agreed
-from nw_eval.rollout.replaying.replay import check_start, replay
+from nw_eval.rollout.replaying.replay import check_inside, check_start, replay
 from nw_eval.rollout.replaying.report import ReplayReport
 
 _TIME_LIMIT = 3600.0
@@ -45,6 +45,7 @@ def replay_apart(
     logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
+    check_inside(start, logged)
     job = logged.job
     bundle = library.bundle(job.policy, job.checkpoint)
     scene = library.scene(job.scene, job.collision)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import is_interrupt
@@ -71,8 +73,8 @@ def replay(
         StoreError: the log cannot be read, or has no state that early.
         PolicyError: the bundle is missing, is not the one that was recorded, or needs the caller's
             word.
-        SceneError, UsageError: the scene is missing, or has changed; `start` is negative or no
-            number.
+        SceneError, UsageError: the scene is missing, or has changed; `start` is negative, no
+            number, or not before the trial's end.
         TrialError: the recorded state does not fit.
     """
     check_start(start)
@@ -80,6 +82,7 @@ def replay(
     logged = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
+    check_inside(start, logged)
     job = logged.job
     with open_trial(job, library, StageClock()) as trial:
         if start > 0.0:
@@ -109,6 +112,21 @@ def check_start(start: float) -> None:
         raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
 
 
+def check_inside(start: float, logged: LoggedTrial) -> None:
+    """Refuse a time that the trial did not reach: from its end on there is nothing to compare.
+
+    Raises:
+        UsageError: it is the trial's end, or later.
+    """
+    steps = logged.verdict.get("steps", "")  # a stranger's word
+    if start > 0.0 and re.fullmatch(r"[0-9]{1,9}", steps):
+        length = int(steps) / CONTROL_RATE
+        if start >= length:
+            raise UsageError(
+                f"--start {start:g}: {logged.path} ends at {length:g} s", fix="give less"
+            )
+
+
 def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
     """Bring a trial to the last recorded state at or before `time` (s).
 
@@ -116,7 +134,8 @@ def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
         StoreError: there is none.
         TrialError: the state does not fit the trial.
     """
-    limit = round(time / trial.episode.world.control_period)
+    # The hair makes 0.58 s the 29th step of 50 in a second, which it is not in floating point.
+    limit = math.floor(time / trial.episode.world.control_period + 1e-6)
     states = [state for state in logged.log.states() if state.step <= limit]
     if not states:
         raise StoreError(f"{logged.path} has no state at or before {time:g} s", fix="run it all")

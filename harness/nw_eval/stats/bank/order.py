@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from hashlib import sha256
 
 
@@ -22,8 +23,17 @@ def order_of_starts(
         suite_digest: of the suite.
         scene: its name.
     """
+    return list(_ranked(starts, json.dumps([candidate_digest, suite_digest, scene])))
+
+
+@lru_cache(maxsize=4096)  # Who plans a run, who judges it and who words it ask for the same.
+def _ranked(starts: int, drawn_by: str) -> tuple[int, ...]:
+    """Return 0 .. M - 1 by the sha256 of the JSON list of what draws them, and the start."""
+    beginning = sha256(drawn_by.removesuffix("]").encode())
 
     def rank(start: int) -> bytes:
-        return sha256(json.dumps([candidate_digest, suite_digest, scene, start]).encode()).digest()
+        one = beginning.copy()
+        one.update(f", {start}]".encode())
+        return one.digest()
 
-    return sorted(range(starts), key=rank)
+    return tuple(sorted(range(starts), key=rank))

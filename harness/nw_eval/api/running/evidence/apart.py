@@ -83,7 +83,7 @@ def _read(
             clips=[str(log.path) for log in batch if log.clip],
             room=room,
         )
-        logs = ReadLogs.model_validate_json(answer).logs
-    except (NwEvalError, ValidationError, TypeError):
-        return None
+        logs = ReadLogs.model_validate_json(str(answer)).logs
+    except (NwEvalError, OSError, ValidationError, AssertionError):
+        return None  # AssertionError: a daemon of multiprocessing may start no process.
     return logs if len(logs) == len(batch) else None

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from nw_eval.reporting.tables.table import WORST
+from nw_eval.reporting.tables.trials import worst_trials
 from nw_eval.results.row import Row
 
 MOST_PATHS = 320
 """Trials whose walks are drawn: of 160 all, and some hundred of thousands that look alike."""
-MOST_CLIPS = 8
+MOST_CLIPS = 16
 
 
 def drawn_trials(rows: Iterable[Row], most: int = MOST_PATHS) -> list[Row]:
@@ -27,15 +29,9 @@ def drawn_trials(rows: Iterable[Row], most: int = MOST_PATHS) -> list[Row]:
     return [row for *_, row in sorted(found, key=lambda entry: entry[:3])[:most]]
 
 
-def worst_trials(rows: Iterable[Row], most: int = MOST_CLIPS) -> list[Row]:
-    """Return the failures that went worst: first one of each scene, then others."""
-    failed = [row for row in rows if row.success is not None and not row.completed]
-    failed.sort(key=_badness)
+def clipped_trials(rows: Sequence[Row], most: int = MOST_CLIPS) -> list[Row]:
+    """Return failures, the worst first: those that a page names, and then one of every scene."""
+    failed = worst_trials(rows)
     firsts = {row.scene: row for row in reversed(failed)}
-    others = [row for row in failed if row is not firsts[row.scene]]
-    chosen = sorted(firsts.values(), key=_badness) + others
-    return sorted(chosen[:most], key=_badness)
-
-
-def _badness(row: Row) -> tuple[float, float, str]:
-    return (row.success or 0.0, row.sim_s, row.trial_id)
+    others = [row for row in failed[WORST:] if row is firsts[row.scene]]
+    return [*failed[:WORST], *others][:most]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from nw_eval.api.running.evidence.chosen import worst_trials
+from nw_eval.api.running.evidence.chosen import clipped_trials
 from nw_eval.api.running.evidence.content import ReadClip, ReadLog
 from nw_eval.plural import plural
 from nw_eval.reporting.html.evidence import Clip, Evidence, PlacePicture, PlaceView, WalkedPath
@@ -35,11 +35,12 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
         for scene in sorted({row.scene for row, _ in shown})
     ]
     seen = {row.trial_id: log.clip for row, log in shown if log.clip is not None}
-    worst = worst_trials(row for row in rows if row.trial_id in seen)
+    worst = clipped_trials([row for row in rows if row.trial_id in seen])
     clips = tuple(_clip(row, seen[row.trial_id]) for row in worst)
     remarks = (
         _left_out(rows, [row for row, _ in shown]),
-        *_faults({row.trial_id: log.fault for row, log in logs if log.fault}),
+        *_faults("The log of {} shows nothing: {}.", [(r, log.fault) for r, log in logs]),
+        *_faults("The pictures of {} cannot be shown: {}.", [(r, log.unseen) for r, log in logs]),
         _moved(max((spread for _, spread in places), default=0.0)),
         _blind(rows, clips),
     )
@@ -77,7 +78,6 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         if is_seen
         else "the robot's camera, for people: this policy sees no pictures"
     )
-    ended = f"{row.outcome} ({row.end_reason})" if row.end_reason else row.outcome
     return Clip(
         trial_id=row.trial_id,
         mime="image/webp",
@@ -86,9 +86,8 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         width=clip.width,
         height=clip.height,
         seconds=clip.seconds,
-        caption=f"{row.trial_id}: {ended} after {row.sim_s:.2f} s, on its way to waypoint "
-        f"{row.waypoints_reached + 1} of {row.waypoints_total}. Its last {clip.seconds:.1f} s: "
-        f"{eyes}.",
+        caption=f"On its way to waypoint {row.waypoints_reached + 1} of {row.waypoints_total}, the "
+        f"last {clip.seconds:.1f} s: {eyes}.",
     )
 
 
@@ -104,8 +103,8 @@ def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> str:
     )
 
 
-def _faults(faults: Mapping[str, str]) -> list[str]:
-    found = [f"The log of {trial} shows nothing: {fault}." for trial, fault in faults.items()]
+def _faults(sentence: str, faults: Sequence[tuple[Row, str]]) -> list[str]:
+    found = [sentence.format(row.trial_id, fault) for row, fault in faults if fault]
     more = len(found) - _NAMED
     return found[:_NAMED] + ([f"So it is with {plural(more, 'more log')}."] if more > 0 else [])
 

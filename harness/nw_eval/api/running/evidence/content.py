@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Annotated, Self
 
-from nw_eval.api.running.evidence.above import Box
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Point = tuple[float, float]
+_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Point = tuple[_Metres, _Metres]
 """x and y in the world frame, m."""
 
 _MOST_POINTS = 20_000
@@ -28,7 +29,8 @@ class _Read(BaseModel):
 class ReadPlace(_Read):
     """The place of a trial from straight above."""
 
-    box: Box
+    box: tuple[_Metres, _Metres, _Metres, _Metres]
+    """West, south, east, north."""
     picture: bytes
     """A WebP of what lies in the box."""
 
@@ -50,13 +52,21 @@ class ReadLog(_Read):
     """All of it."""
 
     fault: str = Field(default="", max_length=_LONGEST)
-    """Why it cannot be read; empty if it can, and then there is a path."""
+    """Why it cannot be read; empty if it can, and then there are a path and waypoints."""
     walked: tuple[Point, ...] = Field(default=(), max_length=_MOST_POINTS)
     waypoints: tuple[Point, ...] = Field(default=(), max_length=1000)
     reach: float | None = None
     """Metres from a waypoint at which it counts as reached."""
     place: ReadPlace | None = None
     clip: ReadClip | None = None
+    unseen: str = Field(default="", max_length=_LONGEST)
+    """Why its pictures cannot be shown; empty if they are, are not wanted, or there are none."""
+
+    @model_validator(mode="after")
+    def _shows_something(self) -> Self:
+        if not self.fault and not (self.walked and self.waypoints):
+            raise ValueError("neither a fault nor a path")
+        return self
 
 
 class ReadLogs(_Read):

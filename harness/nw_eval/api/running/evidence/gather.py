@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from nw_eval.api.running.evidence.apart import WantedLog, read_apart
-from nw_eval.api.running.evidence.chosen import MOST_CLIPS, drawn_trials, worst_trials
+from nw_eval.api.running.evidence.chosen import MOST_CLIPS, clipped_trials, drawn_trials
 from nw_eval.api.running.evidence.compose import composed
 from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.reporting.html.evidence import CLIP_BYTES, PICTURE_BYTES, Evidence
@@ -29,7 +29,7 @@ def gather_evidence(folder: RunFolder, rows: Iterable[Row]) -> Evidence:
     results = [row for row in rows if row.status == "ok"]
     logs = _logs(folder, results)
     present = [row for row in results if row.trial_id in logs]
-    clips = {row.trial_id for row in worst_trials(present)}
+    clips = {row.trial_id for row in clipped_trials(present)}
     drawn = {logs[row.trial_id]: row for row in _within(drawn_trials(present), logs)}
     scenes = len({row.scene for row in drawn.values()})
     read = read_apart(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nw_eval.api.running.evidence.above import Box, box_round, picture_from_above
 from nw_eval.api.running.evidence.clip import clip_of
-from nw_eval.api.running.evidence.content import Point, ReadClip, ReadLog, ReadLogs, ReadPlace
+from nw_eval.api.running.evidence.content import Point, ReadLog, ReadLogs, ReadPlace
 from nw_eval.api.running.evidence.pictures import LatestPictures
 from nw_eval.clean import clean
 from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, logged
@@ -23,6 +23,8 @@ from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, logged
 _PATH, _WAYPOINTS, _SCENE = "/robot/path", "/waypoints", "/scene"
 _HIDDEN = frozenset({"place/overhead", "place/beside"})
 """Parts of a place that stand over the course or are left out of it."""
+_FAR = 100.0
+"""Metres round the course in which a walk is drawn."""
 
 
 def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dict[str, int]) -> str:
@@ -43,7 +45,7 @@ def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dic
                 clip_bytes=room["clip"] if path in clips else 0,
             )
         except Exception as error:  # noqa: BLE001 - Whatever a damaged file does to its readers.
-            read = ReadLog(fault=clean(error, at_most=200) or type(error).__name__)
+            read = ReadLog(fault=_why(error))
         if read.place is not None:
             drawn.add(scene)
         found.append(read)
@@ -67,24 +69,22 @@ def _read(path: Path, *, place_bytes: int, clip_bytes: int) -> ReadLog:
             elif clip_bytes:
                 pictures.take(message)
     if walked is None or _WAYPOINTS not in first:
-        raise ValueError("it holds no walked path: an older nw-eval wrote it")
-    path_points = _points(walked)
+        raise ValueError("it holds no walk, or no waypoints")
+    points = _points(walked)
     waypoints, reach = _waypoints(first[_WAYPOINTS])
-    place = None
-    if place_bytes and _SCENE in first:
-        box = box_round(np.array([path_points[0], *waypoints]))
-        place = _place(first[_SCENE], box, place_bytes)
+    box = box_round(np.array([points[0], *waypoints]))
+    place = _place(first[_SCENE], box, place_bytes) if place_bytes and _SCENE in first else None
     return ReadLog(
-        walked=path_points,
+        walked=_as_far_as_near(points, box),
         waypoints=waypoints,
         reach=reach,
         place=place,
-        clip=_clip(pictures, end_ns, clip_bytes) if clip_bytes else None,
+        **_clip(pictures, end_ns, clip_bytes),
     )
 
 
-def _points(message: LoggedMessage) -> tuple[Point, ...]:
-    """Return the points of a cloud, x and y."""
+def _points(message: LoggedMessage) -> NDArray[np.float64]:
+    """Return the points of a cloud, (n, 2): x and y, m."""
     from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
     cloud = PointCloud.FromString(_bounded(message))
@@ -92,8 +92,16 @@ def _points(message: LoggedMessage) -> tuple[Point, ...]:
     if stride < 8 or not cloud.data or len(cloud.data) % stride:
         raise ValueError("its walked path is damaged")
     rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, stride)
-    plane = np.ascontiguousarray(rows[:, :8]).view("<f4")
-    return tuple((round(x, 3), round(y, 3)) for x, y in plane.astype(float).tolist())
+    return np.ascontiguousarray(rows[:, :8]).view("<f4").astype(np.float64)
+
+
+def _as_far_as_near(points: NDArray[np.float64], box: Box) -> tuple[Point, ...]:
+    """Return points until the first that is far away: where physics diverged, they are anywhere."""
+    west, south, east, north = box
+    near = (points > (west - _FAR, south - _FAR)) & (points < (east + _FAR, north + _FAR))
+    is_far = ~near.all(axis=1)
+    kept = points[: np.argmax(is_far)] if is_far.any() else points
+    return tuple((round(x, 3), round(y, 3)) for x, y in kept.tolist())
 
 
 def _waypoints(message: LoggedMessage) -> tuple[tuple[Point, ...], float | None]:
@@ -127,9 +135,16 @@ def _corners(triangles: Any) -> NDArray[np.float64]:
     return points[indices].reshape(-1, 3, 3)
 
 
-def _clip(pictures: LatestPictures, end_ns: int, most_bytes: int) -> ReadClip | None:
-    topic, shown = pictures.shown(end_ns)
-    return clip_of(shown, topic=clean(topic, at_most=200), most_bytes=most_bytes) if shown else None
+def _clip(pictures: LatestPictures, end_ns: int, most_bytes: int) -> dict[str, Any]:
+    """Return what a log has as `clip` and `unseen`."""
+    try:
+        topic, shown = pictures.shown(end_ns)
+        if not shown:
+            return {}
+        clip = clip_of(shown, topic=clean(topic, at_most=200), most_bytes=most_bytes)
+    except Exception as error:  # noqa: BLE001 - As above; the rest of the log may be whole.
+        return {"unseen": _why(error)}
+    return {"clip": clip} if clip else {"unseen": f"they need over {most_bytes} bytes"}
 
 
 def _scene_update(message: LoggedMessage) -> Any:
@@ -142,3 +157,7 @@ def _bounded(message: LoggedMessage) -> bytes:
     if len(message.data) > MOST_MESSAGE:
         raise ValueError(f"a message has over {MOST_MESSAGE // 2**20} MiB")
     return message.data
+
+
+def _why(error: Exception) -> str:
+    return clean(error, at_most=200) or type(error).__name__

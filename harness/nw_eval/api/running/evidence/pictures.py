@@ -20,6 +20,7 @@ _PHOTO, _RAW = "foxglove.CompressedImage", "foxglove.RawImage"
 _RAW_KINDS = {"16UC1": np.dtype("<u2"), "32FC1": np.dtype("<f4")}
 _MOST_KEPT = 64 * 2**20  # bytes of pictures of all cameras that wait for a trial's end
 _MOST_PIXELS = 4096 * 4096
+_FAR = 30.0  # The grey of what is farthest; only what is nothing is black.
 _SECOND = 1e-9  # in a nanosecond
 
 
@@ -31,18 +32,12 @@ class LatestPictures:
         self._bytes = 0
 
     def take(self, message: LoggedMessage) -> None:
-        """Remember a message, if it is a picture, and forget what is older than a clip.
-
-        Raises:
-            ValueError: the pictures of so few seconds are too many or too large.
-        """
+        """Remember a message, if it is a picture, and forget those for which there is no room."""
         if message.kind not in {_PHOTO, _RAW} or not message.topic.startswith("/camera/"):
             return
         self._kept.setdefault((message.kind, message.topic), deque()).append(message)
         self._bytes += len(message.data)
         self._forget(message.time_ns)
-        if self._bytes > _MOST_KEPT:
-            raise ValueError(f"its last pictures have over {_MOST_KEPT // 2**20} MiB")
 
     def shown(self, end_ns: int) -> tuple[str, list[tuple[float, Image]]]:
         """Return a topic and its (seconds, picture) until the trial's end; none if there are none.
@@ -65,7 +60,9 @@ class LatestPictures:
 
     def _forget(self, now_ns: int) -> None:
         for messages in self._kept.values():
-            while messages and (now_ns - messages[0].time_ns) * _SECOND > SECONDS:
+            while messages and (
+                (now_ns - messages[0].time_ns) * _SECOND > SECONDS or self._bytes > _MOST_KEPT
+            ):
                 self._bytes -= len(messages.popleft().data)
 
 
@@ -97,9 +94,9 @@ def _greys(data: Sequence[bytes]) -> list[Image]:
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     pictures: list[Image] = []
     for array in arrays:
-        share = (high - array) / max(high - low, 1e-12)
-        grey = np.rint(np.nan_to_num(share, posinf=0.0, neginf=0.0).clip(0.0, 1.0) * 255.0)
-        pictures.append(sized(fromarray(grey.astype(np.uint8))))
+        near = ((high - array) / max(high - low, 1e-12)).clip(0.0, 1.0)
+        grey = np.where(np.isfinite(array), _FAR + (255.0 - _FAR) * near, 0.0)
+        pictures.append(sized(fromarray(np.rint(grey).astype(np.uint8))))
     return pictures
 
 

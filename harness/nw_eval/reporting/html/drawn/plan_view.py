@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import hypot
 
 import numpy as np
@@ -142,7 +143,7 @@ def _placed(picture: PlacePicture) -> DrawnPicture:
 
 def _drawn(row: Row, points: Points) -> DrawnPath:
     thinned = _thinned(_pairs(points))
-    steps = [(x - a, y - b) for (a, b), (x, y) in zip(thinned, thinned[1:], strict=False)]
+    steps = [(x - a, y - b) for (a, b), (x, y) in pairwise(thinned)]
     moves = "".join(f"l{dx} {dy}" for dx, dy in steps)
     return DrawnPath(
         trial_id=row.trial_id,

@@ -29,9 +29,10 @@ _FIELDS = (("x", 0), ("y", 4), ("z", 8), ("red", 12), ("green", 13), ("blue", 14
 _POINT = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
 
 _PLACE_POINTS = 3000
-_GRID = 128.0  # Points of a place stand on 1/128 m, whose zero bits compress.
+_GRID = 128.0  # Points of place and rings stand on 1/128 m, whose zero bits compress.
 _PATH: Colour = (0.10, 0.45, 0.95, 1.0)
 _DOTS = 0.1  # m between two points of the trail
+_RING, _RADIUS = 24, 0.3  # points around a waypoint, and how far from it, m: it is reached there
 # Steps of the additive recurrence that covers a square evenly (Roberts 2018, R2): no randomness.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -84,6 +85,20 @@ def trail_cloud(time_ns: int, start: ArrayLike, trail: Points, *, reached: int) 
         dots.append(near + share * (far - near))
         colours.append(np.tile(REACHED if leg < reached else OPEN, (count, 1)))
     return _cloud(time_ns, WORLD, np.concatenate(dots), np.concatenate(colours))
+
+
+def waypoints_cloud(time_ns: int, trail: Points, *, reached: int) -> PointCloud:
+    """Return a ring around each waypoint (K, 3) m: orange while open, the first `reached` green."""
+    turns = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)
+    ring = _RADIUS * np.stack([np.cos(turns), np.sin(turns), np.zeros(_RING)], axis=1)
+    points = np.reshape(trail, (-1, 1, 3)) + ring
+    colours = [REACHED if number < reached else OPEN for number in range(len(trail))]
+    return _cloud(
+        time_ns,
+        WORLD,
+        np.rint(points.reshape(-1, 3) * _GRID) / _GRID,
+        np.repeat(colours, _RING, axis=0),
+    )
 
 
 def path_cloud(time_ns: int, path: Sequence[Sequence[float]]) -> PointCloud:

@@ -1,4 +1,4 @@
-"""A layout of Foxglove and Lichtblick for the logs of one run: what to look at when one is opened.
+"""A layout of Foxglove and Lichtblick for logs: what to look at when one is opened.
 
 The format is the one that both programs export and import (`configById`, and `layout`, a tree of
 panels). Paths of plots are message paths: https://docs.foxglove.dev/docs/visualization.
@@ -9,7 +9,10 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nw_eval.viewing.shown import Plot, Shown
 
 _PLOT = {
     "showLegend": True,
@@ -22,17 +25,15 @@ _PLOT = {
     "sidebarDimension": 240,
 }
 _COLOURED_POINTS = {"visible": True, "colorMode": "rgba-fields", "pointSize": 4}
-_MOST_PICTURES = 3
 
 
-def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[str]) -> str:
-    """Return a layout as JSON.
+def layout_json(shown: Shown) -> str:
+    """Return a layout as the text of a file that both programs import."""
+    return json.dumps(layout(shown), indent=2) + "\n"
 
-    Args:
-        trunk: the frame that the view follows.
-        pictures: topics of images; the first few get a panel each.
-        observations: names of those that are numbers; the first is shown in full.
-    """
+
+def layout(shown: Shown) -> dict[str, Any]:
+    """Return a layout as what its JSON says."""
     panels: dict[str, dict[str, Any]] = {
         "3D!place": {
             "cameraState": {
@@ -48,7 +49,7 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
                 "far": 1000,
             },
             "followMode": "follow-position",
-            "followTf": trunk,
+            "followTf": shown.trunk,
             # Small axes: `axisSize` is Foxglove's word for Lichtblick's `axisScale`.
             "scene": {"transforms": {"showLabel": False, "axisSize": 0.1, "axisScale": 0.1}},
             "topics": {
@@ -58,27 +59,22 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
             },
             "layers": {},
         },
-        "Plot!velocity": _plot(
-            "Velocity, commanded and measured",
-            "/robot/command.forward",
-            "/robot/twist.linear.x",
-            "/robot/command.yaw_rate",
-            "/robot/twist.angular.z",
-            "/robot/command.heading_error",
-        ),
-        "Plot!joints": _plot("Joint targets", *(f"/nw/policy.targets[{k}]" for k in range(3))),
         "RosOut!events": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
     }
-    if observations:
-        topic = f"/observation/{observations[0]}"
-        panels["RawMessages!observation"] = {"topicPath": topic, "diffEnabled": False}
+    for number, plot in enumerate(shown.plots):
+        panels[f"Plot!{number}"] = _plot(plot)
+    if shown.observation is not None:
+        panels["RawMessages!observation"] = {
+            "topicPath": shown.observation,
+            "diffEnabled": False,
+        }
     images = {
         f"Image!{number}": {"imageMode": {"imageTopic": topic}}
-        for number, topic in enumerate(pictures[:_MOST_PICTURES])
+        for number, topic in enumerate(shown.pictures)
     }
     left = ("3D!place", "RosOut!events")
     right = [*images, *(name for name in panels if name not in left)]
-    layout = {
+    return {
         "configById": {**panels, **images},
         "globalVariables": {},
         "userNodes": {},
@@ -90,12 +86,19 @@ def layout_json(*, trunk: str, pictures: Sequence[str], observations: Sequence[s
             "splitPercentage": 62.0,
         },
     }
-    return json.dumps(layout, indent=2) + "\n"
 
 
-def _plot(title: str, *paths: str) -> dict[str, Any]:
-    series = [{"value": p, "enabled": True, "timestampMethod": "receiveTime"} for p in paths]
-    return {**_PLOT, "foxglovePanelTitle": title, "paths": series}
+def _plot(plot: Plot) -> dict[str, Any]:
+    series = [
+        {
+            "value": f"{line.topic}.{line.field}",
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+            **({"label": line.label} if line.label else {}),
+        }
+        for line in plot.lines
+    ]
+    return {**_PLOT, "foxglovePanelTitle": plot.title, "paths": series}
 
 
 def _stacked(names: Sequence[str], shares: Sequence[float] = ()) -> Any:

@@ -15,9 +15,9 @@ from junitparser.junitparser import FinalResult, Properties, Property
 
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
-from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.junit.properties import run_properties, scene_properties
 from nw_eval.reporting.scene_states import SceneState, scene_states
 from nw_eval.reporting.suite_lines import SuiteLines
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
@@ -59,12 +59,9 @@ def junit_xml(
         _scene_case(state, by_scene.get(state.scene, ()), run, name, folder, lines)
         for state in scene_states(verdict)
     ]
-    properties = {
-        **_provenance(run),
-        **_of_verdict(verdict),
-        **({} if verdict.against is None else _of_comparison(verdict.against)),
-    }
-    return _document(name, [*cases, _verdict_case(verdict, run, name, lines)], properties, run)
+    return _document(
+        name, [*cases, _verdict_case(verdict, run, name, lines)], run_properties(run, verdict), run
+    )
 
 
 def junit_of_error(suite: str, error: NwEvalError) -> bytes:
@@ -115,7 +112,7 @@ def _scene_case(
         case.file, case.line = clean(lines.file), lines.scenes.get(state.scene, lines.gate)
     worst = worst_trials(rows)[:_REPLAYED]
     commands = [command for row in worst if (command := replay_command(row, folder))]
-    _add_properties(case, _of_scene(state, rows, worst))
+    _add_properties(case, scene_properties(state, rows, worst))
     body = [state.sentence, *commands]
     if state.state == "failed":
         case.result = _result(Failure, "regressed", body)
@@ -163,71 +160,3 @@ def _add_properties(case: _Case, values: Mapping[str, str]) -> None:
     for key, value in values.items():
         properties.add_property(Property(key, clean(value)))
     case.append(properties)
-
-
-def _of_scene(state: SceneState, rows: Sequence[Row], worst: Sequence[Row]) -> dict[str, str]:
-    score = state.score
-    known = {} if score.mean is None else {"effect": f"{score.mean:.6f}"}
-    against = {
-        f"drop{_cell(item.perturbation)}": f"{item.drop:z.6f}"
-        for item in state.drops
-        if item.drop is not None
-    }
-    log = {"mcap": worst[0].mcap_path} if worst and worst[0].mcap_path else {}
-    return {
-        "state": state.state,
-        "tier": score.tier,
-        "trials": str(score.n),
-        "errors": str(score.errors),
-        "completed": str(score.completed),
-        **known,
-        "ci_low": f"{score.interval.low:.6f}",
-        "ci_high": f"{score.interval.high:.6f}",
-        **against,
-        **({"scene_digest": rows[0].scene_digest} if rows else {}),
-        **log,
-    }
-
-
-def _cell(perturbation: Sequence[tuple[str, float]]) -> str:
-    return "".join(f" {axis} {value:g}" for axis, value in perturbation)
-
-
-def _of_verdict(verdict: Verdict) -> dict[str, str]:
-    return {
-        "verdict": verdict.verdict,
-        "exit_code": str(verdict.exit_code),
-        "effect": "" if verdict.effect is None else f"{verdict.effect:.6f}",
-        "ci_low": f"{verdict.interval.low:.6f}",
-        "ci_high": f"{verdict.interval.high:.6f}",
-        "confidence": f"{verdict.confidence:g}",
-        "bar": "" if verdict.bar is None else f"{verdict.bar:g}",
-        "trials": str(verdict.n),
-        "planned": str(verdict.planned),
-        "errors": str(verdict.errors),
-    }
-
-
-def _of_comparison(found: Comparison) -> dict[str, str]:
-    drops = found.interval
-    return {
-        "baseline": found.bank,
-        "baseline_effect": f"{found.baseline:.6f}",
-        "drop": "" if found.drop is None else f"{found.drop:z.6f}",
-        "drop_low": "" if drops is None else f"{drops.low:z.6f}",
-        "drop_high": "" if drops is None else f"{drops.high:z.6f}",
-        "max_drop": f"{found.max_drop:g}",
-        "tolerate": f"{found.tolerate:g}",
-        "rounds": str(found.rounds),
-    }
-
-
-def _provenance(run: RunInfo) -> dict[str, str]:
-    return {
-        "run": run.id,
-        "nw_eval": run.code.version,
-        "policy": run.policy.name,
-        "checkpoint": run.policy.checkpoint_digest,
-        "panel_digest": run.suite_digest,
-        "rows_digest": run.rows_digest,
-    }

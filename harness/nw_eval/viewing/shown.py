@@ -1,0 +1,163 @@
+"""What a viewer shows of a log when it is opened, whichever viewer it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.cards.observations.wrappers import Flatten, PluginWrap
+from nw_eval.errors import StoreError
+from nw_eval.rollout.observed.names import (
+    action_names,
+    element_names,
+    term_sizes,
+    value_paths,
+)
+from nw_eval.rollout.observed.views import topic_names, views_of
+from nw_eval.rollout.pictures.cameras import LOG_TOPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.cards import Card
+    from nw_eval.robots import RobotSpec
+    from nw_eval.rollout.mcap.reader import LogReader
+
+_MOST_PICTURES = 3
+_LEG, _MOST_LINES = 3, 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line of a plot."""
+
+    topic: str
+    field: str
+    """Where the number lies in the topic's messages, such as `terms[0].values[2]`."""
+    label: str = ""
+    """Its name in the legend; empty = topic and field."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plot:
+    """Some lines over time."""
+
+    title: str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What is shown of a log."""
+
+    trunk: str
+    """The frame that a view of the place follows."""
+    start: tuple[float, float, float] | None
+    """Where it is first, m; None = nobody knows yet."""
+    pictures: tuple[str, ...]
+    """Topics of images, a few."""
+    plots: tuple[Plot, ...]
+    observation: str | None
+    """A topic of numbers that the policy was given, to be shown in full."""
+
+
+_VELOCITY = Plot(
+    title="Velocity, commanded and measured",
+    lines=(
+        Line(topic="/robot/command", field="forward"),
+        Line(topic="/robot/twist", field="linear.x"),
+        Line(topic="/robot/command", field="yaw_rate"),
+        Line(topic="/robot/twist", field="angular.z"),
+        Line(topic="/robot/command", field="heading_error"),
+    ),
+)
+
+
+def shown_by_card(card: Card, robot: RobotSpec) -> Shown:
+    """Return what logs of a policy will have to show, before there is one."""
+    views = views_of(card)
+    # What somebody else's wrapper leaves of an image is known in a trial only.
+    sure = [v for v in views if not any(isinstance(w, Flatten | PluginWrap) for w in v.spec.wrap)]
+    cameras = {view.observation for view in views}
+    topics = {
+        name: f"/observation/{topic}"
+        for name, topic in topic_names(card).items()
+        if name not in cameras
+    }
+    names = action_names(card, robot)
+    seen: tuple[Line, ...] = ()
+    for name, topic in topics.items():
+        spec = card.observations[name]
+        if elements := element_names(spec, names["/nw/policy.action"]):
+            seen = _lines(topic, term_sizes(name, spec, len(elements)), elements)
+            break
+    return _shown(
+        trunk=robot.bodies[0],
+        start=None,
+        pictures=[view.topic for view in sure] if views else [LOG_TOPIC],
+        targets=names["/nw/policy.targets"],
+        seen=seen,
+        observation=next(iter(topics.values()), None),
+    )
+
+
+def shown_in_log(log: LogReader) -> Shown:
+    """Return what a log has to show.
+
+    Raises:
+        StoreError: it cannot be read, or is damaged.
+    """
+    elements = log.elements()
+    first: dict[str, Any] = {}
+    for topic, _, message in log.messages():
+        first.setdefault(topic, message)
+    observations = [topic for topic in first if topic.startswith("/observation/")]
+    named = next((topic for topic in observations if topic in elements), None)
+    if not {"/robot/twist", "/robot/odom"} <= set(first):
+        raise StoreError(f"{log.path} says nowhere where its robot was", fix="run the trial again")
+    position = first["/robot/odom"].pose.position
+    return _shown(
+        trunk=first["/robot/twist"].frame_id,
+        start=(position.x, position.y, position.z),
+        pictures=[t for t in first if t.startswith("/camera/") and not t.endswith("/calib")],
+        targets=elements.get("/nw/policy.targets", ("",) * _LEG),
+        seen=() if named is None else _lines(named, _sizes(first[named]), elements[named]),
+        observation=next(iter(observations), None),
+    )
+
+
+def _shown(
+    *,
+    trunk: str,
+    start: tuple[float, float, float] | None,
+    pictures: Sequence[str],
+    targets: Sequence[str],
+    seen: tuple[Line, ...],
+    observation: str | None,
+) -> Shown:
+    leg = tuple(
+        Line(topic="/nw/policy", field=f"targets[{number}]", label=joint)
+        for number, joint in enumerate(targets[:_LEG])
+    )
+    plots = (
+        _VELOCITY,
+        Plot(title="Joint targets", lines=leg),
+        Plot(title="What the policy was given", lines=seen),
+    )
+    return Shown(
+        trunk=trunk,
+        start=start,
+        pictures=tuple(pictures[:_MOST_PICTURES]),
+        plots=tuple(plot for plot in plots if plot.lines),
+        observation=observation,
+    )
+
+
+def _lines(topic: str, sizes: Sequence[tuple[str, int]], names: Sequence[str]) -> tuple[Line, ...]:
+    """Return the first numbers of an observation."""
+    pairs = list(zip(value_paths(sizes), names, strict=False))[:_MOST_LINES]
+    return tuple(Line(topic=topic, field=field, label=name) for field, name in pairs)
+
+
+def _sizes(observation: Any) -> list[tuple[str, int]]:
+    return [(term.name, len(term.values)) for term in observation.terms]

@@ -1,0 +1,110 @@
+"""The page in a real browser: nothing is complained of, nothing asked for, and all can read it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("websockets")
+
+from tests.report.html.browser import CHROMIUM, Browser, browser
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    Make = Callable[..., Any]
+
+AXE = "axe-core@4.10.3"
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Browser]:
+    with browser() as found:
+        yield found
+
+
+@pytest.fixture
+def page(make_page: Make, make_row: Make, full_evidence: Make, tmp_path: Path) -> Path:
+    """A page with all that one can have: several scenes and outcomes, paths, pictures and clips."""
+    rows = [
+        make_row(
+            f"hurdles/{scene}", index, index % 5,
+            **({} if index % 5 == 4 else {"outcome": outcome}),
+        )
+        for scene in ("low", "high")
+        for index, outcome in enumerate(("fell", "collided", "stuck", "off_course", "timeout") * 30)
+    ]  # fmt: skip
+    path = tmp_path / "report.html"
+    path.write_text(make_page(rows, full_evidence(rows)), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The source of axe-core, from npm."""
+    npm, folder = shutil.which("npm"), tmp_path_factory.mktemp("axe")
+    if npm is None:
+        pytest.skip("needs npm")
+    words = [npm, "install", "--ignore-scripts", "--no-audit", "--no-fund", AXE]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"npm has no {AXE}: {done.stderr[-200:]}")
+    return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+
+
+def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(
+    tab: Browser, page: Path
+) -> None:
+    tab.show(page)
+    assert tab.complaints == []
+    assert tab.requests == [page.as_uri()]
+    # Trials are found, sorted and shown in parts.
+    assert tab.run("document.querySelector('.count').textContent") == "300 of 300 trials, 200 shown"
+    choose = (
+        "((words, outcome) => { const form = document.querySelector('form.filter');"
+        "form.words.value = words; form.outcome.value = outcome;"
+        "form.dispatchEvent(new Event('input')); })"
+    )
+    tab.run(f"{choose}('high-00', 'fell')")
+    assert tab.run("document.querySelector('.count').textContent") == "2 of 300 trials"
+    tab.run(f"{choose}('high-00', '')")
+    tab.run("document.querySelector('#all th:nth-child(5) button').click()")
+    shown = "[...document.querySelectorAll('#all tbody tr')].filter((row) => !row.hidden)"
+    reached = tab.run(f"{shown}.map((row) => Number(row.cells[4].textContent[0]))")
+    assert reached == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert tab.run("document.querySelector('#all [aria-sort]').textContent") == "waypoints"
+    assert tab.complaints == []
+
+
+def test_a_stranger_s_script_would_not_run_even_in_the_page(tab: Browser, page: Path) -> None:
+    """Should escaping ever fail, the page's own policy is the second fence."""
+    text = page.read_text(encoding="utf-8")
+    held = "<script>document.title = 'owned'</script><img src='http://127.0.0.1:9/x'>"
+    page.write_text(text.replace("<footer>", f"{held}<footer>"), encoding="utf-8")
+    tab.show(page)
+    assert tab.run("document.title").startswith(("PASS", "REGRESSED", "INCONCLUSIVE"))
+    assert sum("Content Security Policy" in line for line in tab.complaints) == 2
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390], ids=["desktop", "phone"])
+def test_axe_finds_nothing_serious(
+    tab: Browser, page: Path, axe: str, width: int, dark: bool
+) -> None:
+    tab.show(page, width=width, dark=dark)
+    assert tab.complaints == []
+    assert tab.requests == [page.as_uri()]
+    # No part of the page is wider than the screen: what is wide scrolls within itself.
+    assert tab.run("document.documentElement.scrollWidth") == width
+    tab.run(f"{axe}; 0")
+    found = json.loads(tab.run("axe.run().then((found) => JSON.stringify(found.violations))"))
+    serious = [each for each in found if each["impact"] in {"serious", "critical"}]
+    assert [(each["id"], [node["html"] for node in each["nodes"][:3]]) for each in serious] == []

@@ -1,0 +1,132 @@
+"""Where pages are written, and what becomes of a run when they cannot be."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from nw_eval import api
+from nw_eval.cli import main
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Make = Callable[..., Any]
+
+
+@pytest.fixture(autouse=True)
+def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def nw_eval(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(list(words))
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_a_run_gets_a_page_for_the_browser_beside_the_markdown(
+    save_run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_run(Path("runs/one"), [4] * 20)
+    assert nw_eval("report", "runs/one") == 0
+    assert capsys.readouterr().out.endswith("report: runs/one/report.md and report.html\n")
+    page = Path("runs/one/report.html").read_text(encoding="utf-8")
+    assert page.startswith("<!doctype html>")
+    assert "<title>PASS · hurdles · go1-parkour</title>" in page
+
+
+@pytest.mark.parametrize(
+    ("out", "markdown", "html"),
+    [
+        ("page.md", "page.md", "page.html"),
+        ("page.html", "page.md", "page.html"),
+        ("v1.2", "v1.2", "v1.2.html"),
+    ],
+)
+def test_either_page_may_be_named_and_the_other_one_lies_beside_it(
+    save_run: Make, out: str, markdown: str, html: str
+) -> None:
+    judged = api.report(save_run(Path("one"), [4] * 20), out=Path(out))
+    assert (judged.page, judged.html) == (Path(markdown), Path(html))
+    assert Path(markdown).read_text(encoding="utf-8").startswith("# PASS")
+    assert Path(html).read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert not Path("one/report.html").exists()
+
+
+def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(
+    save_run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = save_run(Path("one"), [4] * 20)
+    (run / "report.html").mkdir()
+    before = (run / "trials.parquet").read_bytes()
+    assert nw_eval("report", "one") == 4
+    error = capsys.readouterr().err
+    assert re.fullmatch(r"error: cannot write \S*report\.html: Is a directory; .+\n", error)
+    assert (run / "trials.parquet").read_bytes() == before
+    assert len(api.judge(run).rows) == 20
+
+
+def test_the_page_is_opened_in_the_readers_browser(
+    save_run: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: bool(opened.append(address)))
+    run = save_run(Path("one"), [0] * 20)
+    assert nw_eval("report", "one", "--open") == 1
+    assert opened == [(run / "report.html").resolve().as_uri()]
+    # Here it opened nothing: that is said, and changes no verdict.
+    assert capsys.readouterr().err == (
+        f"warning: no browser to open here; the page is {opened[0]}\n"
+    )
+
+
+def test_many_runs_get_one_page_with_trends_by_scene(
+    save_run: Make, read: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_run(Path("runs/new"), [2] * 20, started="2026-11-22T11:00:05Z")
+    save_run(Path("runs/old"), [4] * 20)
+    api.report(Path("runs/old"))
+    assert nw_eval("report", "runs/new", "runs/old", "runs/old") == 0
+    assert capsys.readouterr().out == "index of 2 runs: runs/index.html\n"
+    assert not Path("runs/new/report.html").exists()
+    page = read(Path("runs/index.html").read_text(encoding="utf-8"))
+    runs, trends = page.all("table")
+    assert [line[:1] + line[2:4] for line in runs.cells[1:]] == [
+        ["new", "INCONCLUSIVE", "hurdles"],
+        ["old", "PASS", "hurdles"],
+    ]
+    assert [each.attributes["href"] for each in runs.all("a")] == ["old/report.html"]
+    # The oldest first.
+    assert [[line[0], *line[2:]] for line in trends.cells[1:]] == [
+        ["all scenes", "-0.500", "1.000", "0.500"],
+        ["a", "-0.500", "1.000", "0.500"],
+    ]
+
+
+def test_a_damaged_run_is_named_on_the_page_of_many_and_costs_the_others_nothing(
+    save_run: Make, read: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_run(Path("good"), [4] * 20)
+    save_run(Path("bad"), [4] * 20)
+    Path("bad/run.json").write_text("{", encoding="utf-8")
+    assert nw_eval("report", "good", "bad", "--out", "list.html") == 4
+    assert "warning: not read: bad: " in capsys.readouterr().err
+    page = read(Path("list.html").read_text(encoding="utf-8"))
+    assert page.one("h1").text == "1 run"
+    assert "run.json is damaged" in page.one("header").one("li").text
+
+
+def test_what_is_no_run_is_a_mistake_of_whoever_typed_it(
+    save_run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_run(Path("one"), [4] * 20)
+    assert nw_eval("report", "one", "elsewhere") == 2
+    assert "elsewhere is not the folder of a run" in capsys.readouterr().err
+    assert not Path("index.html").exists()
+    assert nw_eval("report") == 2
+    assert nw_eval("report", "one", "one", "--junit", "x.xml") == 2
