@@ -2,7 +2,7 @@
 # make test   set up, then every check and every test
 # make check  formatting, lint, types and the arrows between rooms
 # make bench  the benchmark tables (minutes; on an idle machine)
-# make build  wheel and source archive, and a smoke run of the wheel on its own
+# make build  wheel and source archive, checked, and a smoke run of the wheel on its own
 
 PYTHON ?= python3
 VENV := .venv
@@ -36,7 +36,8 @@ bench: $(VENV)/.installed-dev
 
 build: $(VENV)/.installed-dev
 	rm -rf dist
-	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m build --sdist --wheel --outdir dist
+	$(BIN)/twine check --strict dist/*
 	$(BIN)/python tests/smoke_wheel.py dist
 
 $(BIN)/python:

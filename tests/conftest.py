@@ -11,6 +11,8 @@ from hypothesis import settings
 
 from nw_eval.machine_code.kept import folder_note
 
+pytest_plugins = ("pytester",)  # Only this file may say so.
+
 settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))

@@ -1,43 +1,111 @@
-"""Install the built wheel alone and run the smoke suite where there is no checkout.
+"""Use what was built where there is no checkout: the wheel alone, and the wheel of the archive.
 
 Run by `make build` as `python tests/smoke_wheel.py dist`.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tarfile
 import tempfile
 import venv
+import zipfile
 from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+CONSTRAINTS = ROOT / "constraints.txt"
+
+COMMANDS: tuple[tuple[tuple[int, ...], str], ...] = (
+    ((0,), "nw-eval --version"),
+    ((0,), "nw-eval check smoke"),
+    ((0,), "nw-eval baseline list"),
+    # Two trials rarely decide a gate: INCONCLUSIVE (3) is a working installation too.
+    ((0, 3), "nw-eval run smoke --trials 1 --out out"),
+    ((0, 3), "nw-eval gate out --junit junit.xml"),
+    # pytest comes beside the wheel, which brings the plugin.
+    ((0,), "python -m pip install -q --disable-pip-version-check pytest"),
+    ((0,), f"pytest -q {ROOT}/suites/smoke.yaml --nw-rounds 1 -o nw_inconclusive=pass"),
+    # The shell steps of the action, with this nw-eval.
+    (
+        (0,),
+        (
+            f"pytest -q --rootdir {ROOT}/tests/workflows --confcutdir {ROOT}/tests/workflows "
+            f"-p no:cacheprovider {ROOT}/tests/workflows/test_action.py"
+        ),
+    ),
+)
+"""What the wheel alone is asked to do, one after another in one empty folder, and how it may end.
+
+Words between spaces; none needs a shell.
+"""
+
+WRITTEN = ("out/trials.parquet", "out/report.md", "out/report.html", "out/run.json", "junit.xml")
+"""What those commands leave behind."""
 
 
 def main(dist: Path) -> None:
     (wheel,) = dist.resolve().glob("*.whl")
-    constraints = Path(__file__).resolve().parents[1] / "constraints.txt"
-    (torch,) = [line for line in constraints.read_text().splitlines() if line.startswith("torch==")]
+    (archive,) = dist.resolve().glob("*.tar.gz")
     with tempfile.TemporaryDirectory() as place:
-        venv.create(Path(place, "venv"), with_pip=True)
-        binaries = Path(place, "venv", "bin")
-        pip = [str(binaries / "pip"), "install", "-q", "--disable-pip-version-check"]
-        subprocess.run([*pip, torch], check=True)
-        subprocess.run([*pip, "-c", str(constraints), str(wheel)], check=True)
-        for arguments in (
-            ["--version"],
-            ["check", "smoke"],
-            ["baseline", "list"],
-            ["run", "smoke", "--trials", "1", "--out", str(Path(place, "out"))],
-        ):
-            code = subprocess.run(
-                [str(binaries / "nw-eval"), *arguments], cwd=place, check=False
-            ).returncode
-            # Two trials rarely decide a gate: INCONCLUSIVE (3) is a working installation too.
-            if code not in (0, 3):
-                sys.exit(f"nw-eval {' '.join(arguments)} left with exit code {code}")
-        for name in ("trials.parquet", "report.md", "report.html", "run.json"):
-            if not Path(place, "out", name).is_file():
-                sys.exit(f"the wheel's run wrote no {name}")
-    print(f"{wheel.name}: installed alone, ran the smoke suite")
+        compare(wheel, wheel_of(archive, Path(place, "archive")))
+        use(install(wheel, Path(place, "venv")), Path(place, "work"))
+    print(f"{wheel.name}: the archive's too, installed alone, ran the smoke suite")
+
+
+def wheel_of(archive: Path, place: Path) -> Path:
+    """Return the wheel that the archive's own files make."""
+    with tarfile.open(archive) as packed:
+        packed.extractall(place, filter="data")
+    (source,) = place.iterdir()
+    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(place), str(source)]
+    subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+    (wheel,) = place.glob("*.whl")
+    return wheel
+
+
+def compare(one: Path, other: Path) -> None:
+    """Refuse two wheels of different bytes, by the names of the files that differ."""
+    if one.read_bytes() == other.read_bytes():
+        return
+    with zipfile.ZipFile(one) as first, zipfile.ZipFile(other) as second:
+        entries = [
+            {info.filename: info.CRC for info in file.infolist()} for file in (first, second)
+        ]
+    names = sorted({name for name, _ in entries[0].items() ^ entries[1].items()})
+    sys.exit(f"{one.name}: the archive makes another wheel: {', '.join(names) or 'other bytes'}")
+
+
+def install(wheel: Path, place: Path) -> Path:
+    """Return the folder of programs of a new environment that has the wheel and nothing else."""
+    (torch,) = [line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch==")]
+    venv.create(place, with_pip=True)
+    pip = [str(place / "bin" / "pip"), "install", "-q", "--disable-pip-version-check"]
+    elsewhere = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run([*pip, torch], check=True, env=elsewhere)
+    subprocess.run([*pip, "-c", str(CONSTRAINTS), str(wheel)], check=True, env=elsewhere)
+    return place / "bin"
+
+
+def use(programs: Path, folder: Path) -> None:
+    """Run the commands in an empty folder, with an empty cache and no variables of this process."""
+    folder.mkdir()
+    environment = {
+        "PATH": os.pathsep.join((str(programs), os.defpath)),
+        "HOME": str(folder.parent),
+        "NW_EVAL_CACHE": str(folder.parent / "cache"),
+    }
+    for codes, command in COMMANDS:
+        program, *arguments = command.split()
+        code = subprocess.run(
+            [str(programs / program), *arguments], cwd=folder, env=environment, check=False
+        ).returncode
+        if code not in codes:
+            sys.exit(f"{command} left with exit code {code}")
+    for name in WRITTEN:
+        if not (folder / name).is_file():
+            sys.exit(f"the wheel's run wrote no {name}")
 
 
 if __name__ == "__main__":

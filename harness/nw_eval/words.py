@@ -28,6 +28,9 @@ Collision = Literal["terrain", "triangles"]
 Viewer = Literal["foxglove", "rerun"]
 """A program that shows logs; Lichtblick reads what Foxglove does."""
 
+Tracker = Literal["wandb", "mlflow", "tensorboard"]
+"""Trackers of experiments that can show a run, each by the name of its library and extra."""
+
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 """Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
 

@@ -42,6 +42,9 @@ NOT_RUN = MappingProxyType(
             "a thousand trials; test_baselines.py saves smaller banks"
         ),
         "nw-eval run hurdles --policy my-policy --baseline go1-parkour": "against that bank",
+        "nw-eval run hurdles --policy my-policy --track wandb": (
+            "test_trackers.py and tests/report/trackers track runs"
+        ),
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",

@@ -49,6 +49,7 @@ def found():
             SceneParting(scene=None, policy=1, at=weak, shown=False),
         ),
         waypoints=18,
+        shared=True,
         left_out=3,
     )
 

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from nw_eval.reporting.markdown import escaped, markdown_table
+from nw_eval.reporting.tables import Table
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -231,8 +234,9 @@ def test_a_token_that_may_not_write_or_is_missing_is_a_warning(
 def test_what_nw_eval_writes_of_strangers_names_is_posted(
     post: Any, repository: Repository
 ) -> None:
-    from nw_eval.reporting.markdown import escaped
-
     evil = "<b> @maintainer #12 `code` [a](http://b) &lt; \\<i> \x1b \u202e www.x :tada: ` ``@x"
-    assert post(f"{MARK}\n# {escaped(evil)}\n\n| {escaped(evil)} |\n") == ""
+    table = Table(
+        title="x", columns=("name", "replay"), rows=((evil, evil),), code=frozenset({"replay"})
+    )
+    assert post(f"{MARK}\n# {escaped(evil)}\n\n{markdown_table(table)}\n") == ""
     assert len(repository.comments) == 1

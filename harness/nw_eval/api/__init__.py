@@ -46,13 +46,19 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
-from nw_eval.api.running.surfaces import Published, Surfaces, publish, publish_error
+from nw_eval.api.running.surfaces import (
+    Published,
+    Surfaces,
+    check_surfaces,
+    publish,
+    publish_error,
+)
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
-from nw_eval.api.suites import ListedSuite, list_suites
+from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
 from nw_eval.request import Request
 
 __all__ = [
@@ -73,6 +79,7 @@ __all__ = [
     "SavedBaseline",
     "ServedPolicy",
     "ShownBaseline",
+    "ShownSuite",
     "Surfaces",
     "TrialPlan",
     "WarmUp",
@@ -83,6 +90,7 @@ __all__ = [
     "check_baseline",
     "check_policy",
     "check_scenes",
+    "check_surfaces",
     "compare",
     "diff_baselines",
     "draw_sensors",
@@ -116,6 +124,7 @@ __all__ = [
     "show_baseline",
     "show_policy",
     "show_scene",
+    "show_suite",
     "splat_convert",
     "splat_info",
     "splat_render",

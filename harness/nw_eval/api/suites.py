@@ -1,7 +1,8 @@
-"""Suites: listed."""
+"""Suites: listed, and shown."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -32,6 +33,54 @@ def list_suites() -> tuple[ListedSuite, ...]:
     from nw_eval.files.shipped import available
 
     return tuple(_listed(name, path) for name, path in available("suites").items())
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownSuite:
+    """What a suite's file runs, and on which of its lines, from 1, that stands."""
+
+    name: str
+    file: str
+    """As it was asked for."""
+    scenes: Mapping[str, int]
+    """The line that names a scene, by the scene's name; in the order in which they are run."""
+    gate: int
+    """The line of the gate; of the first setting where there is none."""
+    baseline: str | None
+    """The bank that it names."""
+
+
+def show_suite(suite: str | Path) -> ShownSuite:
+    """Return what a suite's file runs, without looking at its policy.
+
+    Args:
+        suite: a file, or the name of a shipped suite.
+
+    Raises:
+        UsageError: there is no such suite.
+        SuiteError: what is wrong with the file and its scenes, all of it.
+    """
+    from nw_eval.api.running.faults import Faults, open_scenes
+    from nw_eval.catalogue import open_scene, references
+    from nw_eval.suite import draft_suite
+
+    draft = draft_suite(suite)
+    faults = Faults(draft)
+    open_scenes(draft, faults, None)
+    faults.raise_any()
+    assert draft.suite is not None, "a suite that cannot be used has faults"
+    places = draft.source.places
+    scenes: dict[str, int] = {}
+    for index, pattern in draft.scenes.items():
+        for each in references([pattern], draft.base):
+            scenes.setdefault(open_scene(*each).name, places["scenes", index][0])
+    return ShownSuite(
+        name=draft.suite.name,
+        file=draft.source.file,
+        scenes=scenes,
+        gate=places.get(("gate",), (1, 1))[0],
+        baseline=draft.suite.gate.baseline,
+    )
 
 
 def _listed(name: str, path: Path) -> ListedSuite:

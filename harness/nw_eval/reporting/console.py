@@ -53,7 +53,7 @@ def print_tables(
 ) -> None:
     """Print the tables of a summary; arguments as of `print_summary`."""
     for table in all_tables(run, rows, verdict, folder, brief=True):
-        _draw(console, table)
+        draw(console, table)
 
 
 def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
@@ -64,7 +64,8 @@ def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
         console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
 
 
-def _draw(console: Console, table: Table) -> None:
+def draw(console: Console, table: Table) -> None:
+    """Draw a table, and beneath it what of it is to be typed."""
     from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text

@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval.errors import Problem, SuiteError, UsageError
 from nw_eval.gate import judge
-from nw_eval.reporting.github.annotations import annotations, annotations_of_error
+from nw_eval.reporting.github.annotations import error_annotations, run_annotations
 from nw_eval.reporting.github.commands import END_GROUP, begin_group, command
 from nw_eval.reporting.suite_lines import suite_lines
 from nw_eval.suite import Gate
@@ -25,7 +25,7 @@ def test_a_regressed_run_annotates_its_gate_and_its_worst_scenes_first(
     run = make_run(dict.fromkeys(reached, 20), **of_suite)
     verdict = judge(rows, BAR, run.planned)
     lines = suite_lines(run, suite_file.parents[1])
-    shown = runner.commands("\n".join(annotations(run, verdict, lines)))
+    shown = runner.commands("\n".join(run_annotations(run, verdict, lines)))
     assert [each.name for each in shown] == ["error", "error", "error"]
     assert [(each.properties["file"], each.properties["line"]) for each in shown] == [
         ("suites/hurdles.yaml", "11"),
@@ -45,7 +45,7 @@ def test_there_are_eight_at_most(runner: Any, make_row: Any, make_run: Any) -> N
     scenes = [f"gaps/g{k:02d}" for k in range(30)]
     rows = [make_row(scene, k, 0) for scene in scenes for k in range(5)]
     run = make_run(dict.fromkeys(scenes, 5))
-    shown = annotations(run, judge(rows, BAR, run.planned), None)
+    shown = run_annotations(run, judge(rows, BAR, run.planned), None)
     assert len(shown) == 8
     assert all(each.properties.keys() == {"title"} for each in runner.commands("\n".join(shown)))
 
@@ -56,12 +56,12 @@ def test_a_run_that_passes_warns_of_weak_scenes_only(
     scenes = [f"s{k}" for k in range(8)]
     rows = [make_row(scene, k, 4) for scene in scenes for k in range(20)]
     run = make_run(dict.fromkeys(scenes, 20))
-    assert annotations(run, judge(rows, BAR, run.planned), None) == ()
+    assert run_annotations(run, judge(rows, BAR, run.planned), None) == ()
     rows += [make_row("bad", k, 1) for k in range(5)]
     run = make_run({**dict.fromkeys(scenes, 20), "bad": 5})
     verdict = judge(rows, BAR, run.planned)
     assert verdict.verdict == "PASS"
-    (shown,) = runner.commands("\n".join(annotations(run, verdict, None)))
+    (shown,) = runner.commands("\n".join(run_annotations(run, verdict, None)))
     assert (shown.name, shown.properties["title"]) == ("warning", "weak: bad")
 
 
@@ -71,7 +71,7 @@ def test_every_fault_of_a_suite_is_at_its_own_line(runner: Any, tmp_path: Path) 
         Problem(file=str(file), line=3, column=5, message="no scene 'x'", fix="name one")
         for file in files
     ]
-    shown = runner.commands("\n".join(annotations_of_error(SuiteError(faults), tmp_path)))
+    shown = runner.commands("\n".join(error_annotations(SuiteError(faults), tmp_path)))
     assert shown[0].properties == {
         "file": "suites/a.yaml",
         "line": "3",
@@ -79,7 +79,7 @@ def test_every_fault_of_a_suite_is_at_its_own_line(runner: Any, tmp_path: Path) 
         "title": "nw-eval",
     }
     assert shown[1].properties == {"title": "nw-eval"}
-    (plain,) = annotations_of_error(UsageError("no suite 'x'", fix="y"), tmp_path)
+    (plain,) = error_annotations(UsageError("no suite 'x'", fix="y"), tmp_path)
     assert plain == "::error title=nw-eval::no suite 'x'; y"
 
 
@@ -103,7 +103,7 @@ def test_strangers_names_are_text_in_an_annotation(
 ) -> None:
     rows = [make_row(f"s{evil}", 0, None, error_text=evil)]
     run = make_run({rows[0].scene: 1}, suite={"name": evil})
-    log = "\n".join(annotations(run, judge(rows, BAR, run.planned), None))
+    log = "\n".join(run_annotations(run, judge(rows, BAR, run.planned), None))
     shown = runner.commands(log)
     assert [each.name for each in shown] == ["error", "error"]
     assert len(log.splitlines()) == 2

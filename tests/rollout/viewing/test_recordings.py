@@ -1,5 +1,6 @@
 """`nw-eval replay LOG --rrd`: a log as Rerun's own, read back by Rerun."""
 
+import resource
 from collections import defaultdict
 
 import numpy as np
@@ -206,6 +207,18 @@ def test_a_damaged_log_is_an_error_of_one_line_and_leaves_no_file(
         main(["replay", str(broken), "--rrd", str(out)])
     assert ended.value.code == 4
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_disk_that_takes_no_more_is_an_error_of_storage_and_leaves_no_file(walked_log, tmp_path):
+    out = tmp_path / "large.rrd"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with pytest.raises(StoreError, match=r"large\.rrd.*Rerun could not write all of it"):
+            write_recording(walked_log, out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_stranger_s_words_are_one_part_of_an_entity_and_no_more(walked_log, tmp_path):

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.gate.verdict import Verdict
+    from nw_eval.reporting.html.evidence import Evidence
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
@@ -32,6 +33,8 @@ class RunReport:
     """Its report in Markdown; None if none was written."""
     html: Path | None = None
     """The same for a browser, in one file beside it; None if none was written."""
+    evidence: Evidence | None = None
+    """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
     """The bank that it was compared with."""
 
@@ -39,6 +42,11 @@ class RunReport:
     def interrupted(self) -> bool:
         """Whether a signal ended it."""
         return self.info.interrupted
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing speaks against the policy: PASS, or RAN where the suite has no bar."""
+        return self.exit_code == 0
 
     @property
     def exit_code(self) -> int:
@@ -59,6 +67,10 @@ class RunReport:
     def typed_html(self) -> Path | None:
         """The page for a browser as one would type it here."""
         return None if self.html is None else typed(self.html)
+
+    def __repr__(self) -> str:
+        """Return a line; thousands of rows would say no more."""
+        return f"RunReport({self.verdict.verdict}, {str(self.typed_folder)!r})"
 
 
 def report(run: str | Path, *, out: Path | None = None) -> RunReport:
@@ -181,7 +193,7 @@ def _written(judged: RunReport, out: Path) -> RunReport:
     texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
     for path, text in texts.items():
         write_report(path, text)
-    return replace(judged, page=page, html=html)
+    return replace(judged, page=page, html=html, evidence=evidence)
 
 
 def _pages(out: Path) -> tuple[Path, Path]:

@@ -1,4 +1,4 @@
-"""Where a judged run is shown besides its report: a JUnit file, GitHub's runner, a comment.
+"""Where a judged run is shown besides its report: JUnit, GitHub's runner, a comment, trackers.
 
 None of them is worth a verdict. Whatever keeps one from being written is a warning, and changes no
 exit code.
@@ -13,8 +13,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.running.tracking import track_run
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
+from nw_eval.words import Tracker
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -30,6 +32,8 @@ class Surfaces:
     """GitHub's runner, as the environment describes it: summary, outputs, annotations."""
     comment: Path | None = None
     """A file of Markdown, short enough for a comment on a pull request."""
+    track: tuple[Tracker, ...] = ()
+    """Trackers of experiments."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +46,19 @@ class Published:
     """A line for each that does not, with the reason."""
     commands: tuple[str, ...] = ()
     """Lines that GitHub's runner reads from standard output: annotations."""
+
+
+def check_surfaces(where: Surfaces) -> None:
+    """Check, before anything runs, that what is asked for is there.
+
+    Raises:
+        UsageError: there is no such tracker.
+        PrerequisiteError: its extra is not installed.
+    """
+    if where.track:
+        from nw_eval.reporting.trackers import check_trackers
+
+        check_trackers(where.track)
 
 
 def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None) -> Published:
@@ -64,6 +81,7 @@ def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None)
             ("step outputs", partial(_write_outputs, _outputs(judged, code))),
             ("annotations", partial(_annotations, judged)),
         ]
+    writers += [(f"{name} run", partial(track_run, judged, name)) for name in where.track]
     return _write_all(writers)
 
 
@@ -163,19 +181,19 @@ def _write_outputs(outputs: dict[str, str]) -> None:
 
 
 def _annotations(judged: RunReport) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import annotations
+    from nw_eval.reporting.github.annotations import run_annotations
     from nw_eval.reporting.github.runner import runner_of
     from nw_eval.reporting.suite_lines import suite_lines
 
     lines = suite_lines(judged.info, runner_of(os.environ).workspace)
-    return annotations(judged.info, judged.verdict, lines)
+    return run_annotations(judged.info, judged.verdict, lines)
 
 
 def _annotations_of_error(error: NwEvalError) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import annotations_of_error
+    from nw_eval.reporting.github.annotations import error_annotations
     from nw_eval.reporting.github.runner import runner_of
 
-    return annotations_of_error(error, runner_of(os.environ).workspace)
+    return error_annotations(error, runner_of(os.environ).workspace)
 
 
 def _write(path: Path, content: bytes) -> None:

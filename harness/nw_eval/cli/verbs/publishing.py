@@ -6,12 +6,15 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, cast
+
+import tyro
 
 from nw_eval.errors import NwEvalError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.api import Published, RunReport, Surfaces
+    from nw_eval.words import Tracker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,10 @@ class Publishing:
     """Write nothing of that, also there."""
     comment: Path | None = None
     """Write the Markdown of a comment on a pull request here; nothing is posted."""
+    track: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
+    ] = ()
+    """Show the run in a tracker, on the run of its checkpoint: wandb, mlflow, tensorboard."""
 
     def publishing(self, suite: str, verb: Callable[[], tuple[RunReport, int]]) -> int:
         """Run what gives a judged run and an exit code, show it, and return the code.
@@ -39,6 +46,7 @@ class Publishing:
 
         where = self._surfaces()
         try:
+            api.check_surfaces(where)
             judged, code = verb()
         except NwEvalError as error:
             _tell(api.publish_error(error, suite, where))
@@ -61,7 +69,14 @@ class Publishing:
     def _surfaces(self) -> Surfaces:
         from nw_eval import api
 
-        return api.Surfaces(junit=self.junit, github=self.on_github, comment=self.comment)
+        words = ",".join(self.track).split(",")
+        names = dict.fromkeys(word.strip() for word in words if word.strip())
+        return api.Surfaces(
+            junit=self.junit,
+            github=self.on_github,
+            comment=self.comment,
+            track=cast("tuple[Tracker, ...]", tuple(names)),  # Whether they are: `check_surfaces`.
+        )
 
 
 def _tell(published: Published) -> None:

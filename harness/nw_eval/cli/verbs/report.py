@@ -56,9 +56,10 @@ class Report(Publishing):
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
-        if self.junit is not None or self.comment is not None or self.github:
+        if self.junit is not None or self.comment is not None or self.github or self.track:
             raise UsageError(
-                "--junit, --github and --comment are of one run", fix="name one, or drop them"
+                "--junit, --github, --comment and --track are of one run",
+                fix="name one, or drop them",
             )
         found = api.index_runs(self.runs, out=self.out)
         for sentence in found.unread:

@@ -17,7 +17,7 @@ MOST = 8
 """Annotations of a run. GitHub shows ten of a kind and step, and drops others without a word."""
 
 
-def annotations(run: RunInfo, verdict: Verdict, lines: SuiteLines | None) -> tuple[str, ...]:
+def run_annotations(run: RunInfo, verdict: Verdict, lines: SuiteLines | None) -> tuple[str, ...]:
     """Return commands: an error for a verdict that is no pass, and one for each scene to look at.
 
     A scene that makes the verdict is an error, one that is weak in a run that passes is a warning.
@@ -42,7 +42,7 @@ def annotations(run: RunInfo, verdict: Verdict, lines: SuiteLines | None) -> tup
     return tuple(shown[:MOST])
 
 
-def annotations_of_error(error: NwEvalError, root: Path) -> tuple[str, ...]:
+def error_annotations(error: NwEvalError, root: Path) -> tuple[str, ...]:
     """Return commands for an error that kept a run from a verdict: one for each fault of a file.
 
     Args:

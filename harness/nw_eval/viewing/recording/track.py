@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,19 @@ class Track:
         scalars = self.rr.Scalars.columns(scalars=rows.astype(np.float64).ravel())
         self.moves(entity, times, scalars.partition([rows.shape[1]] * len(rows)))
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._stream.flush()
-        self._stream.disconnect()
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        """Finish the file.
+
+        Raises:
+            OSError: the disk did not take it.
+        """
+        try:
+            if error is None:
+                self._stream.flush()
+        except RuntimeError as lost:  # Rerun writes in a thread, which has told stderr why it died.
+            raise OSError("Rerun could not write all of it") from lost
+        finally:
+            self._stream.disconnect()

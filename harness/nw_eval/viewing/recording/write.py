@@ -74,16 +74,15 @@ def _write(
     trial = clean(logged.job.trial.id, at_most=200)
     with logged.path.open("rb") as stream:
         digest = file_digest(stream, "sha256").hexdigest()
-    track = Track(f"{trial}-{digest[:12]}", path, name=trial)
-    track.lay_out(_layout(track, messages, elements, has_splat=gaussians is not None))
-    write_place(track, messages)
-    if gaussians is not None:
-        track.stays(track.entity(WORLD, "splat"), splat_archetype(gaussians))
-    write_pictures(track, messages)
-    write_series(track, messages, elements)
-    for time, line in messages.get("/log", ()):
-        track.at(time, "log", track.rr.TextLog(line.message, level=_level(line)))
-    track.close()
+    with Track(f"{trial}-{digest[:12]}", path, name=trial) as track:
+        track.lay_out(_layout(track, messages, elements, has_splat=gaussians is not None))
+        write_place(track, messages)
+        if gaussians is not None:
+            track.stays(track.entity(WORLD, "splat"), splat_archetype(gaussians))
+        write_pictures(track, messages)
+        write_series(track, messages, elements)
+        for time, line in messages.get("/log", ()):
+            track.at(time, "log", track.rr.TextLog(line.message, level=_level(line)))
 
 
 def _layout(

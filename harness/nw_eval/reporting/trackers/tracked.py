@@ -1,0 +1,151 @@
+"""What every tracker gets of a judged run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from hashlib import sha256
+from pathlib import Path
+
+from nw_eval.clean import clean
+from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.headline import blind_spot, headline
+from nw_eval.reporting.html.evidence import Clip
+from nw_eval.reporting.trackers.keys import key_of, keys_of
+from nw_eval.results.provenance import RunInfo
+
+PROJECT = "nw-eval"
+"""The project or experiment where nothing else is said, and what keys start with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedRun:
+    """A judged run, in words and numbers that every tracker takes."""
+
+    id: str
+    """The same for the same run, another for every other; letters, digits, `_`, `-` and `.`."""
+    title: str
+    """Its name for people."""
+    place: str
+    """What the keys of its suite start with; one checkpoint may meet several suites."""
+    begun: datetime
+    ended: datetime
+    verdict: str
+    words: Mapping[str, str]
+    """What was said of it and what it is, by key."""
+    numbers: Mapping[str, float]
+    """Scores by key, finite."""
+    folder: Path
+    files: tuple[Path, ...]
+    """Its report, in all forms that there are."""
+    clips: Mapping[str, Clip]
+    """Of its worst trials, each by the name of a file."""
+
+
+def tracked_run(
+    run: RunInfo,
+    verdict: Verdict,
+    folder: Path,
+    files: tuple[Path, ...],
+    clips: Iterable[Clip] = (),
+) -> TrackedRun:
+    """Return what trackers get of a run.
+
+    Args:
+        run: the run's provenance.
+        verdict: what the gate says of it.
+        folder: the run's.
+        files: its report.
+        clips: of its worst trials.
+    """
+    begun = datetime.fromisoformat(run.started)
+    place = f"{PROJECT}/{key_of(str(run.suite.get('name', 'suite')))}"
+    numbers = _of_all(verdict) | _by_scene(verdict)
+    if verdict.against is not None:
+        numbers |= _against(verdict.against)
+    return TrackedRun(
+        id=_id(run),
+        title=clean(run.id, at_most=100),
+        place=place,
+        begun=begun,
+        ended=begun if run.finished is None else datetime.fromisoformat(run.finished),
+        verdict=verdict.verdict,
+        words={f"{place}/{key}": clean(text) for key, text in _words(run, verdict).items()},
+        numbers={
+            f"{place}/{key}": float(number)
+            for key, number in numbers.items()
+            if number is not None and math.isfinite(number)
+        },
+        folder=folder,
+        files=files,
+        clips={_file_name(clip): clip for clip in clips},
+    )
+
+
+def _id(run: RunInfo) -> str:
+    """Return a run's folder with what makes it this run: a folder's name may be used again."""
+    parts = (run.id, run.started, run.suite_digest, run.policy.checkpoint_digest)
+    digest = sha256("\n".join(parts).encode("utf-8", "surrogatepass")).hexdigest()[:12]
+    return f"{key_of(run.id).replace('/', '.')[:40]}-{digest}"
+
+
+def _file_name(clip: Clip) -> str:
+    return f"{key_of(clip.trial_id).replace('/', '.')}.{clip.mime.removeprefix('image/')}"
+
+
+def _words(run: RunInfo, verdict: Verdict) -> dict[str, str]:
+    return {
+        "verdict": verdict.verdict,
+        "headline": headline(verdict, run),
+        "blind_spot": blind_spot(verdict, run),
+        "run": run.id,
+        "suite_digest": run.suite_digest,
+        "policy": run.policy.name,
+        "card_digest": run.policy.card_digest,
+        "checkpoint_digest": run.policy.checkpoint_digest,
+        "baseline": "none" if verdict.against is None else verdict.against.bank,
+        "panel": run.panel,
+        "seed": str(run.suite.get("seed", "")),
+        "protocol": str(run.suite.get("protocol", "")),
+        "version": run.code.version,
+        "commit": run.code.commit,
+    }
+
+
+def _of_all(verdict: Verdict) -> dict[str, float | None]:
+    return {
+        "all/success": verdict.effect,
+        "all/success_low": verdict.interval.low if verdict.effect is not None else None,
+        "all/success_high": verdict.interval.high if verdict.effect is not None else None,
+        "all/completed": verdict.completed,
+        "all/trials": verdict.n,
+        "all/planned": verdict.planned,
+        "all/errors": verdict.errors,
+        "all/exit_code": verdict.exit_code,
+    }
+
+
+def _by_scene(verdict: Verdict) -> dict[str, float | None]:
+    keys = keys_of(score.scene for score in verdict.per_scene)
+    numbers: dict[str, float | None] = {}
+    for score in verdict.per_scene:
+        key = keys[score.scene]
+        numbers[f"success/{key}"] = score.mean
+        numbers[f"completed/{key}"] = score.completed
+        numbers[f"trials/{key}"] = score.n
+    return numbers
+
+
+def _against(found: Comparison) -> dict[str, float | None]:
+    keys = keys_of(scene.name for scene in found.scenes)
+    return {
+        "all/baseline": found.baseline,
+        "all/drop": found.drop,
+        "all/drop_low": None if found.interval is None else found.interval.low,
+        "all/drop_high": None if found.interval is None else found.interval.high,
+        "all/rounds": found.rounds,
+        **{f"drop/{keys[scene.name]}": scene.drop for scene in found.scenes},
+    }

@@ -1,0 +1,226 @@
+"""What becomes of a suite's tests, by its verdict."""
+
+import os
+import signal
+import xml.etree.ElementTree as ET
+from functools import partial
+
+import pytest
+
+from nw_eval import api
+from nw_eval.api.baselines import saved
+from nw_eval.engine import session
+from nw_eval.rollout import trial
+
+FLAT, HURDLE, LOGS = "flat/carpet_room", "hurdles/one_low_carpet", "hurdles/two_logs_park"
+
+
+def test_a_policy_that_passes_passes_every_test_and_a_last_line_says_by_how_much(suite, run):
+    gate = "gate: {success_rate: 0.05, confidence: 0.5}"
+    suite(scenes=[HURDLE], trials=2, duration=4.0, gate=gate)
+    done = run("tiny.yaml", "-v", "--nw-policy", "go1-parkour")
+    done.assert_outcomes(passed=2)
+    done.stdout.fnmatch_lines(
+        [
+            f"tiny.yaml::{HURDLE} PASSED*",
+            "tiny.yaml::verdict PASSED*",
+            "*- nw-eval -*",
+            "tiny.yaml: PASS * report: reports/tiny-*/report.md",
+        ]
+    )
+
+
+def test_a_suite_without_a_gate_passes_once_its_trials_have_run(suite, run):
+    suite(gate="")
+    done = run("tiny.yaml")
+    done.assert_outcomes(passed=2)
+    done.stdout.fnmatch_lines(["tiny.yaml: RAN *"])
+
+
+def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, run):
+    suite("suites/tiny.yaml", scenes=[FLAT, HURDLE], trials=4)
+    done = run("suites/tiny.yaml", "--nw-report-dir", "out")
+    done.assert_outcomes(failed=3)
+    done.stdout.fnmatch_lines(
+        [
+            "*_ tiny.yaml: flat/carpet_room _*",
+            "flat/carpet_room: below the bar 0.9 by itself; success 0.000 *completed 0 of 4",
+            "REGRESSED * success 0.000 * completed 0 of 8 trials in 2 scenes *",
+            "* success is at most *, the bar is 0.9",
+            "Success by scene",
+            f" {FLAT} *",
+            "nw-eval replay out/tiny-*/mcap/flat/carpet_room/flat-carpet_room-00*.mcap",
+            "report: out/tiny-*/report.md and report.html",
+            "*_ tiny.yaml: verdict _*",
+            "REGRESSED * success 0.000 *",
+            f" {HURDLE} *",
+            f"FAILED suites/tiny.yaml::{FLAT} - {FLAT}: below the bar*",
+            "FAILED suites/tiny.yaml::verdict - REGRESSED*",
+        ]
+    )
+    whole = done.stdout.str()
+    assert "Traceback" not in whole
+    assert ".py:" not in whole
+    first = whole[: whole.index("_ tiny.yaml: hurdles")]
+    assert f"\n {HURDLE} " not in first, "a scene's table is about that scene"
+
+
+def test_junit_has_a_sentence_for_a_message_and_the_figures_as_properties(suite, run, pytester):
+    suite(scenes=[FLAT], trials=4)
+    run("tiny.yaml", "--junitxml", "out.xml", "-o", "junit_family=xunit1")
+    scene, verdict = ET.parse(pytester.path / "out.xml").iter("testcase")
+    assert (scene.get("classname"), scene.get("name")) == ("tiny.yaml", FLAT)
+    assert (scene.get("file"), scene.get("line")) == ("tiny.yaml", "7"), "counted from 0"
+    message = scene.find("failure").get("message")
+    assert message.startswith(f"{FLAT}: below the bar 0.9 by itself")
+    assert "\n" not in message
+    assert "nw-eval replay " in scene.find("failure").text
+    properties = {each.get("name"): each.get("value") for each in verdict.iter("property")}
+    assert (properties["verdict"], properties["trials"], properties["bar"]) == (
+        "REGRESSED",
+        "4",
+        "0.9",
+    )
+    assert properties["report"].endswith("/report.md")
+    properties = {each.get("name"): each.get("value") for each in scene.iter("property")}
+    assert (properties["state"], float(properties["effect"])) == ("failed", 0.0)
+
+
+def test_a_scene_that_convicts_nobody_passes_where_the_verdict_fails(suite, run):
+    # Two trials say too little of either scene alone, and enough of both.
+    suite(scenes=[FLAT, HURDLE], trials=2)
+    done = run("tiny.yaml", "-v")
+    done.assert_outcomes(passed=2, failed=1)
+    done.stdout.fnmatch_lines(["tiny.yaml::verdict FAILED*"])
+
+
+def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, run, folders):
+    suite(scenes=[FLAT, HURDLE, LOGS], trials=2)
+    done = run("tiny.yaml", "-v", "-k", "flat or one_low")
+    done.assert_outcomes(failed=2, deselected=2)
+    done.stdout.fnmatch_lines([f"FAILED tiny.yaml::{FLAT} - {FLAT}: success 0.000*"])
+    (folder,) = folders()
+    assert {row.scene for row in api.report(folder).rows} == {FLAT, HURDLE}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "outcomes"),
+    [
+        ([], {"failed": 1, "passed": 1}),
+        (["-o", "nw_inconclusive=xfail"], {"xfailed": 1, "passed": 1}),
+        (["-o", "nw_inconclusive=xfail", "--runxfail"], {"failed": 1, "passed": 1}),
+        (["-o", "nw_inconclusive=pass"], {"passed": 2}),
+    ],
+)
+def test_an_inconclusive_verdict_is_what_the_ini_file_says(suite, run, arguments, outcomes):
+    suite()  # One trial cannot show that the bar is not reached.
+    done = run("tiny.yaml", "-rx", *arguments)
+    done.assert_outcomes(**outcomes)
+    done.stdout.fnmatch_lines(["tiny.yaml: INCONCLUSIVE *"])
+    if "xfailed" in outcomes:
+        done.stdout.fnmatch_lines(["XFAIL tiny.yaml::verdict - INCONCLUSIVE *"])
+
+
+def test_a_trial_without_a_result_is_an_error_of_its_scene_and_of_the_verdict(
+    suite, run, monkeypatch
+):
+    opened = trial.open_trial
+
+    def open_one(job, *rest):
+        if job.trial.scene == HURDLE:
+            raise RuntimeError("\x1b[31mno \u202eroom\n::error::x")
+        return opened(job, *rest)
+
+    monkeypatch.setattr(trial, "open_trial", open_one)
+    suite(scenes=[FLAT, HURDLE])
+    done = run("tiny.yaml")
+    done.assert_outcomes(passed=1, errors=2)
+    done.stdout.fnmatch_lines(
+        [
+            "*ERROR at setup of tiny.yaml: hurdles/one_low_carpet*",
+            f"{HURDLE}: 1 trial ended in errors; no trial has a result",
+            "INFRASTRUCTURE *",
+            f"ERROR tiny.yaml::{HURDLE} - {HURDLE}: 1 trial end*",
+            "ERROR tiny.yaml::verdict - INFRASTRUCTURE *",
+        ]
+    )
+    whole = done.stdout.str()
+    assert "Traceback" not in whole
+    assert "\x1b" not in whole
+    assert "\u202e" not in whole
+    assert r"\u202eroom" in whole
+    assert not any(line.startswith("::error") for line in done.outlines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--nw-policy", "go1-parkur"], "*unknown policy 'go1-parkur'*go1-parkour*"),
+        (["--nw-baseline", "nobody"], "*suite 'tiny' has no bank 'nobody'*"),
+        (["--nw-report-dir", "tiny.yaml"], "*cannot make *tiny.yaml*"),
+    ],
+)
+def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
+    suite, run, folders, arguments, sentence
+):
+    suite()
+    done = run("tiny.yaml", *arguments)
+    done.assert_outcomes(errors=2)
+    done.stdout.fnmatch_lines(["*ERROR at setup of tiny.yaml: verdict*", sentence])
+    assert "Traceback" not in done.stdout.str()
+    assert "During handling" not in done.stdout.str()
+    assert folders() == []
+
+
+def test_ctrl_c_ends_the_session_and_says_how_the_run_goes_on(
+    suite, pytester, monkeypatch, folders
+):
+    opened = trial.open_trial
+
+    def open_and_interrupt(job, *rest):
+        os.kill(os.getpid(), signal.SIGINT)
+        return opened(job, *rest)
+
+    monkeypatch.setattr(trial, "open_trial", open_and_interrupt)
+    monkeypatch.setattr(api, "run", partial(api.run, in_process=True))
+    suite(trials=3)
+    done = pytester.runpytest_inprocess(
+        "-p", "nw_eval.pytest_plugin", "tiny.yaml", no_reraise_ctrlc=True
+    )
+    assert done.ret == pytest.ExitCode.INTERRUPTED
+    done.stdout.fnmatch_lines(["*interrupted; continue with nw-eval run --resume reports/tiny-*"])
+    (folder,) = folders()
+    assert 0 < len(api.report(folder).rows) < 3, "what had ended is kept"
+
+
+def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
+    suite, run, pytester, monkeypatch, folders, other
+):
+    monkeypatch.setattr(saved, "STARTS", 1)
+    monkeypatch.setattr(session, "carry_out", partial(session.carry_out, in_process=True))
+    suite(gate="gate: {max_drop: 0.1, rounds: 1}")
+    arguments = ("tiny.yaml", "-v", "-rfs", "--nw-update-baseline")
+    first = run(*arguments)
+    first.assert_outcomes(skipped=1, failed=1)
+    bank = "reports/baselines/tiny/stand.parquet"
+    first.stdout.fnmatch_lines(
+        [
+            f"bank {bank} is new: stand, 1 start in each scene",
+            "Look at what has changed, commit it, and run again without --nw-update-baseline.",
+            f"FAILED tiny.yaml::verdict - bank {bank} is new*",
+            "SKIPPED * the bank is being saved",
+        ]
+    )
+    content = (pytester.path / bank).read_bytes()
+    run(*arguments).assert_outcomes(skipped=1, passed=1)
+    assert (pytester.path / bank).read_bytes() == content
+
+    same = run("tiny.yaml", "--nw-baseline", "stand")
+    same.assert_outcomes(passed=2)
+    same.stdout.fnmatch_lines(["tiny.yaml: PASS * baseline stand is the same policy *"])
+    (judged,) = [api.report(folder) for folder in folders() if (folder / "bank").exists()]
+    assert judged.rows == (), "nothing had to run"
+
+    worse = run("tiny.yaml", "--nw-baseline", "stand", "--nw-policy", other)
+    worse.assert_outcomes(errors=2)
+    worse.stdout.fnmatch_lines(["*no policy can be worse by max_drop 0.1*"])
