@@ -11,7 +11,7 @@ from nw_eval.stats.bank.curve import (
 )
 from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
-from nw_eval.stats.bank.interval import drop_interval
+from nw_eval.stats.bank.interval import drop_interval, scene_drop_intervals
 from nw_eval.stats.bank.order import order_of_starts
 from nw_eval.stats.bank.outlook import progress_after
 from nw_eval.stats.bank.panel import Bank
@@ -35,4 +35,5 @@ __all__ = [
     "progress_after",
     "progress_at",
     "rounds_for",
+    "scene_drop_intervals",
 ]

@@ -19,6 +19,7 @@ NeurIPS 33 (2020), arXiv 2006.04347, section 2; J. Ville, "Etude critique de la 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,11 +33,14 @@ from nw_eval.stats.bank.evidence import (
     below,
     mean_of,
 )
-from nw_eval.stats.bank.panel import Bank, Floats
+from nw_eval.stats.bank.panel import Bank, Floats, Places
 from nw_eval.stats.interval import Interval
 
 _PARTS, _TIMES = 32, 6
 """Of how many parts each search keeps one, and how often: to 2 / 32^6, under 1e-8."""
+
+_TIMES_ALONE = 3
+"""For scenes alone, of which there may be many: to 2 / 32^3, under 1e-4."""
 
 
 def drop_interval(
@@ -64,20 +68,76 @@ def drop_interval(
     Raises:
         ValueError: there are more rounds than starts.
     """
+    lows, highs = _ends(
+        replace(bank, means=bank.means[None, None]),
+        candidate[:, None, None],
+        baseline[:, None, None],
+        (alpha_pass, alpha_regr),
+        _TIMES,
+    )
+    return Interval(float(lows[0]), float(highs[0]))
+
+
+def scene_drop_intervals(
+    bank: Bank,
+    candidate: Floats,
+    baseline: Floats,
+    *,
+    alpha_pass: float = 0.05,
+    alpha_regr: float = 0.01,
+) -> tuple[Interval, ...]:
+    """Return for each scene the drops in it that its own R trials do not rule out.
+
+    Each is the interval of `drop_interval` for a bank of that scene alone, to 1e-4: of many, some
+    miss.
+
+    Args:
+        bank: as for `drop_interval`, and so are the others.
+        candidate: c, shape (R, S).
+        baseline: b, shape (R, S).
+        alpha_pass: for each scene.
+        alpha_regr: for each scene.
+
+    Raises:
+        ValueError: there are more rounds than starts.
+    """
+    lows, highs = _ends(
+        replace(bank, means=bank.means[:, None, None]),
+        candidate[:, :, None, None],
+        baseline[:, :, None, None],
+        (alpha_pass, alpha_regr),
+        _TIMES_ALONE,
+    )
+    return tuple(map(Interval, lows.tolist(), highs.tolist()))
+
+
+def _ends(
+    bank: Bank, candidate: Floats, baseline: Floats, alphas: tuple[float, float], times: int
+) -> tuple[Floats, Floats]:
+    """Return the low and the high ends of G intervals, each shape (G,).
+
+    Args:
+        bank: means of shape (G, 1, S); the axis of one is for the drops that are asked about.
+        candidate: c, shape (R, G, 1, S).
+        baseline: b, likewise.
+        alphas: alpha_pass and alpha_regr.
+        times: how often a search keeps one part.
+    """
     missing = np.isnan(candidate)
     worst, best = np.where(missing, 0.0, candidate), np.where(missing, 1.0, candidate)
     ups = [above(bank, c, b) for c, b in zip(worst, baseline, strict=True)]
     downs = [below(bank, c, b) for c, b in zip(best, baseline, strict=True)]
-    least, most = float(bank.mean[0]) - 1.0, float(bank.mean[0])
+    most = bank.mean[:, 0, 0]
+    alpha_pass, alpha_regr = alphas
 
-    def too_small(drops: Floats) -> Truths:
-        return _after_all(against_at_most(bank, drops), downs) >= 1.0 / alpha_regr
+    def not_too_small(drops: Floats) -> Truths:
+        return ~(_after_all(against_at_most(bank, drops), downs) >= 1.0 / alpha_regr)
 
     def too_large(drops: Floats) -> Truths:
         return _after_all(against_at_least(bank, drops), ups) >= 1.0 / alpha_pass
 
-    ends = _first(lambda drops: ~too_small(drops), least, most), _first(too_large, least, most)
-    return Interval(min(ends), max(ends))
+    ends = [_first(holds, most - 1.0, most, times) for holds in (not_too_small, too_large)]
+    return np.minimum(*ends), np.maximum(*ends)
 
 
 def _after_all(gamblers: Gamblers, rounds: Sequence[Sequence[Floats]]) -> Floats:
@@ -86,14 +146,25 @@ def _after_all(gamblers: Gamblers, rounds: Sequence[Sequence[Floats]]) -> Floats
     return mean_of(gamblers)
 
 
-def _first(holds: Callable[[Floats], Truths], low: float, high: float) -> float:
-    """Return where something begins to hold, that then goes on to hold; `high` if nowhere."""
-    for _ in range(_TIMES):
-        points = np.linspace(low, high, _PARTS + 1)
-        found = np.flatnonzero(holds(points))
-        if not found.size:
-            return high
-        if found[0] == 0:
-            return low
-        low, high = float(points[found[0] - 1]), float(points[found[0]])
+def _first(holds: Callable[[Floats], Truths], low: Floats, high: Floats, times: int) -> Floats:
+    """Return where something begins to hold, that then goes on to hold; `high` if nowhere.
+
+    Args:
+        holds: of drops of shape (G, P).
+        low: shape (G,).
+        high: shape (G,).
+        times: how often one of the parts is kept.
+    """
+    for _ in range(times):
+        points = np.linspace(low, high, _PARTS + 1, axis=-1)
+        found = holds(points)
+        first = found.argmax(axis=-1)  # 0 where it holds nowhere, too.
+        last = np.where(found.any(axis=-1), first, _PARTS)
+        begins = found[:, 0]
+        high = np.where(begins, low, _at(points, last))
+        low = np.where(begins | ~found.any(axis=-1), high, _at(points, last - 1))
     return high
+
+
+def _at(points: Floats, places: Places) -> Floats:
+    return np.take_along_axis(points, places[:, None], axis=-1)[:, 0]
