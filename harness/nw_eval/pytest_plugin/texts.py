@@ -23,7 +23,7 @@ def verdict_text(judged: RunReport) -> str:
     from nw_eval.reporting.tables.success import scenes_table
 
     verdict = judged.verdict
-    tables = (baseline_table(verdict.against), scenes_table(verdict))
+    tables = (baseline_table(verdict.against, brief=True), scenes_table(verdict))
     return _text(judged, tables, judged.rows)
 
 
@@ -36,7 +36,7 @@ def scene_text(judged: RunReport, state: SceneState) -> str:
     verdict = judged.verdict
     tables = [scenes_table(replace(verdict, per_scene=(state.score,)))]
     if verdict.against is not None:
-        tables.insert(0, baseline_table(replace(verdict.against, scenes=state.drops)))
+        tables.insert(0, baseline_table(replace(verdict.against, scenes=state.drops), brief=True))
     # The notes speak of all scenes.
     alone = [replace(table, note="") for table in tables]
     rows = [row for row in judged.rows if row.scene == state.scene]

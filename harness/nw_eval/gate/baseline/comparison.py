@@ -47,6 +47,9 @@ class SceneDrop:
     """E_s; 1 for an informational scene, which is not judged."""
     named: bool
     """Whether it fell, beyond doubt."""
+    interval: Interval | None = None
+    """Drops in this scene that its own trials do not rule out, at the errors of the verdict; of
+    many scenes some miss. None where it is not judged, or before a report is asked for."""
     waypoint: int | None = None
     """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
     have, or that speaks most of a policy that was convicted."""

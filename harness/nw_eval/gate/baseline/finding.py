@@ -17,7 +17,15 @@ from nw_eval.gate.baseline.comparison import Basis
 from nw_eval.gate.baseline.rounds import Rounds, scores_of
 from nw_eval.results.bank import Panel, Stratum
 from nw_eval.stats import Interval
-from nw_eval.stats.bank import SUSPECT, Bank, Margins, decide, drop_interval, over_rounds
+from nw_eval.stats.bank import (
+    SUSPECT,
+    Bank,
+    Margins,
+    decide,
+    drop_interval,
+    over_rounds,
+    scene_drop_intervals,
+)
 from nw_eval.suite.model import Gate
 
 _WORST = 3
@@ -39,6 +47,8 @@ class Finding:
     """Those that alone hold back a PASS."""
     interval: Interval | None = None
     """Drops that are not ruled out; None where nothing was tested."""
+    alone: Mapping[Stratum, Interval] = field(default_factory=dict)
+    """Drops in each stratum that its own trials do not rule out, if they were asked for."""
 
     @property
     def worst(self) -> tuple[Stratum, ...]:
@@ -58,7 +68,13 @@ def margins_of(gate: Gate) -> Margins:
 
 
 def find(
-    rounds: Rounds, judged: Sequence[Stratum], panel: Panel, basis: Basis, gate: Gate
+    rounds: Rounds,
+    judged: Sequence[Stratum],
+    panel: Panel,
+    basis: Basis,
+    gate: Gate,
+    *,
+    alone: bool = False,
 ) -> Finding:
     """Return what whole rounds show.
 
@@ -68,6 +84,7 @@ def find(
         panel: of the baseline.
         basis: what the panel is to the rounds.
         gate: margins, errors and tiers.
+        alone: whether to ask what drops of each stratum its own trials do not rule out.
 
     Raises:
         IncomparableError: the baseline does not score so much as max_drop: nobody could drop by it,
@@ -94,11 +111,15 @@ def find(
     ruling = decide(values, [gate.tier(scene) for scene, _ in judged], **alphas)
     count = ruling.rounds
     last = values[count - 1].scenes if count else np.ones(len(judged))
+    met = candidate[:count], known[:count]
     return Finding(
         word="INCONCLUSIVE" if ruling.word == "undecided" else ruling.word,
         rounds=count,
         evidence=dict(zip(judged, last.tolist(), strict=True)),
         named=tuple(judged[index] for index in ruling.named),
         waits_for=tuple(judged[index] for index in ruling.waits_for),
-        interval=drop_interval(bank, candidate[:count], known[:count], **alphas),
+        interval=drop_interval(bank, *met, **alphas),
+        alone=dict(zip(judged, scene_drop_intervals(bank, *met, **alphas), strict=True))
+        if alone and count
+        else {},
     )

@@ -66,7 +66,7 @@ def compare(
     budget = budget_of(run)
     claim = claim_of(run, bank, basis, budget)
     rounds = whole_rounds(rows, run, strata)
-    finding = find(rounds, judged, panel, basis, gate)
+    finding = find(rounds, judged, panel, basis, gate, alone=foresee)
     used = rounds.first(finding.rounds)
     parting = waypoints(finding.worst, used, panel)
     scenes = [
@@ -123,6 +123,7 @@ def _scene(
         trials=known.size,
         evidence=finding.evidence.get(stratum, 1.0),
         named=stratum in finding.named,
+        interval=finding.alone.get(stratum),
         waypoint=waypoint,
         ends=ends(stratum, rounds, panel),
     )

@@ -38,7 +38,7 @@ def all_tables(
     """
     ordered = sorted(rows, key=lambda row: row.trial_id)
     tables = (
-        baseline_table(verdict.against),
+        baseline_table(verdict.against, brief=brief),
         scenes_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
         outcomes_table(ordered),

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Bar, Table
+from nw_eval.reporting.tables.table import Bar, Table, span
+from nw_eval.stats import Interval
 from nw_eval.stats.bank import SUSPECT
 
+_ALONE = "each alone"
 _SHOWN = 1e6
 """Evidence over which a cell says only that it is over it."""
 
 
-def baseline_table(found: Comparison | None) -> Table:
-    """Return the drop in each scene, those that fell first; none without a baseline."""
+def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
+    """Return the drop in each scene, those that fell first; none without a baseline.
+
+    Args:
+        found: the comparison.
+        brief: for a terminal: without intervals.
+    """
     items = () if found is None else sorted(found.scenes, key=_order)
     tiers = any(item.tier != "supporting" for item in items)
+    alone = not brief and any(item.interval for item in items)
     return Table(
         title="Against the baseline",
         columns=(
@@ -24,16 +32,19 @@ def baseline_table(found: Comparison | None) -> Table:
             "baseline",
             "candidate",
             "drop",
+            *((_ALONE,) if alone else ()),
             "evidence",
             "fell",
             "from waypoint",
         ),
-        rows=tuple(_line(item, tiers=tiers) for item in items),
+        rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
         numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
         note="" if found is None else _note(found),
         marked="baseline",
         bars=tuple(
-            None if item.candidate is None else Bar(value=item.candidate, mark=item.baseline)
+            None
+            if item.candidate is None
+            else Bar(value=item.candidate, mark=item.baseline, interval=_left(item))
             for item in items
         ),
     )
@@ -43,7 +54,7 @@ def _order(item: SceneDrop) -> tuple[bool, float, float, str]:
     return (not item.counts, -item.evidence, -(item.drop or 0.0), item.name)
 
 
-def _line(item: SceneDrop, *, tiers: bool) -> tuple[str, ...]:
+def _line(item: SceneDrop, *, tiers: bool, alone: bool) -> tuple[str, ...]:
     return (
         item.name,
         *((item.tier,) if tiers else ()),
@@ -51,10 +62,19 @@ def _line(item: SceneDrop, *, tiers: bool) -> tuple[str, ...]:
         f"{item.baseline:.3f}",
         "none" if item.candidate is None else f"{item.candidate:.3f}",
         "" if item.drop is None else f"{item.drop:z.3f}",
+        *(("" if item.interval is None else span(item.interval),) if alone else ()),
         _evidence(item) if item.counts and item.trials else "",
         "yes" if item.named else "",
         "" if item.waypoint is None else str(item.waypoint),
     )
+
+
+def _left(item: SceneDrop) -> Interval | None:
+    """Return the candidate's success that the trials of the scene leave possible."""
+    if item.interval is None:
+        return None
+    low, high = (item.baseline - drop for drop in reversed(item.interval))
+    return Interval(max(0.0, low), min(1.0, high))
 
 
 def _evidence(item: SceneDrop) -> str:
@@ -70,8 +90,13 @@ def _note(found: Comparison) -> str:
     )
     if found.basis == "same":
         return means
+    alone = (
+        f"A drop's interval is of its scene's trials alone, {percent_sure(found.alpha_regr)} sure at "
+        f"its low end and {percent_sure(found.alpha_pass)} at its high one: of many, some miss. "
+    )
     return (
-        f"{means} Evidence is against a drop of at most {found.scene_drop:g} in that scene alone: "
+        f"{means} {alone if any(item.interval for item in found.scenes) else ''}"
+        f"Evidence is against a drop of at most {found.scene_drop:g} in that scene alone: "
         f"{judged / found.alpha_regr:.0f} names it as fallen ({plural(judged, 'scene')} share an "
         f"error of {100 * found.alpha_regr:.3g} %), and from {SUSPECT:g} on a PASS waits."
     )
