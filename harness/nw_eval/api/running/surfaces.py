@@ -48,8 +48,8 @@ class Published:
     """Lines that GitHub's runner reads from standard output: annotations."""
 
 
-def check_surfaces(where: Surfaces) -> None:
-    """Check, before anything runs, that what is asked for is there.
+def check_surfaces(where: Surfaces) -> Surfaces:
+    """Return surfaces, once it is known that what they need is there: before anything runs.
 
     Raises:
         UsageError: there is no such tracker.
@@ -59,6 +59,7 @@ def check_surfaces(where: Surfaces) -> None:
         from nw_eval.reporting.trackers import check_trackers
 
         check_trackers(where.track)
+    return where
 
 
 def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None) -> Published:

@@ -44,7 +44,7 @@ def track(run: TrackedRun) -> None:
     with TemporaryDirectory() as folder:
         for name, clip in run.clips.items():
             Path(folder, name).write_bytes(clip.data)
-        client.log_artifacts(run_id, folder, artifact_path=f"{run.place}/clips")
+            client.log_artifact(run_id, str(Path(folder, name)), artifact_path=f"{run.place}/clips")
     if not of_others:
         client.set_terminated(run_id, "FINISHED", end_time=_ms(run.ended))
 
