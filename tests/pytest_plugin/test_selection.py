@@ -53,10 +53,12 @@ def test_last_failed_runs_the_scenes_that_failed_and_then_the_verdict(suite, run
     tiers = "{success_rate: 0.9, tiers: {hurdles/one_low_carpet: critical, '*': informational}}"
     suite(scenes=[FLAT, HURDLE, LOGS], trials=4, gate=f"gate: {tiers}")
     run("tiny.yaml").assert_outcomes(failed=2, passed=2)
+    assert ran() == [{FLAT, HURDLE, LOGS}]
     suite(scenes=[FLAT, HURDLE, LOGS], gate="")
     run("tiny.yaml", "--lf").assert_outcomes(passed=1, deselected=3)
+    assert ran() == [{HURDLE}]
     run("tiny.yaml", "--lf").assert_outcomes(passed=1, deselected=3)
-    assert ran() == [{FLAT, HURDLE, LOGS}, {HURDLE}, {FLAT, HURDLE, LOGS}]
+    assert ran() == [{FLAT, HURDLE, LOGS}]
 
 
 def test_options_have_twins_in_the_ini_file_and_win_over_them(suite, run, pytester, folders, other):

@@ -108,7 +108,11 @@ def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, r
     [
         ([], {"failed": 1, "passed": 1}),
         (["-o", "nw_inconclusive=xfail"], {"xfailed": 1, "passed": 1}),
-        (["-o", "nw_inconclusive=xfail", "--runxfail"], {"failed": 1, "passed": 1}),
+        pytest.param(
+            ["-o", "nw_inconclusive=xfail", "--runxfail"],
+            {"failed": 1, "passed": 1},
+            marks=pytest.mark.nightly,
+        ),
         (["-o", "nw_inconclusive=pass"], {"passed": 2}),
     ],
 )
