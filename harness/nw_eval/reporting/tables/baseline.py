@@ -91,8 +91,8 @@ def _note(found: Comparison) -> str:
     if found.basis == "same":
         return means
     alone = (
-        f"A drop's interval is of its scene's trials alone, {percent_sure(found.alpha_regr)} sure at "
-        f"its low end and {percent_sure(found.alpha_pass)} at its high one: of many, some miss. "
+        f"A drop's interval is of its scene's trials alone, {percent_sure(found.alpha_regr)} sure "
+        f"at its low end, {percent_sure(found.alpha_pass)} at its high one: of many, some miss. "
     )
     return (
         f"{means} {alone if any(item.interval for item in found.scenes) else ''}"
