@@ -576,12 +576,9 @@ def _bank(folder):
 
     try:
         manifest, starts = json.loads((folder / "bank.json").read_bytes())
-        lines = [
-            dict(zip(starts, line, strict=True)) for line in zip(*starts.values(), strict=True)
-        ]
-        table = PlainTable(
-            metadata={"bank": json.dumps(manifest)}, columns=list(starts), lines=lines
-        )
+        lines = list(zip(*starts.values(), strict=True))
+        columns = {name: [line[place] for line in lines] for place, name in enumerate(starts)}
+        table = PlainTable(metadata={"bank": json.dumps(manifest)}, columns=columns)
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError("bank.json is no table at all") from error
     bank_of(table, folder / "gift.parquet")

@@ -7,10 +7,9 @@ what it says of scenes, starts and machines must be what it holds.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -79,11 +78,10 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
     if missing := [name for name in ("panel", *needed) if name not in table.columns]:
         raise _unusable(path, f"it lacks the columns {', '.join(missing)}")
     groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
-    for line in table.lines:
-        number = line["panel"]
+    for number, start in zip(table.columns["panel"], _starts(table, path), strict=True):
         if not (isinstance(number, int) and 0 <= number < len(groups)):
             raise _unusable(path, f"it has starts of a panel {number}, and {len(groups)} panels")
-        groups[number].append(_start(line, path))
+        groups[number].append(start)
     panels = [
         Panel(machine=info.machine, starts=tuple(starts))
         for info, starts in zip(manifest.panels, groups, strict=False)
@@ -123,12 +121,20 @@ def _manifest(text: str | None, path: Path) -> Manifest:
         raise _unusable(path, "its manifest is no JSON") from None
 
 
-def _start(line: Mapping[str, Any], path: Path) -> Start:
+def _starts(table: PlainTable, path: Path) -> Iterable[Start]:
     try:
-        values = {name: column.of_plain(line[name]) for name, column in SHARED.items()}
+        values = {
+            name: [column.of_plain(value) for value in table.columns[name]]
+            if column.is_list
+            else table.columns[name]
+            for name, column in SHARED.items()
+        }
     except (TypeError, ValueError):
         raise _unusable(path, "a perturbation holds something that is no number") from None
-    return Start(**values, trajectory=str(line["trajectory"]))
+    values["trajectory"] = [str(each) for each in table.columns["trajectory"]]
+    names = tuple(values)
+    for line in zip(*values.values(), strict=True):
+        yield Start(**dict(zip(names, line, strict=True)))
 
 
 def _misnamed(path: Path, manifest: Manifest) -> str | None:

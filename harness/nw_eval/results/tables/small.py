@@ -30,8 +30,8 @@ class PlainTable:
 
     metadata: Mapping[str, str]
     """As `sealed.metadata_of`; empty for a table of somebody else's, of which nothing is read."""
-    columns: list[str]
-    lines: list[dict[str, Any]]
+    columns: dict[str, list[Any]]
+    """All of one length."""
 
 
 def write_small_table(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> None:
@@ -93,21 +93,18 @@ def small_table(path: Path) -> PlainTable:
     try:
         data = bounded_bytes(path, _MOST_BYTES)
         if is_foreign(data):
-            return PlainTable(metadata={}, columns=[], lines=[])
+            return PlainTable(metadata={}, columns={})
         table = table_of(data, most_rows=_MOST_LINES, most_bytes=_MOST_COLUMN)
         metadata = metadata_of(table.schema)
-        lines = [
-            {
-                name: value.hex() if isinstance(value, bytes) else value
-                for name, value in row.items()
-            }
-            for row in table.to_pylist()
-        ]
+        columns = {
+            name: [value.hex() if isinstance(value, bytes) else value for value in values]
+            for name, values in table.to_pydict().items()
+        }
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
         reason = clean(error, at_most=200) or type(error).__name__
         raise StoreError(f"{path} is damaged: {reason}") from None
-    return PlainTable(metadata=metadata, columns=table.schema.names, lines=lines)
+    return PlainTable(metadata=metadata, columns=columns)
 
 
 if __name__ == "__main__":
