@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.draw import draw_starts
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.request import Request
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
@@ -117,6 +118,29 @@ def test_a_scene_that_fell_is_named_even_under_pass_and_convicts_if_critical(
     assert critical.word == "REGRESSED"
     assert critical.reasons[0] == "critical scene s03 fell from 1.00 to 0.00, from waypoint 1 on"
     assert not critical.mean_convicts
+
+
+def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
+    make_run: Make, make_bank: Make, drawn_rows: Make
+) -> None:
+    names = ["fell", "held", "seen"]
+    run = make_run(names, 20, **WAYS)
+    bank = make_bank(run, dict.fromkeys(names, [1.0] * 60))
+    rows = drawn_rows(run, {**dict.fromkeys(names, [1.0] * 6), "fell": [0.0] * 6})
+    gate = Gate(max_drop=0.5, tolerate=0.4, scene_drop=0.1, tiers={"seen": "informational"})
+    assert {item.interval for item in compare(rows, run, bank, gate).scenes} == {None}
+    found = compare(rows, run, bank, gate, foresee=True)
+    fell, held, seen = sorted(found.scenes, key=lambda item: item.scene)
+    assert fell.named
+    assert fell.interval.low > found.scene_drop
+    assert held.interval.low == 0.0
+    assert 0.1 < held.interval.high < 1.0
+    assert seen.interval is None
+    page = baseline_table(found)
+    cells = [dict(zip(page.columns, row, strict=True)) for row in page.rows]
+    assert cells[0]["each alone"] == f"{fell.interval.low:.2f} to {fell.interval.high:.2f}"
+    assert "99 % sure at its low end, 95 % at its high one" in page.note
+    assert "each alone" not in baseline_table(found, brief=True).columns
 
 
 def test_informational_scenes_are_shown_and_count_for_nothing(

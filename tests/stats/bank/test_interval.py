@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from nw_eval.stats import Interval
-from nw_eval.stats.bank import Bank, Margins, drop_interval, over_rounds
+from nw_eval.stats.bank import Bank, Margins, drop_interval, over_rounds, scene_drop_intervals
 
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 0.8, 1.0])
 campaigns = st.tuples(st.integers(1, 4), st.integers(1, 12)).flatmap(
@@ -93,3 +93,14 @@ def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may() -> None:
     assert (errors > 0).any()
     assert errors[0] <= 0.4 * len(orders)
     assert errors[1] <= 0.3 * len(orders)
+
+
+@settings(deadline=None, max_examples=40)
+@given(campaigns)
+def test_a_scene_alone_has_the_interval_of_a_bank_of_that_scene(scores: np.ndarray) -> None:
+    together = scene_drop_intervals(Bank.of(scores[0]), scores[1].T, scores[0].T)
+    for scene, found in enumerate(together):
+        one = slice(scene, scene + 1)
+        alone = interval(scores[0][one], scores[1][one])
+        assert found.low == pytest.approx(alone.low, abs=1e-4)
+        assert found.high == pytest.approx(alone.high, abs=1e-4)
