@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli.terminal.summary import summary
-from nw_eval.cli.text.forecast import forecast_page
+from nw_eval.cli.text.judging.forecast import forecast_page
 from nw_eval.errors import (
     IncomparableError,
     PrerequisiteError,

@@ -10,9 +10,9 @@ import torch
 
 from nw_eval import api
 from nw_eval.cards import load_card
-from nw_eval.cli.text.card import card_page
-from nw_eval.cli.text.policies import policy_table
-from nw_eval.cli.text.probe import probe_page
+from nw_eval.cli.text.parts.card import card_page
+from nw_eval.cli.text.parts.policies import policy_table
+from nw_eval.cli.text.parts.probe import probe_page
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.onboarding.probe.report import probe_here
 from nw_eval.onboarding.probe.rig import record

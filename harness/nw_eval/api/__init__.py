@@ -37,6 +37,13 @@ from nw_eval.api.policies import (
     serve_policy,
     show_policy,
 )
+from nw_eval.api.publishing.surfaces import (
+    Published,
+    Surfaces,
+    check_surfaces,
+    publish,
+    publish_error,
+)
 from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
@@ -46,13 +53,6 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
-from nw_eval.api.running.surfaces import (
-    Published,
-    Surfaces,
-    check_surfaces,
-    publish,
-    publish_error,
-)
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors

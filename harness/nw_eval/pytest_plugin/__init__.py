@@ -67,7 +67,7 @@ def pytest_runtest_makereport(
     """Say of a suite's test that it failed where the suite says so, not in this plugin."""
     report = yield
     if item.path.suffix in {".yaml", ".yml"}:
-        from nw_eval.pytest_plugin.crash import place_crash
+        from nw_eval.pytest_plugin.telling.crash import place_crash
 
         place_crash(report, item)
     return report
@@ -78,7 +78,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     ended = [report for reports in terminalreporter.stats.values() for report in reports]
     verdicts = [each for each in ended if getattr(each, "nodeid", "").endswith("::verdict")]
     if verdicts:
-        from nw_eval.pytest_plugin.last_lines import write_last_lines
+        from nw_eval.pytest_plugin.telling.last_lines import write_last_lines
 
         write_last_lines(terminalreporter, verdicts)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def update(suite: SuiteFile) -> None:
     """Save the bank of a suite; fail if that changed it, so that a review comes before its use."""
     from nw_eval import api
-    from nw_eval.pytest_plugin.progress import Log
+    from nw_eval.pytest_plugin.telling.progress import Log
 
     settings = suite.config.stash[SETTINGS]
     name = settings.baseline or suite.shown.baseline

@@ -88,7 +88,7 @@ class GateSuite:
             suite: a file, or the name of a shipped one.
             changes: fields of `nw_eval.Request` by name.
         """
-        from nw_eval.pytest_plugin.texts import verdict_text
+        from nw_eval.pytest_plugin.telling.texts import verdict_text
 
         judged = self._run(suite, **changes)
         word = judged.verdict.verdict

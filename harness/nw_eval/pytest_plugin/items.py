@@ -54,8 +54,8 @@ class SceneItem(SuiteItem):
 
     def setup(self) -> None:
         """Run the suite if nobody has; a scene without all of its results is an error."""
-        from nw_eval.pytest_plugin.properties import scene_properties
-        from nw_eval.pytest_plugin.texts import scene_text
+        from nw_eval.pytest_plugin.telling.properties import scene_properties
+        from nw_eval.pytest_plugin.telling.texts import scene_text
         from nw_eval.reporting.scene_states import scene_states
 
         judged = self.judged()
@@ -66,7 +66,7 @@ class SceneItem(SuiteItem):
 
     def runtest(self) -> None:
         """Fail if the scene convicts, or shares in what nobody else is here to say."""
-        from nw_eval.pytest_plugin.texts import scene_text
+        from nw_eval.pytest_plugin.telling.texts import scene_text
 
         judged = self.judged()
         if self.state.state == "failed" or self._is_blamed(judged):
@@ -92,8 +92,8 @@ class VerdictItem(SuiteItem):
 
     def setup(self) -> None:
         """Run the suite if nobody has; what can be judged by nobody is an error."""
-        from nw_eval.pytest_plugin.properties import verdict_properties
-        from nw_eval.pytest_plugin.texts import verdict_text
+        from nw_eval.pytest_plugin.telling.properties import verdict_properties
+        from nw_eval.pytest_plugin.telling.texts import verdict_text
 
         if self.config.stash[SETTINGS].update_baseline:
             return
@@ -105,7 +105,7 @@ class VerdictItem(SuiteItem):
     def runtest(self) -> None:
         """Fail unless the verdict is PASS, or RAN where the suite has no bar."""
         from nw_eval.pytest_plugin.bank import update
-        from nw_eval.pytest_plugin.texts import verdict_text
+        from nw_eval.pytest_plugin.telling.texts import verdict_text
         from nw_eval.reporting.headline import headline
 
         settings = self.config.stash[SETTINGS]

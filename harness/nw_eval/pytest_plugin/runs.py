@@ -96,7 +96,7 @@ class Runs:
         self, request: Request, *, out: Path | None = None, resume: Path | None = None
     ) -> RunReport:
         from nw_eval import api
-        from nw_eval.pytest_plugin.progress import Log
+        from nw_eval.pytest_plugin.telling.progress import Log
 
         return api.run(request, workers=self._workers, out=out, resume=resume, listener=Log())
 

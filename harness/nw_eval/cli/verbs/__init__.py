@@ -8,23 +8,23 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
-from nw_eval.cli.verbs.agree import Agree
-from nw_eval.cli.verbs.baseline import Baseline
-from nw_eval.cli.verbs.bisect import BisectSeries
 from nw_eval.cli.verbs.check import Check
-from nw_eval.cli.verbs.compare import Compare
-from nw_eval.cli.verbs.gate import GateRun
-from nw_eval.cli.verbs.ledger import Ledger
-from nw_eval.cli.verbs.plan import PlanTrials
-from nw_eval.cli.verbs.policies import Policies
+from nw_eval.cli.verbs.judging.agree import Agree
+from nw_eval.cli.verbs.judging.baseline import Baseline
+from nw_eval.cli.verbs.judging.bisect import BisectSeries
+from nw_eval.cli.verbs.judging.compare import Compare
+from nw_eval.cli.verbs.judging.gate import GateRun
+from nw_eval.cli.verbs.judging.ledger import Ledger
+from nw_eval.cli.verbs.judging.plan import PlanTrials
+from nw_eval.cli.verbs.parts.policies import Policies
+from nw_eval.cli.verbs.parts.scenes import Scenes
+from nw_eval.cli.verbs.parts.schema import Schema
+from nw_eval.cli.verbs.parts.sensors import Sensors
+from nw_eval.cli.verbs.parts.splat import Splat
+from nw_eval.cli.verbs.parts.suites import Suites
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
 from nw_eval.cli.verbs.run import Run
-from nw_eval.cli.verbs.scenes import Scenes
-from nw_eval.cli.verbs.schema import Schema
-from nw_eval.cli.verbs.sensors import Sensors
-from nw_eval.cli.verbs.splat import Splat
-from nw_eval.cli.verbs.suites import Suites
 from nw_eval.cli.verbs.warmup import Warmup
 
 Verb = (

@@ -22,7 +22,7 @@ class Check(Options):
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.forecast import forecast_page
+        from nw_eval.cli.text.judging.forecast import forecast_page
 
         print(forecast_page(api.check(self.request, workers=self.workers)))
         return 0

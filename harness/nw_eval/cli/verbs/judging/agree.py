@@ -21,7 +21,7 @@ class Agree:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.agreement import agreement_text
+        from nw_eval.cli.text.judging.agreement import agreement_text
 
         print(agreement_text(api.agree(self.real, self.runs, confidence=self.confidence)))
         return 0

@@ -33,7 +33,7 @@ class PlanTrials:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.trial_plan import trial_plan_page
+        from nw_eval.cli.text.judging.trial_plan import trial_plan_page
 
         planned = api.plan_trials(
             self.suite,

@@ -7,7 +7,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
-from nw_eval.cli.text.baselines import machine_words, stratum_words
+from nw_eval.cli.text.judging.baselines import machine_words, stratum_words
 from nw_eval.cli.text.table import aligned
 from nw_eval.plural import plural
 from nw_eval.results.bank.changes import bank_mean

@@ -17,7 +17,7 @@ class Ledger:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.ledger import ledger_page
+        from nw_eval.cli.text.judging.ledger import ledger_page
 
         print(ledger_page(api.read_ledger(self.file)))
         return 0

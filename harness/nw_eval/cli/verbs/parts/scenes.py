@@ -18,7 +18,7 @@ class List:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.scenes import scene_table
+        from nw_eval.cli.text.parts.scenes import scene_table
 
         print(scene_table(api.list_scenes(self.patterns)))
         return 0
@@ -35,7 +35,7 @@ class Show:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.scenes import scene_page
+        from nw_eval.cli.text.parts.scenes import scene_page
 
         print(scene_page(api.show_scene(self.scene, out=self.out)))
         if self.out is not None:
@@ -52,7 +52,7 @@ class Check:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.scenes import findings_text
+        from nw_eval.cli.text.parts.scenes import findings_text
         from nw_eval.errors import SceneError
 
         checked = api.check_scenes(self.scenes)

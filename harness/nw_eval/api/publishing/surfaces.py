@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.running.tracking import track_run
+from nw_eval.api.publishing.tracking import track_run
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
 from nw_eval.words import Tracker

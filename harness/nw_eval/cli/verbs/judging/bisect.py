@@ -48,7 +48,7 @@ class BisectSeries:
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.text.series import series_page
+        from nw_eval.cli.text.judging.series import series_page
 
         with RunProgress() as progress:
             series = api.bisect(

@@ -11,7 +11,7 @@ class Suites:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.suites import suite_table
+        from nw_eval.cli.text.parts.suites import suite_table
 
         print(suite_table(api.list_suites()))
         return 0

@@ -23,7 +23,7 @@ class Compare:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.comparison import comparison_text
+        from nw_eval.cli.text.judging.comparison import comparison_text
 
         found = api.compare(
             self.runs, out=self.out, picture=self.picture, confidence=self.confidence

@@ -48,7 +48,7 @@ class Save:
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.text.baseline_changes import saved_page
+        from nw_eval.cli.text.judging.baseline_changes import saved_page
         from nw_eval.errors import IncomparableError
 
         with RunProgress() as progress:
@@ -77,7 +77,7 @@ class List:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.baselines import baseline_table
+        from nw_eval.cli.text.judging.baselines import baseline_table
 
         print(baseline_table(api.list_baselines()))
         return 0
@@ -94,7 +94,7 @@ class Show:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.baselines import baseline_page
+        from nw_eval.cli.text.judging.baselines import baseline_page
 
         print(baseline_page(api.show_baseline(self.bank, suite=self.suite)))
         return 0
@@ -122,7 +122,7 @@ class Check:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.baseline_changes import checked_page
+        from nw_eval.cli.text.judging.baseline_changes import checked_page
 
         checked = api.check_baseline(
             self.bank,
@@ -149,7 +149,7 @@ class Diff:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.baseline_changes import change_page
+        from nw_eval.cli.text.judging.baseline_changes import change_page
 
         print(change_page(api.diff_baselines(self.then, self.now, suite=self.suite)))
         return 0

@@ -23,7 +23,7 @@ class Info:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.splats import splat_page
+        from nw_eval.cli.text.parts.splats import splat_page
 
         print(splat_page(api.splat_info(self.source)))
         return 0
@@ -40,7 +40,7 @@ class Convert:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.splats import written_line
+        from nw_eval.cli.text.parts.splats import written_line
 
         print(written_line(api.splat_convert(self.source, self.out)))
         return 0

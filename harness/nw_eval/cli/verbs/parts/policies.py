@@ -17,7 +17,7 @@ class List:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.policies import policy_table
+        from nw_eval.cli.text.parts.policies import policy_table
 
         print(policy_table(api.list_policies()))
         return 0
@@ -36,7 +36,7 @@ class Show:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.card import card_page
+        from nw_eval.cli.text.parts.card import card_page
 
         summary = api.show_policy(
             self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code
@@ -65,7 +65,7 @@ class Check:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.probe import probe_page
+        from nw_eval.cli.text.parts.probe import probe_page
         from nw_eval.errors import UsageError
 
         report = api.check_policy(

@@ -26,7 +26,7 @@ class Sensors:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.sensors import seen_text, sensor_list
+        from nw_eval.cli.text.parts.sensors import seen_text, sensor_list
 
         if self.names:
             print(sensor_list(api.list_sensors()))

@@ -1,0 +1,1 @@
+"""Where a judged run is shown besides its report."""

@@ -1,0 +1,1 @@
+"""Text of what judges, and of what it is judged by."""

@@ -1,0 +1,1 @@
+"""Text of what a run is made of."""

@@ -1,0 +1,1 @@
+"""Verbs that judge rows, and plan or keep what they are judged by."""

@@ -1,0 +1,1 @@
+"""What a session of pytest shows of suites."""
