@@ -86,7 +86,8 @@ FILES: tuple[StrangersFile, ...] = (
     ),
     StrangersFile(
         kind="log of a trial (MCAP)",
-        read_by="mcap, zstandard; its trial runs again in a confined process",
+        read_by="mcap, zstandard; its trial runs again, and a report reads walks and pictures, in "
+        "confined processes",
         where="both",
         may="name a built-in scene or a folder, and a policy's card, which is then a stranger's",
         refused="code, servers and renderers that its reader did not name",

@@ -15,7 +15,7 @@ from nw_eval.reporting.html import render_html
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,
     Clip,
-    Evidence,
+    LogEvidence,
     PlacePicture,
     PlaceView,
     WalkedPath,
@@ -117,7 +117,7 @@ def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
 
     def make(
         rows: Sequence[Row],
-        evidence: Evidence = NO_EVIDENCE,
+        evidence: LogEvidence = NO_EVIDENCE,
         *,
         gate: Gate | None = None,
         against: Comparison | None = None,
@@ -153,12 +153,12 @@ def compared() -> Comparison:
 
 
 @pytest.fixture
-def full_evidence() -> Callable[[Sequence[Row]], Evidence]:
+def full_evidence() -> Callable[[Sequence[Row]], LogEvidence]:
     """As much as logs could ever hold of some trials: long paths, large pictures and clips."""
 
-    def make(rows: Sequence[Row]) -> Evidence:
+    def make(rows: Sequence[Row]) -> LogEvidence:
         rng = np.random.Generator(np.random.PCG64(7))
-        return Evidence(
+        return LogEvidence(
             paths=tuple(
                 WalkedPath(
                     trial_id=row.trial_id,

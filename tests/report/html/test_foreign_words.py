@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from nw_eval.reporting.html import ListedRun, render_index
-from nw_eval.reporting.html.evidence import Clip, Evidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
 from nw_eval.results.provenance import PolicyInfo
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def nasty_page(make_page: Make, make_row: Make) -> str:
         make_row(NASTY, 2, None, trial_id=f"{NASTY}-2", error_text=NASTY),
     ]
     name = rows[0].trial_id
-    evidence = Evidence(
+    evidence = LogEvidence(
         paths=(WalkedPath(trial_id=name, points=np.zeros((2, 2))),),
         places=(PlaceView(scene=rows[0].scene, waypoints=np.zeros((1, 2))),),
         clips=(

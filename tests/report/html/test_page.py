@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.reporting.html.evidence import Clip, Evidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:
     place = PlaceView(scene="hurdles/high", waypoints=np.array([[1.0, 0.0]]), reach=0.3)
-    evidence = Evidence(
+    evidence = LogEvidence(
         paths=(walked("hurdles-high-003"), walked("hurdles-high-009"), walked("not-of-this-run")),
         places=(place, PlaceView(scene="elsewhere", waypoints=np.zeros((0, 2)))),
     )
@@ -154,7 +154,7 @@ def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(
 def test_a_clip_stands_still_until_somebody_plays_it(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:
-    page = read(make_page(rows, Evidence(clips=(CLIP,), remarks=("One log is cut short.",))))
+    page = read(make_page(rows, LogEvidence(clips=(CLIP,), remarks=("One log is cut short.",))))
     worst = page.one("section", id="worst")
     (card,) = [each for each in worst.all("li") if each.all("img")]
     assert card.one("h3").text == "hurdles-high-003"
@@ -169,7 +169,7 @@ def test_what_the_page_has_no_room_for_is_left_out_and_said(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:
     large = [replace(CLIP, trial_id=row.trial_id, data=bytes(900_000)) for row in rows[10:13]]
-    page = read(make_page(rows, Evidence(clips=tuple(large))))
+    page = read(make_page(rows, LogEvidence(clips=tuple(large))))
     assert len(page.one("section", id="worst").all("details")) == 2
     assert "1 clip left out: the page is full." in page.one("section", id="worst").text
 

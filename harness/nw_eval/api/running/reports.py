@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.gate.verdict import Verdict
-    from nw_eval.reporting.html.evidence import Evidence
+    from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
@@ -33,7 +33,7 @@ class RunReport:
     """Its report in Markdown; None if none was written."""
     html: Path | None = None
     """The same for a browser, in one file beside it; None if none was written."""
-    evidence: Evidence | None = None
+    evidence: LogEvidence | None = None
     """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
     """The bank that it was compared with."""

@@ -9,12 +9,12 @@ from nw_eval.reporting.html.evidence import (
     CLIP_BYTES,
     PICTURE_BYTES,
     Clip,
-    Evidence,
+    LogEvidence,
     PlacePicture,
 )
 
 
-def clips_that_fit(evidence: Evidence) -> tuple[dict[str, Clip], tuple[str, ...]]:
+def clips_that_fit(evidence: LogEvidence) -> tuple[dict[str, Clip], tuple[str, ...]]:
     """Return clips by trial, the first ones of `evidence`, and what was left out in words."""
     kept: dict[str, Clip] = {}
     room = CLIP_BYTES
@@ -26,7 +26,7 @@ def clips_that_fit(evidence: Evidence) -> tuple[dict[str, Clip], tuple[str, ...]
     return kept, _left_out(len(evidence.clips) - len(kept), "clip")
 
 
-def pictures_that_fit(evidence: Evidence) -> tuple[Mapping[str, PlacePicture], tuple[str, ...]]:
+def pictures_that_fit(evidence: LogEvidence) -> tuple[Mapping[str, PlacePicture], tuple[str, ...]]:
     """Return pictures by scene, and what was left out in words; the smallest come first."""
     pictured = {each.scene: each.picture for each in evidence.places if each.picture is not None}
     kept: dict[str, PlacePicture] = {}

@@ -85,7 +85,7 @@ class Clip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence:
+class LogEvidence:
     """All of it, in any order; at most one path and one clip of a trial, one place of a scene."""
 
     paths: tuple[WalkedPath, ...] = ()
@@ -96,5 +96,5 @@ class Evidence:
     """Sentences on what could not be shown and why; may hold a stranger's text."""
 
 
-NO_EVIDENCE = Evidence()
+NO_EVIDENCE = LogEvidence()
 """What a run without logs has to show beside its rows."""

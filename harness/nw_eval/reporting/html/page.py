@@ -14,7 +14,7 @@ from nw_eval.reporting.html.drawn.course import course
 from nw_eval.reporting.html.drawn.gauge import gauges
 from nw_eval.reporting.html.drawn.plan_view import plan_views
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.html.evidence import NO_EVIDENCE, Evidence
+from nw_eval.reporting.html.evidence import NO_EVIDENCE, LogEvidence
 from nw_eval.reporting.html.trials import trial_lines, worst_cards
 from nw_eval.reporting.tables import named_tables
 from nw_eval.reporting.throughput import throughput
@@ -28,7 +28,7 @@ def render_html(
     rows: Sequence[Row],
     verdict: Verdict,
     folder: Path,
-    evidence: Evidence = NO_EVIDENCE,
+    evidence: LogEvidence = NO_EVIDENCE,
 ) -> str:
     """Return the page; the same values give the same text.
 

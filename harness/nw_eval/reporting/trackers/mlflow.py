@@ -56,8 +56,8 @@ def _own(client: Any, run: TrackedRun) -> str:
     if found:
         return found[0].info.run_id
     tags = {_TAG: run.id}
-    made = client.create_run(experiment, _ms(run.begun), tags=tags, run_name=run.title)
-    return made.info.run_id
+    created = client.create_run(experiment, _ms(run.begun), tags=tags, run_name=run.title)
+    return created.info.run_id
 
 
 def _experiment(client: Any) -> str:

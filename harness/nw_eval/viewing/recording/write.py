@@ -11,7 +11,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.viewing.recording.blueprint import PlaceView, blueprint, plot_of_entities
+from nw_eval.viewing.recording.blueprint import PlaceScreen, blueprint, plot_of_entities
 from nw_eval.viewing.recording.pictures import picture_entity, picture_topics, write_pictures
 from nw_eval.viewing.recording.place import WORLD, first_pose, write_place
 from nw_eval.viewing.recording.sdk import rerun_sdk
@@ -105,7 +105,7 @@ def _layout(
         entities = term_entities(track, seen, names)[:_MOST_TERMS]
         plots.append(plot_of_entities("What the policy was given", entities))
     return blueprint(
-        place=PlaceView(
+        place=PlaceScreen(
             root=f"/{WORLD}",
             follows=track.entity(WORLD, "robot", trunk),
             start=start,

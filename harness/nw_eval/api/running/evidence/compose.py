@@ -9,7 +9,7 @@ import numpy as np
 from nw_eval.api.running.evidence.chosen import clipped_trials
 from nw_eval.api.running.evidence.content import ReadClip, ReadLog
 from nw_eval.plural import plural
-from nw_eval.reporting.html.evidence import Clip, Evidence, PlacePicture, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlacePicture, PlaceView, WalkedPath
 from nw_eval.results.row import Row
 
 _NAMED = 3
@@ -20,7 +20,7 @@ _FOR_PEOPLE = "/camera/ego"
 """Where logs have pictures for people, if the policy sees none."""
 
 
-def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
+def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence:
     """Return the evidence on trials.
 
     Args:
@@ -44,7 +44,7 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> Evidence:
         _moved(max((spread for _, spread in places), default=0.0)),
         _blind(rows, clips),
     )
-    return Evidence(
+    return LogEvidence(
         paths=tuple(
             WalkedPath(trial_id=row.trial_id, points=np.array(log.walked, dtype=np.float64))
             for row, log in shown

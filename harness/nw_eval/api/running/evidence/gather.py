@@ -9,7 +9,7 @@ from nw_eval.api.running.evidence.apart import WantedLog, read_apart
 from nw_eval.api.running.evidence.chosen import MOST_CLIPS, clipped_trials, drawn_trials
 from nw_eval.api.running.evidence.compose import composed
 from nw_eval.files.inside import OutsideError, inside, what_is
-from nw_eval.reporting.html.evidence import CLIP_BYTES, PICTURE_BYTES, Evidence
+from nw_eval.reporting.html.evidence import CLIP_BYTES, PICTURE_BYTES, LogEvidence
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 
@@ -19,7 +19,7 @@ _LARGEST_PICTURE = 40_000
 """Bytes of one place's; the built-in places take some hundred, scans more."""
 
 
-def gather_evidence(folder: RunFolder, rows: Iterable[Row]) -> Evidence:
+def gather_evidence(folder: RunFolder, rows: Iterable[Row]) -> LogEvidence:
     """Return what logs show; what cannot be read costs its part, and the remarks say so.
 
     Args:

@@ -56,7 +56,7 @@ class Waypoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class FailingCourse:
     """All scenes, the one that lost most first, and all of them together."""
 
     scenes: tuple[SceneCourse, ...]
@@ -73,7 +73,7 @@ class Course:
         return any(each.baseline is not None for each in self.together)
 
 
-def course(rows: Sequence[Row], verdict: Verdict) -> Course:
+def course(rows: Sequence[Row], verdict: Verdict) -> FailingCourse:
     """Return where trials ended.
 
     Against a baseline it is what the gate compared, the rounds judged beside all starts of the
@@ -96,7 +96,7 @@ def course(rows: Sequence[Row], verdict: Verdict) -> Course:
         ]
         together = _together(list(ends.values()))
     scenes.sort(key=lambda scene: (-_lost(scene), scene.name))
-    return Course(scenes=tuple(scenes), together=together)
+    return FailingCourse(scenes=tuple(scenes), together=together)
 
 
 def survived(ends: Sequence[Ends], waypoint: int) -> float:

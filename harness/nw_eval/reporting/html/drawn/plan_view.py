@@ -10,7 +10,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.reporting.html.evidence import Evidence, PlacePicture, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import LogEvidence, PlacePicture, PlaceView, WalkedPath
 from nw_eval.results.row import Row
 
 _STEP = 8.0
@@ -69,7 +69,7 @@ class PlanView:
 
 
 def plan_views(
-    rows: Iterable[Row], evidence: Evidence, pictures: Mapping[str, PlacePicture]
+    rows: Iterable[Row], evidence: LogEvidence, pictures: Mapping[str, PlacePicture]
 ) -> dict[str, PlanView]:
     """Return the view of every scene of which a log shows place or paths.
 
