@@ -38,13 +38,15 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
-        numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
+        numbers=frozenset(
+            {"trials", "baseline", "candidate", "drop", _ALONE, "evidence", "from waypoint"}
+        ),
         note="" if found is None else _note(found),
         marked="baseline",
         bars=tuple(
             None
             if item.candidate is None
-            else Bar(value=item.candidate, mark=item.baseline, interval=_left(item))
+            else Bar(value=item.candidate, mark=item.baseline, interval=_left(item), change=True)
             for item in items
         ),
     )

@@ -23,6 +23,7 @@ class Bar:
     value: float
     interval: Interval | None = None
     mark: float | None = None  # What to compare with: a baseline's value, a bar.
+    change: bool = False  # Whether the way from the mark to the value is drawn: a gain, a loss.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class Table:
 
 def span(interval: Interval) -> str:
     """Return an interval as a cell."""
-    return f"{interval.low:.2f} to {interval.high:.2f}"
+    return f"{interval.low:z.2f} to {interval.high:z.2f}"
 
 
 def mean(values: Sequence[float | None]) -> str:
