@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Annotated, Any
@@ -227,14 +227,17 @@ def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
             return None
     except (TypeError, ValueError, OverflowError):
         return None
-    rows = [_of_kept(kept) for kept in zip(*table.values(), strict=True)]
+    rows = [_of_kept(one) for one in values]
+    for name, _ in COLUMNS.lists:
+        for row, value in zip(rows, table[name], strict=True):
+            vars(row)[name] = value
     return None if any(map(_contradiction, rows)) else rows
 
 
-def _of_kept(values: Iterable[Any]) -> Row:
+def _of_kept(values: Mapping[str, Any]) -> Row:
     """Return the row of values that are as `__post_init__` would leave them."""
     row = object.__new__(Row)
-    vars(row).update(zip(COLUMNS, values, strict=True))
+    vars(row).update(values)
     return row
 
 
