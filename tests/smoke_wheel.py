@@ -29,7 +29,7 @@ COMMANDS: tuple[tuple[tuple[int, ...], str], ...] = (
     ((0, 3), "nw-eval gate out --junit junit.xml"),
     # pytest comes beside the wheel, which brings the plugin.
     ((0,), "python -m pip install -q --disable-pip-version-check pytest"),
-    ((0,), f"pytest -q {ROOT}/suites/smoke.yaml --nw-rounds 1 -o nw_inconclusive=pass"),
+    ((0,), f"pytest -q -c {INI} {ROOT}/suites/smoke.yaml --nw-rounds 1 -o nw_inconclusive=pass"),
     # The shell steps of the action, with this nw-eval.
     (
         (0,),
