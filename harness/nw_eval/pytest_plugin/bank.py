@@ -13,10 +13,10 @@ from nw_eval.plural import plural
 from nw_eval.pytest_plugin.options import SETTINGS
 
 if TYPE_CHECKING:
-    from nw_eval.pytest_plugin.suite_file import SuiteFile
+    from nw_eval.pytest_plugin.tested import TestedSuite
 
 
-def update(suite: SuiteFile) -> None:
+def update(suite: TestedSuite) -> None:
     """Save the bank of a suite; fail if that changed it, so that a review comes before its use."""
     from nw_eval import api
     from nw_eval.pytest_plugin.telling.progress import Log

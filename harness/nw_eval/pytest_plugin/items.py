@@ -12,19 +12,16 @@ from nw_eval.pytest_plugin.options import SETTINGS
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
-    from nw_eval.pytest_plugin.suite_file import SuiteFile
+    from nw_eval.pytest_plugin.tested import TestedSuite
     from nw_eval.reporting.scene_states import SceneState
-
-VERDICT = "verdict"
-"""The name of the test of a suite's verdict."""
 
 
 class SuiteItem(pytest.Item):
     """A test of a suite. It fails with the verdict in its words, and without a traceback."""
 
-    suite: SuiteFile
+    suite: TestedSuite
 
-    def __init__(self, *, line: int, parent: SuiteFile, **kwargs: Any) -> None:
+    def __init__(self, *, line: int, parent: TestedSuite, **kwargs: Any) -> None:
         super().__init__(parent=parent, **kwargs)
         self.line = line
         self.suite = parent

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nw_eval.pytest_plugin.items import SceneItem, VerdictItem
-from nw_eval.pytest_plugin.suite_file import SuiteFile
+from nw_eval.pytest_plugin.tested import TestedSuite
 
 
 def leave_verdicts_out(session: pytest.Session) -> None:
@@ -14,7 +14,7 @@ def leave_verdicts_out(session: pytest.Session) -> None:
     Where a scene failed the verdict did, and it takes every scene to say another. It is still among
     the last failed, and `--lf` runs it as soon as no scene of its suite is.
     """
-    chosen: dict[SuiteFile, int] = {}
+    chosen: dict[TestedSuite, int] = {}
     for item in session.items:
         if isinstance(item, SceneItem):
             chosen[item.suite] = chosen.get(item.suite, 0) + 1
