@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
+from nw_eval.clean import LONGEST
 from nw_eval.results.row.check import is_harmless
 from nw_eval.results.row.column import Column, NamedColumns, Numbers
+
+_NAMES = re.compile(r"[A-Za-z0-9_./ -]*")
+"""Characters of which `clean` leaves every text as it is."""
 
 
 def all_as_kept(table: Mapping[str, Sequence[Any]], columns: NamedColumns) -> bool:
@@ -29,25 +35,34 @@ def _is_as_kept(values: Sequence[Any], column: Column) -> bool:
         return False
     if column.types is str:
         distinct = set(values)
-        known = not column.words or distinct.issubset(column.words)
-        return known and all(map(is_harmless, distinct))
+        return distinct.issubset(column.words) if column.words else _are_harmless(distinct)
     if column.kind is int:
         return not values or (min(values) >= 0 and max(values) < 2**column.bits)
     if column.is_real:
-        return all(math.isfinite(value) for value in values if value is not None)
+        return all(math.isfinite(value) for value in set(values) if value is not None)
     if not column.is_list:
         return True
-    return all(map(_are_numbers if column.kind == Numbers else _are_settings, values))
+    return _are_numbers(values) if column.kind == Numbers else all(map(_are_settings, set(values)))
 
 
-def _are_numbers(values: tuple[Any, ...]) -> bool:
-    """Say whether a list has finite numbers alone, of single precision."""
-    form = f"{len(values)}f"
+def _are_harmless(texts: Collection[str]) -> bool:
+    """Say whether texts are as `clean` leaves them: most are digests and names."""
+    if max(map(len, texts), default=0) <= LONGEST and _NAMES.fullmatch("".join(texts)):
+        return True
+    return all(map(is_harmless, texts))
+
+
+def _are_numbers(lists: Sequence[tuple[Any, ...]]) -> bool:
+    """Say whether lists have finite numbers alone, of single precision."""
+    numbers = tuple(chain.from_iterable(lists))
+    if not set(map(type, numbers)) <= {float}:
+        return False
+    form = f"{len(numbers)}f"
     try:
-        kept = struct.unpack(form, struct.pack(form, *values))
+        kept = struct.unpack(form, struct.pack(form, *numbers))
     except (struct.error, OverflowError):
         return False
-    return kept == values and all(map(math.isfinite, values))
+    return kept == numbers and all(map(math.isfinite, numbers))
 
 
 def _are_settings(values: tuple[Any, ...]) -> bool:

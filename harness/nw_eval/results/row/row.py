@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from operator import attrgetter
 from typing import Annotated, Any
 
 from nw_eval.clean import clean
@@ -138,7 +139,7 @@ class Row:
         fault = mistyped(vars(self), COLUMNS)
         if fault is None:
             vars(self).update(as_kept(vars(self), COLUMNS))
-            fault = _contradiction(self) or out_of_bounds(vars(self), COLUMNS)
+            fault = _contradiction(*_OF_AN_END(self)) or out_of_bounds(vars(self), COLUMNS)
         if fault is not None:
             raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
 
@@ -160,19 +161,25 @@ class Row:
         return sha256(text.encode()).hexdigest()
 
 
-def _contradiction(row: Row) -> str | None:
-    """Return what contradicts itself in a row, or None."""
-    known = OUTCOMES if row.status == "ok" else FAULTS
-    if row.outcome not in known:
-        return f"outcome {row.outcome!r} does not go with status {row.status!r}"
-    if not 0 <= row.waypoints_reached <= row.waypoints_total:
-        return f"{row.waypoints_reached} of {row.waypoints_total} waypoints reached"
-    if row.status == "error":
-        return None if row.success is None else f"an error has a success ({row.success})"
-    if row.success is None or not 0.0 <= row.success <= 1.0:
-        return f"success {row.success} is not between 0 and 1"
-    if row.completed != (row.success == 1.0):
-        return f"completed is {row.completed} at success {row.success}"
+_END = ("status", "outcome", "waypoints_reached", "waypoints_total", "success", "completed")
+_OF_AN_END = attrgetter(*_END)
+
+
+def _contradiction(
+    status: str, outcome: str, reached: int, total: int, success: float | None, completed: bool
+) -> str | None:
+    """Return what contradicts itself in how a trial ended, or None."""
+    known = OUTCOMES if status == "ok" else FAULTS
+    if outcome not in known:
+        return f"outcome {outcome!r} does not go with status {status!r}"
+    if not 0 <= reached <= total:
+        return f"{reached} of {total} waypoints reached"
+    if status == "error":
+        return None if success is None else f"an error has a success ({success})"
+    if success is None or not 0.0 <= success <= 1.0:
+        return f"success {success} is not between 0 and 1"
+    if completed != (success == 1.0):
+        return f"completed is {completed} at success {success}"
     return None
 
 
@@ -209,6 +216,8 @@ def from_dict(values: dict[str, Any]) -> Row:
 def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
     """Make many rows of plain values; the same as `from_dict` of each, in a tenth of the time.
 
+    The dictionaries become the rows' own.
+
     Raises:
         ValueError: as the first of them that is no row.
     """
@@ -217,27 +226,31 @@ def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
 
 def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
     """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
+    names = list(COLUMNS)
+    if not values or not all(list(one) == names for one in values):
+        return None  # The columns of another version, or in another order.
+    columns = zip(*(one.values() for one in values), strict=True)
+    table: dict[str, Sequence[Any]] = dict(zip(names, columns, strict=True))
     try:
-        if not all(one.keys() == COLUMNS.keys() for one in values):
-            return None  # Of a version that had other columns.
-        table = {name: [one[name] for one in values] for name in COLUMNS}
         for name, column in COLUMNS.lists:
             table[name] = [column.of_plain(value) for value in table[name]]
         if not all_as_kept(table, COLUMNS):
             return None
     except (TypeError, ValueError, OverflowError):
         return None
-    rows = [_of_kept(one) for one in values]
-    for name, _ in COLUMNS.lists:
-        for row, value in zip(rows, table[name], strict=True):
-            vars(row)[name] = value
-    return None if any(map(_contradiction, rows)) else rows
+    if any(_contradiction(*end) for end in set(zip(*map(table.__getitem__, _END), strict=True))):
+        return None
+    lists = [name for name, _ in COLUMNS.lists]
+    tuples = zip(*map(table.__getitem__, lists), strict=True)
+    for one, of_row in zip(values, tuples, strict=True):
+        one.update(zip(lists, of_row, strict=True))
+    return [_of_kept(one) for one in values]
 
 
-def _of_kept(values: Mapping[str, Any]) -> Row:
+def _of_kept(values: dict[str, Any]) -> Row:
     """Return the row of values that are as `__post_init__` would leave them."""
     row = object.__new__(Row)
-    vars(row).update(values)
+    object.__setattr__(row, "__dict__", values)
     return row
 
 
