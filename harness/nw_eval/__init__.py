@@ -58,6 +58,7 @@ _ROOMS = MappingProxyType(
             "list_scenes",
             "list_sensors",
             "list_suites",
+            "merge",
             "plan",
             "plan_trials",
             "publish",

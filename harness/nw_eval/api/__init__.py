@@ -49,6 +49,7 @@ from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.indexes import RunIndex, index_runs
+from nw_eval.api.running.merges import merge
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
@@ -105,6 +106,7 @@ __all__ = [
     "list_scenes",
     "list_sensors",
     "list_suites",
+    "merge",
     "plan",
     "plan_trials",
     "publish",
