@@ -37,7 +37,10 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
         StoreError: a part or trials of one are missing, a trial has two different results, a folder
             is damaged, or `out` cannot be written or holds something else.
     """
-    from nw_eval.api.running.reports import judge, written
+    from nw_eval.api.running.against.banks import judging_bank
+    from nw_eval.api.running.reports import judged_rows, written
+    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.results.ended import RunRows
     from nw_eval.results.merge.rows import joined
     from nw_eval.results.merge.written import merged_info, write_merged
     from nw_eval.results.run_folder import RunFolder
@@ -46,12 +49,11 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     sources, trials, count, remarks = _read(runs)
     held = joined(sources, trials, count)
     info = merged_info(sources, held, name=folder.id, command=tuple(sys.argv))
-    lost = write_merged(folder.path, info, held, sources, _bank(sources))
-    del sources, held  # A hundred thousand rows need not be held twice.
-    judged = judge(folder.path, baseline=baseline)
-    verdict = judged.verdict
-    verdict = replace(verdict, reasons=(*verdict.reasons, *remarks, *lost))
-    return written(replace(judged, verdict=verdict), folder.report_md)
+    info, lost = write_merged(folder.path, info, held, sources, _bank(sources))
+    suite = saved_suite(info)
+    found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
+    against = judging_bank(folder, info, suite, baseline)
+    return written(judged_rows(folder, info, suite, against, found), folder.report_md)
 
 
 def _read(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.gate.verdict import Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.results.bank.against import Against
+    from nw_eval.results.ended import RunRows
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -161,14 +162,25 @@ def _judged(
     from concurrent.futures import ThreadPoolExecutor
 
     from nw_eval.api.running.saved_run import saved_trials
-    from nw_eval.gate.baseline.combine import judge_run
     from nw_eval.results.ended import read_trials
 
     # A process of its own reads the bank, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(bank)
         found = read_trials(folder, info, saved_trials(info, suite))
-    against = opened.result()
+    return judged_rows(folder, info, suite, opened.result(), found)
+
+
+def judged_rows(
+    folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None, found: RunRows
+) -> RunReport:
+    """Return the verdict on rows that are read already, with what there is to remark on them.
+
+    Raises:
+        IncomparableError, StoreError: as `judge`.
+    """
+    from nw_eval.gate.baseline.combine import judge_run
+
     verdict = judge_run(found.rows, info, suite.gate, against)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     return RunReport(

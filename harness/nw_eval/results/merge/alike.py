@@ -31,16 +31,17 @@ def check_parts(sources: Sequence[Source]) -> int:
     wanted = _fields(first)
     for other in others:
         fields = _fields(other)
+        both = {name: (wanted.get(name), fields.get(name)) for name in (*wanted, *fields)}
         differing = [
-            f"{name} is {_short(wanted.get(name))} in {first}, {_short(fields.get(name))} in {other}"
-            for name in dict.fromkeys((*wanted, *fields))
-            if wanted.get(name) != fields.get(name)
+            f"{name} is {_short(one)} in {first}, {_short(two)} in {other}"
+            for name, (one, two) in both.items()
+            if one != two
         ]
         if differing:
             more = f"; and {len(differing) - _NAMED} more" if len(differing) > _NAMED else ""
             raise IncomparableError(
                 f"not of one run: {'; '.join(differing[:_NAMED])}{more}",
-                fix="run all parts of one suite and policy, with one nw-eval on one kind of machine",
+                fix="run all parts with one suite, policy and nw-eval on one kind of machine",
             )
     return first.parts[0].shard.count
 

@@ -1,4 +1,4 @@
-"""The rows of all parts: each trial's one row, whichever folders have it; no gap, no two results."""
+"""The rows of all parts: of each trial the one row that stands; no gap, and no two results."""
 
 from __future__ import annotations
 
@@ -59,6 +59,8 @@ def _which(one: Held, two: Held) -> Held:
     Raises:
         StoreError: they are different results.
     """
+    if one.row == two.row:
+        return Held(row=one.row, sources=(*one.sources, *two.sources))
     first, second = (one, two) if _rank(one.row) <= _rank(two.row) else (two, one)
     if second.row.status == "error":
         return first

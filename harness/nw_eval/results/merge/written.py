@@ -76,8 +76,8 @@ def write_merged(
     held: Sequence[Held],
     sources: Sequence[Source],
     against: Against | None,
-) -> tuple[str, ...]:
-    """Write the folder of a merged run, and return sentences about what of it is lost.
+) -> tuple[RunInfo, tuple[str, ...]]:
+    """Write the folder of a merged run; return its run.json, and sentences about what is lost.
 
     A folder that has these rows already, merged before, stays as it is.
 
@@ -91,14 +91,14 @@ def write_merged(
     Raises:
         StoreError: it holds something else, or cannot be written.
     """
-    if _is_there(out, info, held):
-        return ()
+    if (there := _there(out, info, held)) is not None:
+        return there, ()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as beside:
             folder = RunFolder(path=Path(beside) / "run")
             folder.path.mkdir()
-            lost = _fill(folder, info, held, sources, against)
+            ended, lost = _fill(folder, info, held, sources, against)
             folder.path.rename(out)
     except OSError as error:
         raise StoreError(
@@ -106,7 +106,7 @@ def write_merged(
             fix="choose another folder with --out, or free disk space",
         ) from error
     sync_folder(out.parent)
-    return lost
+    return ended, lost
 
 
 def _fill(
@@ -115,7 +115,7 @@ def _fill(
     held: Sequence[Held],
     sources: Sequence[Source],
     against: Against | None,
-) -> tuple[str, ...]:
+) -> tuple[RunInfo, tuple[str, ...]]:
     lost = take_logs(held, folder)
     if against is not None:
         path = folder.bank(against.info.name)
@@ -133,19 +133,20 @@ def _fill(
         engine=info.engine,
     )
     write_journal(folder.journal, header, rows)
-    write_run_info(folder.run_json, write_trials(folder, info, rows))
-    return lost
+    ended = write_trials(folder, info, rows)
+    write_run_info(folder.run_json, ended)
+    return ended, lost
 
 
-def _is_there(out: Path, info: RunInfo, held: Sequence[Held]) -> bool:
-    """Whether a folder has this very merged run.
+def _there(out: Path, info: RunInfo, held: Sequence[Held]) -> RunInfo | None:
+    """Return run.json of a folder that has this very merged run; None of an empty one.
 
     Raises:
         StoreError: it has something else, or cannot be looked into.
     """
     try:
         if not out.exists() or not any(out.iterdir()):
-            return False
+            return None
     except OSError as error:
         raise StoreError(
             f"cannot read {out}: {error.strerror}", fix="choose another folder with --out"
@@ -161,4 +162,4 @@ def _is_there(out: Path, info: RunInfo, held: Sequence[Held]) -> bool:
     same = plans == {info.parts[0].shard.plan}
     if not same or there.rows_digest != rows_digest(one.row for one in held):
         raise StoreError(f"{out} already holds another run", fix=fix)
-    return True
+    return there
