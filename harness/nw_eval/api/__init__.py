@@ -54,6 +54,7 @@ from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.shard_plans import ShardPlan, plan_shards
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -79,6 +80,7 @@ __all__ = [
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
+    "ShardPlan",
     "ShownBaseline",
     "ShownSuite",
     "Surfaces",
@@ -108,6 +110,7 @@ __all__ = [
     "list_suites",
     "merge",
     "plan",
+    "plan_shards",
     "plan_trials",
     "publish",
     "publish_error",

@@ -46,6 +46,32 @@ def shard_of(
     return share, ShardInfo(index=shard.index, count=shard.count, plan=plan_digest(ordered))
 
 
+def shards_of(
+    trials: Iterable[Trial], count: int
+) -> tuple[tuple[tuple[Trial, ...], ShardInfo], ...]:
+    """Return all parts of a plan, as `shard_of` returns one.
+
+    Args:
+        trials: of the whole plan.
+        count: of parts.
+
+    Raises:
+        UsageError: there is none, or a part has no trial.
+    """
+    ordered = in_order(trials)
+    if not 1 <= count <= len(ordered):
+        raise UsageError(
+            f"--shards {count}: the run has {plural(len(ordered), 'trial')}",
+            fix=f"give a number from 1 to {len(ordered)}",
+        )
+    shards = [Shard(index=index, count=count) for index in range(1, count + 1)]
+    digest = plan_digest(ordered)
+    return tuple(
+        (shard.share(ordered), ShardInfo(index=shard.index, count=count, plan=digest))
+        for shard in shards
+    )
+
+
 def plan_digest(ordered: Iterable[Trial]) -> str:
     """Return the hex sha256 of a whole plan: its trials, their names and their order.
 
