@@ -336,10 +336,20 @@ def test_logs_are_copied_where_no_link_can_be(logged, tmp_path, monkeypatch):
     assert all(log.read_bytes() == LOG and log.stat().st_nlink == 1 for log in logs)
 
 
-@pytest.mark.parametrize("path", ["../secret", "run.json", "/etc/passwd", "mcap/../run.json"])
+PLACES_OF_NO_LOG = (
+    *("../secret", "run.json", "/etc/passwd", "mcap/../run.json", "mcap/hurdles/aa/other.mcap"),
+    *("../mcap/{}/{}.mcap", "mcap/x/../{}/{}.mcap", "/mcap/{}/{}.mcap", "{}/{}.mcap"),
+)
+
+
+@pytest.mark.parametrize("path", PLACES_OF_NO_LOG)
 def test_a_row_that_names_another_place_than_its_logs_is_refused(path, parts, written, tmp_path):
     (tmp_path / "secret").write_bytes(LOG)
-    evil = written("evil", "3/3", rows=lambda trial: row_of(trial, mcap_path=path))
+
+    def row(trial):
+        return row_of(trial, mcap_path=path.format(trial.scene, trial.id), mcap_bytes=len(LOG))
+
+    evil = written("evil", "3/3", rows=row)
     with pytest.raises(StoreError, match="where none of a run has its place"):
         api.merge([*parts[:2], evil], out=tmp_path / "merged")
     assert not (tmp_path / "merged").exists()

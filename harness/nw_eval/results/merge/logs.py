@@ -12,10 +12,10 @@ import shutil
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError
-from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.inside import OutsideError, checked, inside
 from nw_eval.plural import plural
 from nw_eval.results.merge.rows import Held
 from nw_eval.results.row import Row
@@ -32,13 +32,7 @@ def take_logs(held: Iterable[Held], folder: RunFolder) -> tuple[str, ...]:
     for one in held:
         if not one.row.mcap_path:
             continue
-        place = folder.mcap(one.row.scene, one.row.trial_id)
-        if one.row.mcap_path != folder.relative(place):
-            raise StoreError(
-                f"{one.sources[0]}: the row of trial {one.row.trial_id} has its log at "
-                f"{one.row.mcap_path!r}, where none of a run has its place",
-                fix="merge folders that nw-eval wrote",
-            )
+        place = folder.path / _name(one)
         if not any(_take(source.folder, one.row, place) for source in one.sources):
             lost.append(one.row.trial_id)
     if not lost:
@@ -46,6 +40,26 @@ def take_logs(held: Iterable[Held], folder: RunFolder) -> tuple[str, ...]:
     return (
         f"{plural(len(lost), 'log')} not there, or not of the size that its row says: {lost[0]}"
         + (f" and {len(lost) - 1} more" if len(lost) > 1 else ""),
+    )
+
+
+def _name(one: Held) -> PurePosixPath:
+    """Return where a row's log lies in its folder, and goes in another: `<folder>/<scene>/<trial>`.
+
+    Nothing else of a run is called so.
+
+    Raises:
+        StoreError: the row names another place.
+    """
+    row = one.row
+    with suppress(OutsideError):
+        name = checked(row.mcap_path)
+        if name.parts[1:] == PurePosixPath(row.scene, f"{row.trial_id}.mcap").parts:
+            return name
+    raise StoreError(
+        f"{one.sources[0]}: the row of trial {row.trial_id} has its log at {row.mcap_path!r}, "
+        "where none of a run has its place",
+        fix="merge folders that nw-eval wrote",
     )
 
 

@@ -18,7 +18,7 @@ from nw_eval.results.journal import JournalHeader, write_journal
 from nw_eval.results.merge.logs import take_logs
 from nw_eval.results.merge.rows import Held
 from nw_eval.results.merge.source import Source
-from nw_eval.results.provenance import RunInfo, read_run_info, write_run_info
+from nw_eval.results.provenance import PartInfo, RunInfo, read_run_info, write_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 
@@ -38,10 +38,11 @@ def merged_info(
         name: the run's.
         command: what was typed.
     """
-    parts = sorted(
-        {part for source in sources for part in source.parts},
-        key=lambda part: (part.shard.index, part.started, part.id, part.rows_digest),
-    )
+    parts: list[PartInfo] = []
+    for part in (part for source in sources for part in source.parts):
+        if part not in parts:
+            parts.append(part)
+    parts.sort(key=lambda part: (part.shard.index, part.started, part.id, part.rows_digest))
     first = min(sources, key=lambda source: _place(source.info)).info
     trials = Counter(one.row.scene for one in held)
     ends = [part.finished or part.started for part in parts]
