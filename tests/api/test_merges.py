@@ -357,11 +357,14 @@ def test_a_row_that_names_another_place_than_its_logs_is_refused(path, parts, wr
 
 def test_no_link_leads_out_of_a_part(logged, tmp_path):
     (tmp_path / "secret").write_bytes(LOG)
+    for part in logged:
+        (part / "foxglove.json").symlink_to(tmp_path / "secret")
     log = min(logged[2].rglob("*.mcap"))
     log.unlink()
     log.symlink_to(tmp_path / "secret")
     merged = api.merge(logged, out=tmp_path / "merged")
     assert len(list(merged.folder.rglob("*.mcap"))) == 11
+    assert not (merged.folder / "foxglove.json").exists()
     assert "1 log not there" in merged.verdict.reasons[-1]
 
 

@@ -44,11 +44,13 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     from nw_eval.results.merge.rows import joined
     from nw_eval.results.merge.written import merged_info, write_merged
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite.trials import wanted
 
     folder = RunFolder(path=Path(out).resolve())
-    sources, trials, count, remarks = _read(runs)
-    held = joined(sources, trials, count)
-    info = merged_info(sources, held, name=folder.id, command=tuple(sys.argv))
+    sources, plan, remarks = _read(runs)
+    first = sources[0]
+    held = joined(sources, wanted(plan, first.info.stopped_after), first.parts[0].shard.count)
+    info = merged_info(sources, plan, name=folder.id, command=tuple(sys.argv))
     info, lost = write_merged(folder.path, info, held, sources, _bank(sources))
     suite = saved_suite(info)
     found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
@@ -58,8 +60,8 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
 
 def _read(
     runs: Sequence[str | Path],
-) -> tuple[list[Source], tuple[Trial, ...], int, list[str]]:
-    """Return what is merged, the trials of the whole in order, how many parts, and remarks."""
+) -> tuple[list[Source], tuple[Trial, ...], list[str]]:
+    """Return what is merged, the trials of the whole plan in order, and remarks."""
     from nw_eval.api.running.saved_run import saved_suite, whole_plan
     from nw_eval.engine.order import in_order
     from nw_eval.engine.shards import plan_digest
@@ -73,7 +75,7 @@ def _read(
 
     folders = [open_run_folder(Path(run)) for run in runs]
     opened = [Source(folder=each, info=read_run_info(each.run_json)) for each in folders]
-    count = check_parts(opened)
+    check_parts(opened)
     first = opened[0]
     ordered = in_order(whole_plan(first.info, saved_suite(first.info)))
     if plan_digest(ordered) != first.parts[0].shard.plan:
@@ -92,7 +94,7 @@ def _read(
         found = read_trials(source.folder, source.info, own)
         sources.append(replace(source, rows=found.rows))
         remarks += [f"{source}: {remark}" for remark in found.remarks]
-    return sources, trials, count, remarks
+    return sources, ordered, remarks
 
 
 def _bank(sources: Sequence[Source]) -> Against | None:

@@ -12,8 +12,8 @@ _NAMED = 3  # fields that a sentence names before it says "and more"
 _LONGEST = 60  # characters of a value
 
 
-def check_parts(sources: Sequence[Source]) -> int:
-    """Refuse folders that are no parts of one run; return how many parts that run has.
+def check_parts(sources: Sequence[Source]) -> None:
+    """Refuse folders that are no parts of one run.
 
     Raises:
         UsageError: there is none, or one is of a run that was run whole.
@@ -43,7 +43,6 @@ def check_parts(sources: Sequence[Source]) -> int:
                 f"not of one run: {'; '.join(differing[:_NAMED])}{more}",
                 fix="run all parts with one suite, policy and nw-eval on one kind of machine",
             )
-    return first.parts[0].shard.count
 
 
 def _fields(source: Source) -> Mapping[str, Any]:

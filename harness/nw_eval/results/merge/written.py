@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sync_folder
+from nw_eval.files.inside import inside
 from nw_eval.results.bank.against import Against
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.ended import write_trials
@@ -18,6 +19,7 @@ from nw_eval.results.journal import JournalHeader, write_journal
 from nw_eval.results.merge.logs import take_logs
 from nw_eval.results.merge.rows import Held
 from nw_eval.results.merge.source import Source
+from nw_eval.results.planned import PlannedTrial
 from nw_eval.results.provenance import PartInfo, RunInfo, read_run_info, write_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
@@ -26,7 +28,11 @@ _LAYOUT_BYTES = 4 * 2**20
 
 
 def merged_info(
-    sources: Sequence[Source], held: Sequence[Held], *, name: str, command: tuple[str, ...]
+    sources: Sequence[Source],
+    trials: Iterable[PlannedTrial],
+    *,
+    name: str,
+    command: tuple[str, ...],
 ) -> RunInfo:
     """Return run.json of a merged run: what its parts have in common, and of each what it was.
 
@@ -34,7 +40,7 @@ def merged_info(
 
     Args:
         sources: which are parts of one run.
-        held: its rows.
+        trials: of the whole plan.
         name: the run's.
         command: what was typed.
     """
@@ -44,7 +50,7 @@ def merged_info(
             parts.append(part)
     parts.sort(key=lambda part: (part.shard.index, part.started, part.id, part.rows_digest))
     first = min(sources, key=lambda source: _place(source.info)).info
-    trials = Counter(one.row.scene for one in held)
+    planned = Counter(trial.scene for trial in trials)
     ends = [part.finished or part.started for part in parts]
     request = first.request
     return first.model_copy(
@@ -56,7 +62,7 @@ def merged_info(
             "interrupted": False,
             "request": None if request is None else replace(request, shard=None),
             "scenes": {
-                scene: info.model_copy(update={"trials": trials[scene]})
+                scene: info.model_copy(update={"trials": planned[scene]})
                 for scene, info in first.scenes.items()
             },
             "shard": None,
@@ -124,7 +130,8 @@ def _fill(
         path.write_bytes(against.content)
     for source in sources:
         with suppress(OSError, ValueError):  # Whoever lacks it draws the logs as they like.
-            folder.layout.write_bytes(bounded_bytes(source.folder.layout, _LAYOUT_BYTES))
+            layout = inside(source.folder.path, source.folder.layout.name)
+            folder.layout.write_bytes(bounded_bytes(layout, _LAYOUT_BYTES))
             break
     rows = [one.row for one in held]
     header = JournalHeader(
