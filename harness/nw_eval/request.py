@@ -2,13 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from nw_eval.errors import UsageError
 from nw_eval.words import Backend, Collision, PanelKind, Record
+
+_T = TypeVar("_T")
+_SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    """One of several equal parts of a run, each of which is run by a command of its own."""
+
+    index: int
+    """Which, from 1."""
+    count: int
+    """How many there are."""
+
+    @classmethod
+    def of(cls, words: str) -> Shard:
+        """Return the shard that `1/3` names.
+
+        Raises:
+            UsageError: the words name none.
+        """
+        found = _SHARD.fullmatch(words)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise UsageError(f"--shard {words!r}", fix="give I/N, such as 1/3, with I from 1 to N")
+        return cls(index=int(found[1]), count=int(found[2]))
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+    def share(self, ordered: Sequence[_T]) -> tuple[_T, ...]:
+        """Return every N-th thing, from the I-th: of any stretch of them all parts have as many.
+
+        Or one more or less; each thing is in one part, whatever comes behind it.
+        """
+        return tuple(ordered[self.index - 1 :: self.count])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +86,8 @@ class Request:
     The suite's own choice when absent, which is terrain where it makes none."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
+    shard: str | None = None
+    """I/N: only part I of N of the trials, which `nw-eval merge` puts together and judges."""
 
     @classmethod
     def of(cls, request: Request | str | Path | None, **changes: Any) -> Request:
@@ -79,7 +117,17 @@ class Request:
             )
         if checked.time_limit is not None and not checked.time_limit > 0.0:
             raise _unusable("time_limit", values, "give seconds, more than 0")
+        _ = checked.part  # It raises.
         return checked
+
+    @property
+    def part(self) -> Shard | None:
+        """The part that `shard` names; None: all of it.
+
+        Raises:
+            UsageError: it names none.
+        """
+        return None if self.shard is None else Shard.of(self.shard)
 
     def over(self, earlier: Request) -> Request:
         """Return an earlier request with all that this one asks for in its place.

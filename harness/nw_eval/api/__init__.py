@@ -49,10 +49,12 @@ from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.indexes import RunIndex, index_runs
+from nw_eval.api.running.merges import merge
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.shard_plans import ShardPlan, plan_shards
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
@@ -78,6 +80,7 @@ __all__ = [
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
+    "ShardPlan",
     "ShownBaseline",
     "ShownSuite",
     "Surfaces",
@@ -105,7 +108,9 @@ __all__ = [
     "list_scenes",
     "list_sensors",
     "list_suites",
+    "merge",
     "plan",
+    "plan_shards",
     "plan_trials",
     "publish",
     "publish_error",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,7 @@ def run_info(
         scenes=_scene_infos(plan),
         panel=plan.panel,
         drawn_from=plan.drawn_from,
+        shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         stopped_after=0 if plan.is_baseline else None,
         workers=default_workers() if workers is None else workers,
@@ -110,12 +112,9 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
+    trials = Counter(trial.scene for trial in plan.trials)
     return {
-        scene.name: SceneInfo(
-            digest=scene.digest,
-            task=scene.task,
-            trials=sum(trial.scene == scene.name for trial in plan.trials),
-        )
+        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=trials[scene.name])
         for scene in plan.scenes
     }
 

@@ -127,6 +127,7 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
             suite=plan.suite.name,
             policy=plan.bundle.name,
             digest=plan.suite.content_digest,
+            part=plan.request.shard or "",
         )
     folder = RunFolder(path=out)
     if has_begun(folder.journal):

@@ -11,12 +11,14 @@ from nw_eval.api.running.plans import check_workers, plan
 from nw_eval.api.running.reports import RunReport, report
 from nw_eval.errors import UsageError
 from nw_eval.files.traceback_file import TracebackIn
+from nw_eval.plural import plural
 from nw_eval.request import Request
 from nw_eval.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
+    from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
 
 
@@ -84,6 +86,8 @@ def roll_out(
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
 
+    A part of a run has all rounds: whether some are enough shows in the whole alone.
+
     Args:
         plan: what is to be run.
         workers: as for `run`, and so are the others.
@@ -101,9 +105,11 @@ def roll_out(
 
     ears, command = listener or Silence(), tuple(sys.argv)
     contest = None
+    if plan.shard is not None:
+        ears.message(_part(plan, plan.shard))
     if plan.against is not None:
         contest = Contest(plan, plan.against, workers=workers, command=command, listener=ears)
-    elif plan.suite.gate.max_drop is not None:
+    elif plan.suite.gate.max_drop is not None and plan.shard is None:
         ears.message(_without_baseline(plan))
     return session.carry_out(
         plan,
@@ -114,7 +120,8 @@ def roll_out(
         listener=ears,
         in_process=in_process,
         prelude=None if contest is None else contest.begin,
-        enough=None if contest is None else contest.enough,
+        # What is enough shows in whole rounds only, of which a part has none.
+        enough=None if contest is None or plan.shard is not None else contest.enough,
     )
 
 
@@ -127,6 +134,13 @@ def _without_baseline(plan: Plan) -> str:
         f"no baseline to compare with: {judged_by}, not max_drop {suite.gate.max_drop:g}; "
         f"`nw-eval baseline save {quote(name)} --policy {quote(policy)}` saves one"
     )
+
+
+def _part(plan: Plan, shard: ShardInfo) -> str:
+    """Return which part of a run is run here."""
+    trials = plural(len(plan.trials), "trial")
+    rounds = plural(plan.suite.trials, "round")
+    return f"{shard}: {trials} of all {rounds}; `nw-eval merge` judges the whole"
 
 
 def _check_in_process(request: Request, workers: int | None) -> None:

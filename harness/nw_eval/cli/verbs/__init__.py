@@ -15,6 +15,7 @@ from nw_eval.cli.verbs.judging.bisect import BisectSeries
 from nw_eval.cli.verbs.judging.compare import Compare
 from nw_eval.cli.verbs.judging.gate import GateRun
 from nw_eval.cli.verbs.judging.ledger import Ledger
+from nw_eval.cli.verbs.judging.merge import MergeRuns
 from nw_eval.cli.verbs.judging.plan import PlanTrials
 from nw_eval.cli.verbs.parts.policies import Policies
 from nw_eval.cli.verbs.parts.scenes import Scenes
@@ -34,6 +35,7 @@ Verb = (
     | Annotated[Suites, tyro.conf.subcommand("suites")]
     | Annotated[Baseline, tyro.conf.subcommand("baseline")]
     | Annotated[GateRun, tyro.conf.subcommand("gate")]
+    | Annotated[MergeRuns, tyro.conf.subcommand("merge")]
     | Annotated[Ledger, tyro.conf.subcommand("ledger")]
     | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]

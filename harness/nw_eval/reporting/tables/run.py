@@ -52,6 +52,8 @@ def provenance_table(run: RunInfo) -> Table:
         "baseline": ""
         if run.baseline is None
         else f"{run.baseline.name}, {run.baseline.sha256[:12]}",
+        "part": "" if run.shard is None else f"{run.shard}, of plan {run.shard.plan[:12]}",
+        "merged of": _parts(run),
         "renderer": run.renderer or "none",
         "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
@@ -65,6 +67,14 @@ def provenance_table(run: RunInfo) -> Table:
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def _parts(run: RunInfo) -> str:
+    """Return of which parts a run was merged, and where they ran; nothing if it was run whole."""
+    if not run.parts:
+        return ""
+    hosts = ", ".join(sorted({part.host for part in run.parts}))
+    return f"{plural(len(run.parts), 'part')}, run on {hosts}"
 
 
 def _saved(run: RunInfo) -> str:
