@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.cache import CacheUse, Removed, cache_info, prune_cache, verify_cache
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
@@ -64,6 +65,7 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "CacheUse",
     "CardDraft",
     "CheckedBaseline",
     "CheckedScene",
@@ -73,6 +75,7 @@ __all__ = [
     "ListedSensor",
     "ListedSuite",
     "Published",
+    "Removed",
     "Request",
     "RunIndex",
     "RunReport",
@@ -86,6 +89,7 @@ __all__ = [
     "WrittenSplat",
     "agree",
     "bisect",
+    "cache_info",
     "check",
     "check_baseline",
     "check_policy",
@@ -107,6 +111,7 @@ __all__ = [
     "list_suites",
     "plan",
     "plan_trials",
+    "prune_cache",
     "publish",
     "publish_error",
     "read_ledger",
@@ -128,5 +133,6 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "verify_cache",
     "warmup",
 ]
