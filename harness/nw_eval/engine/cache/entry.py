@@ -3,9 +3,9 @@
     row.json    {"entry": 1, "key": ..., "log": {"bytes": ..., "sha256": ...}, "row": {...}, "sum"}
     log.mcap    linked to the run's own log where that lies on the same disk
 
-It appears under its name whole or not at all. Nothing in it is believed: the sums of both files, the
-key and the row are checked whenever it is read, and what fails is no entry. Nothing is fsynced: what
-a power cut tears is no entry either.
+It appears under its name whole or not at all. Nothing in it is believed: the sums of both files,
+the key and the row are checked whenever it is read, and what fails is no entry. Nothing is fsynced:
+what a power cut tears is no entry either.
 """
 
 from __future__ import annotations
@@ -61,8 +61,7 @@ class Entry:
         try:
             with _opened(self.path) as folder:
                 _link(_LOG, beside, folder)
-            if _sum_of(beside) != (self.log_bytes, self.log_sha256):
-                raise ValueError("the log is not what was kept")
+            self._check(_sum_of(beside))
             to.unlink(missing_ok=True)  # To rename a file to a link of its own does nothing.
             beside.replace(to)
         except BaseException:
@@ -77,8 +76,11 @@ class Entry:
             OSError, ValueError: it is not what was kept.
         """
         with _opened(self.path) as folder:
-            if _sum_of(_LOG, folder) != (self.log_bytes, self.log_sha256):
-                raise ValueError("the log is not what was kept")
+            self._check(_sum_of(_LOG, folder))
+
+    def _check(self, found: tuple[int, str]) -> None:
+        if found != (self.log_bytes, self.log_sha256):
+            raise ValueError("the log is not what was kept")
 
     def touch(self) -> None:
         """Remember that the entry has been of use."""

@@ -21,7 +21,7 @@ from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import CacheInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from nw_eval.engine.cache.key import Conditions
     from nw_eval.engine.cache.store import Store
@@ -187,6 +187,8 @@ class KnownTrials:
             return
         try:
             self._store.put(self._conditions, self._conditions.key(job), row, job.mcap)
+        except FileNotFoundError:
+            pass  # Another process has just removed what it would have been put into.
         except (OSError, ValueError) as error:
             self._is_full = True
             why = (isinstance(error, OSError) and error.strerror) or error

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from time import time
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine.cache.entry import NO_ENTRY, Entry, read_entry, remove, write_entry
@@ -27,6 +28,7 @@ LIMIT_GB = 5.0
 """Size that the cache may have, in GB, where `NW_EVAL_CACHE_GB` says nothing."""
 
 _GB = 10**9
+_ABANDONED = 3600.0  # s after which nobody goes on with what is half written.
 _HEADROOM = 0.9  # of the limit to which it is pruned, so that not every run has to.
 
 
@@ -98,12 +100,13 @@ class Store:
         return sum(not path.name.startswith(".") for path in entries)
 
     def __iter__(self) -> Iterator[Kept]:
-        """Yield all that takes up room, in no order."""
+        """Yield all that takes up room, in no order, but for what is just being written."""
         for folder in _inside(self.folder):
             for path in _inside(folder) if _is_folder(folder) else (folder,):
                 with suppress(OSError):
-                    facts = path.lstat()
-                    yield Kept(path=path, bytes=_size(path), used=facts.st_mtime)
+                    used = path.lstat().st_mtime
+                    if not path.name.startswith(".") or time() - used > _ABANDONED:
+                        yield Kept(path=path, bytes=_size(path), used=used)
 
     def prune(self, limit: int) -> list[Kept]:
         """Remove what has not been used for longest, until the rest is well within a limit.

@@ -24,9 +24,8 @@ def cache_page(use: CacheUse) -> str:
         f"trials     {use.entries:,}",
     ]
     if use.oldest is not None:
-        lines.append(
-            f"last used  {datetime.fromtimestamp(use.oldest, UTC):%Y-%m-%d %H:%M} or later"
-        )
+        since = datetime.fromtimestamp(use.oldest, UTC)
+        lines.append(f"last used  {since:%Y-%m-%d %H:%M} UTC or later, each of them")
     if use.damaged:
         lines.append(f"unusable   {use.damaged:,}; `nw-eval cache verify` removes them")
     for name, count in use.policies[:_SHOWN]:
