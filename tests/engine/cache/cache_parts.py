@@ -84,7 +84,7 @@ class Office:
         self.results = {name: deque(made) for name, made in (results or {}).items()}
         self.started = []
 
-    def __call__(self, count, *, fresh):
+    def __call__(self, *_, **__):
         return Hands(self)
 
 

@@ -51,12 +51,12 @@ def test_an_entry_is_the_row_and_a_link_to_the_log(store, kept, job, folder, tmp
     entry = store.find(HERE, HERE.key(job))
     assert entry.row == row_of(job, folder)
     entry.link_log(tmp_path / "later" / "log.mcap")
-    assert os.path.samefile(tmp_path / "later" / "log.mcap", kept / "log.mcap")
+    assert (kept / "log.mcap").samefile(tmp_path / "later" / "log.mcap")
     assert [path.name for path in (tmp_path / "later").iterdir()] == ["log.mcap"]
 
 
-def test_a_log_that_is_linked_twice_stays_one_file_of_one_name(store, kept, job, tmp_path):
-    entry = store.find(HERE, HERE.key(job))
+def test_a_log_that_is_linked_twice_stays_one_file_of_one_name(kept, tmp_path):
+    entry = read_entry(kept)
     for _ in range(2):
         entry.link_log(tmp_path / "later" / "log.mcap")
     assert [path.name for path in (tmp_path / "later").iterdir()] == ["log.mcap"]
@@ -211,7 +211,8 @@ def test_what_was_not_used_for_longest_goes_first(store, folder):
     assert sum(kept.bytes for kept in store) <= 0.9 * 5 * each
 
 
-def test_pruning_to_nothing_leaves_an_empty_folder(store, kept):
+@pytest.mark.usefixtures("kept")
+def test_pruning_to_nothing_leaves_an_empty_folder(store):
     (store.folder / "foreign").write_text("what somebody put there")
     (store.folder / "link").symlink_to(store.folder.parent)
     assert len(store.prune(0)) == 3
