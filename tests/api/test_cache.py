@@ -73,15 +73,18 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
 
 
 @pytest.fixture
-def forged(filled):
+def forged(filled, tmp_path):
     """Forge all entries, with valid seals, and logs that are what they say; return the store."""
     store = Store.of_user()
+    shutil.copytree(store.folder, tmp_path / "true")
     for kept in list(store):
         row = to_dict(read_entry(kept.path).row)
         row |= {"outcome": "completed", "completed": True, "success": 1.0}
         row["waypoints_reached"] = row["waypoints_total"]
         write_entry(kept.path, from_dict(row), filled.folder / filled.rows[0].mcap_path)
-    return store
+    yield store
+    shutil.rmtree(store.folder)
+    shutil.copytree(tmp_path / "true", store.folder)
 
 
 def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(filled, forged, place):
@@ -101,9 +104,7 @@ def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(fill
 
 @pytest.mark.usefixtures("forged")
 def test_a_bank_is_not_saved_of_results_that_differ(place):
-    with pytest.raises(
-        TrialError, match=r"came out otherwise .*; remove reports/bank-tiny-.*again"
-    ):
+    with pytest.raises(TrialError, match=r"came out otherwise .*; remove reports/bank-tiny-"):
         api.save_baseline("tiny.yaml", starts=1, workers=1)
     assert not (place / "reports" / "baselines").exists()
 
