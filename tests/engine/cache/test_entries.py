@@ -62,12 +62,17 @@ def test_a_log_that_is_linked_twice_stays_one_file_of_one_name(kept, tmp_path):
     assert [path.name for path in (tmp_path / "later").iterdir()] == ["log.mcap"]
 
 
-def test_a_trial_that_is_run_again_leaves_the_entry_as_it_is(store, kept, job):
-    before = (kept / "log.mcap").read_bytes()
-    store.find(HERE, HERE.key(job)).link_log(job.mcap)
+def test_who_writes_to_the_log_of_the_run_that_was_kept_changes_no_entry(kept, job, usable):
+    with job.mcap.open("r+b") as log:
+        log.write(b"forged")
+    assert not (kept / "log.mcap").read_bytes().startswith(b"forged")
+    assert usable()
+
+
+def test_a_trial_that_runs_in_the_place_of_a_link_leaves_the_entry_as_it_is(kept, job, usable):
+    read_entry(kept).link_log(job.mcap)
     finish(job, DONE)
-    job.mcap.write_bytes(b"another one")  # Its own file by now.
-    assert (kept / "log.mcap").read_bytes() == before
+    assert usable()
 
 
 def test_a_log_on_another_disk_is_copied(store, job, folder, tmp_path, usable, monkeypatch):

@@ -100,7 +100,8 @@ def test_what_is_taken_over_has_its_log_in_the_run_and_the_times_of_its_own_run(
     for row in again.rows:
         log = again.folder.path / row.mcap_path
         assert log.read_text() == f"the log of {row.trial_id}"
-        assert log.stat().st_nlink == (3 if row.cached else 1)
+        assert log.stat().st_nlink == (2 if row.cached else 1)
+        assert log.is_relative_to(again.folder.cached if row.cached else again.folder.logs)
         assert row.wall_s == 2.0
 
 
@@ -118,7 +119,10 @@ def test_results_are_found_under_other_names_of_suite_policy_and_scene(go):
     for row in again.rows:
         assert (row.scene, row.policy) == ("flat/renamed", "renamed")
         assert row.trial_id == f"flat-renamed-{row.seed_index:03d}"
-        assert row.mcap_path == f"mcap/flat/renamed/{row.trial_id}.mcap"
+        assert (
+            row.mcap_path
+            == f"{'cached' if row.cached else 'mcap'}/flat/renamed/{row.trial_id}.mcap"
+        )
 
 
 def test_other_conditions_know_nothing(go):
@@ -163,6 +167,7 @@ def test_a_result_that_differs_voids_all_and_nothing_is_taken_over(go):
     again = go("again", trials=5, results=wrong)
     assert len(again.office.started) == 5
     assert hits(again) == []
+    assert [path for path in again.folder.cached.rglob("*") if path.is_file()] == []
     assert {row.outcome for row in again.rows} == {"fell"}
     [sentence] = again.info.differing
     assert f"trial {again.office.started[0]} came out otherwise" in sentence

@@ -1,7 +1,7 @@
 """One entry of the cache: a folder with a trial's row and its log.
 
     row.json    {"entry": 1, "key": ..., "log": {"bytes": ..., "sha256": ...}, "row": {...}, "sum"}
-    log.mcap    linked to the run's own log where that lies on the same disk
+    log.mcap    a copy of the run's; runs that take the trial over have it as a link
 
 It appears under its name whole or not at all. Nothing in it is believed: the sums of both files,
 the key and the row are checked whenever it is read, and what fails is no entry. Nothing is fsynced:
@@ -19,9 +19,10 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import file_digest
+from io import BufferedReader
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import IO, Any, cast
+from typing import Any, cast
 
 from nw_eval.engine.cache.key import FORMAT
 from nw_eval.results.row import Row, from_dict, to_dict
@@ -109,12 +110,15 @@ def read_entry(path: Path) -> Entry:
 
 
 def write_entry(path: Path, row: Row, log: Path) -> None:
-    """Keep a trial's row, and its log as a link where that can be; whatever was there goes.
+    """Keep a trial's row and a copy of its log; whatever was there goes.
+
+    A copy: the run's own file can be written by the processes that run trials, and may be a
+    stranger's to tamper with.
 
     Args:
         path: the entry's folder, named by its key.
         row: as the run has it.
-        log: the finished log, which nobody writes to any more.
+        log: the finished log.
 
     Raises:
         OSError: it cannot be kept.
@@ -123,7 +127,7 @@ def write_entry(path: Path, row: Row, log: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(mkdtemp(dir=path.parent, prefix="."))
     try:
-        _link(log, beside / _LOG)
+        _copy(log, beside / _LOG)
         size, digest = _sum_of(beside / _LOG)
         saved = {
             "entry": FORMAT,
@@ -171,7 +175,7 @@ def _opened(path: Path) -> Generator[int]:
 
 
 @contextmanager
-def _plain(path: Path | str, folder: int | None = None) -> Generator[IO[bytes]]:
+def _plain(path: Path | str, folder: int | None = None) -> Generator[BufferedReader]:
     """Open a plain file.
 
     Raises:
@@ -185,14 +189,18 @@ def _plain(path: Path | str, folder: int | None = None) -> Generator[IO[bytes]]:
 
 
 def _link(source: Path | str, to: Path, folder: int | None = None) -> None:
-    """Give a file a second name, or copy it to another disk."""
+    """Give a file another name, or copy it to another disk."""
     try:
         os.link(source, to, src_dir_fd=folder, follow_symlinks=False)
     except FileNotFoundError:
         raise
     except OSError:  # Another disk, or too many names.
-        with _plain(source, folder) as stream, to.open("xb") as copy:
-            shutil.copyfileobj(stream, copy)
+        _copy(source, to, folder)
+
+
+def _copy(source: Path | str, to: Path, folder: int | None = None) -> None:
+    with _plain(source, folder) as stream, to.open("xb") as copy:
+        shutil.copyfileobj(stream, copy)
 
 
 def _sum_of(path: Path | str, folder: int | None = None) -> tuple[int, str]:

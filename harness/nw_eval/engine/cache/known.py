@@ -8,6 +8,7 @@ the same conditions are void, the run makes no further use of the cache, and say
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import floor
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from nw_eval.results.provenance import CacheInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from nw_eval.engine.cache.key import Conditions
     from nw_eval.engine.cache.store import Store
@@ -96,10 +98,10 @@ class KnownTrials:
         self._expected |= {name: found[name][1] for name in again}
         for job in jobs:
             name = job.trial.id
-            if name in found and name not in again and job.mcap is not None:
+            if name in found and name not in again:
                 entry, row = found[name]
                 try:
-                    entry.link_log(job.mcap)
+                    entry.link_log(self._log_of(job))
                 except NO_ENTRY:
                     self._broken.add(name)
                 else:
@@ -136,6 +138,9 @@ class KnownTrials:
     def unconfirmed(self) -> list[TrialJob]:
         """Return the jobs that have waited in vain."""
         jobs = [job for job, _ in self._waiting.values()]
+        for job in jobs:
+            with suppress(OSError):
+                self._log_of(job).unlink()
         self._waiting.clear()
         self._expected.clear()
         return jobs
@@ -154,6 +159,9 @@ class KnownTrials:
             return None
         entry.touch()
         return entry, row
+
+    def _log_of(self, job: TrialJob) -> Path:
+        return self._folder.cached_mcap(job.trial.scene, job.trial.id)
 
     def _row_of(self, job: TrialJob) -> Row | None:
         known = self._find(job)

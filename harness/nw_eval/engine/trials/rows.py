@@ -106,5 +106,5 @@ def taken_over(row: Row, job: TrialJob, *, policy: str, folder: RunFolder, arm: 
         policy=policy,
         arm=arm,
         cached=True,
-        mcap_path="" if job.mcap is None else folder.relative(job.mcap),
+        mcap_path=folder.relative(folder.cached_mcap(trial.scene, trial.id)),
     )
