@@ -12,7 +12,7 @@ from nw_eval.engine import provenance
 from nw_eval.engine.cache import key, opening
 from nw_eval.engine.cache.entry import read_entry, write_entry
 from nw_eval.engine.cache.opening import known_trials
-from nw_eval.engine.cache.store import Store
+from nw_eval.engine.cache.store import TrialStore
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
@@ -75,7 +75,7 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
 @pytest.fixture
 def forged(filled, tmp_path):
     """Forge all entries, with valid seals, and logs that are what they say; return the store."""
-    store = Store.of_user()
+    store = TrialStore.of_user()
     shutil.copytree(store.folder, tmp_path / "true")
     for kept in list(store):
         row = to_dict(read_entry(kept.path).row)

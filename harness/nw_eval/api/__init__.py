@@ -15,7 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
-from nw_eval.api.cache import CacheUse, Removed, cache_info, prune_cache, verify_cache
+from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
@@ -65,6 +65,7 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "CacheCleanup",
     "CacheUse",
     "CardDraft",
     "CheckedBaseline",
@@ -75,7 +76,6 @@ __all__ = [
     "ListedSensor",
     "ListedSuite",
     "Published",
-    "Removed",
     "Request",
     "RunIndex",
     "RunReport",

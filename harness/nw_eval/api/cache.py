@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.engine.cache.entry import Entry
-    from nw_eval.engine.cache.store import Kept, Store
+    from nw_eval.engine.cache.entry import CacheEntry
+    from nw_eval.engine.cache.store import Kept, TrialStore
 
 _GB = 10**9
 
@@ -34,7 +34,7 @@ class CacheUse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Removed:
+class CacheCleanup:
     """What was removed from the cache of trials, and what is left."""
 
     folder: Path
@@ -70,7 +70,7 @@ def cache_info() -> CacheUse:
     )
 
 
-def prune_cache(limit_gb: float | None = None) -> Removed:
+def prune_cache(limit_gb: float | None = None) -> CacheCleanup:
     """Remove the entries that have not been used for longest, until the cache is within a size.
 
     Args:
@@ -90,7 +90,7 @@ def prune_cache(limit_gb: float | None = None) -> Removed:
     return _removed(store, store.prune(limit), looked_at=before)
 
 
-def verify_cache() -> Removed:
+def verify_cache() -> CacheCleanup:
     """Read every entry and its log, and remove those that are not what was written.
 
     Nothing is run: that a trial still comes to the result that is kept, each run finds out for some
@@ -114,13 +114,13 @@ def verify_cache() -> Removed:
     return _removed(store, damaged, looked_at=len(kept))
 
 
-def _store() -> Store:
-    from nw_eval.engine.cache.store import Store
+def _store() -> TrialStore:
+    from nw_eval.engine.cache.store import TrialStore
 
-    return Store.of_user()
+    return TrialStore.of_user()
 
 
-def _entry(kept: Kept) -> Entry | None:
+def _entry(kept: Kept) -> CacheEntry | None:
     from nw_eval.engine.cache.entry import NO_ENTRY, read_entry
 
     try:
@@ -142,9 +142,9 @@ def _is_whole(kept: Kept) -> bool:
     return True
 
 
-def _removed(store: Store, removed: list[Kept], *, looked_at: int) -> Removed:
+def _removed(store: TrialStore, removed: list[Kept], *, looked_at: int) -> CacheCleanup:
     left = list(store)
-    return Removed(
+    return CacheCleanup(
         folder=store.folder,
         looked_at=looked_at,
         removed=len(removed),

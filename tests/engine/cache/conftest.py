@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.engine.cache.store import Store
+from nw_eval.engine.cache.store import TrialStore
 from nw_eval.results.run_folder import RunFolder
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -16,4 +16,4 @@ def folder(tmp_path):
 
 @pytest.fixture
 def store(tmp_path):
-    return Store(tmp_path / "trials")
+    return TrialStore(tmp_path / "trials")

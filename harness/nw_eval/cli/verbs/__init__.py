@@ -16,7 +16,7 @@ from nw_eval.cli.verbs.judging.compare import Compare
 from nw_eval.cli.verbs.judging.gate import GateRun
 from nw_eval.cli.verbs.judging.ledger import Ledger
 from nw_eval.cli.verbs.judging.plan import PlanTrials
-from nw_eval.cli.verbs.parts.cache import Cache
+from nw_eval.cli.verbs.parts.cache import CacheOfTrials
 from nw_eval.cli.verbs.parts.policies import Policies
 from nw_eval.cli.verbs.parts.scenes import Scenes
 from nw_eval.cli.verbs.parts.schema import Schema
@@ -46,7 +46,7 @@ Verb = (
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]
     | Annotated[Splat, tyro.conf.subcommand("splat")]
     | Annotated[Schema, tyro.conf.subcommand("schema")]
-    | Annotated[Cache, tyro.conf.subcommand("cache")]
+    | Annotated[CacheOfTrials, tyro.conf.subcommand("cache")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
 

@@ -40,7 +40,7 @@ NO_ENTRY = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class CacheEntry:
     """A trial that has run: its row as it was then, and what its log must be."""
 
     path: Path
@@ -89,7 +89,7 @@ class Entry:
             os.utime(self.path)
 
 
-def read_entry(path: Path) -> Entry:
+def read_entry(path: Path) -> CacheEntry:
     """Return the entry of a folder, whose name is its key. Its log is not looked at.
 
     Raises:
@@ -101,7 +101,7 @@ def read_entry(path: Path) -> Entry:
     if saved["entry"] != FORMAT or saved["key"] != path.name:
         raise ValueError("it is of another version, or of another trial")
     log = cast("dict[str, Any]", saved["log"])
-    return Entry(
+    return CacheEntry(
         path=path,
         row=from_dict(saved["row"]),
         log_bytes=log["bytes"],

@@ -14,7 +14,7 @@ from random import Random, SystemRandom
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
-from nw_eval.engine.cache.entry import NO_ENTRY, Entry
+from nw_eval.engine.cache.entry import NO_ENTRY, CacheEntry
 from nw_eval.engine.trials.rows import taken_over
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.engine.cache.key import Conditions
-    from nw_eval.engine.cache.store import Store
+    from nw_eval.engine.cache.store import TrialStore
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
@@ -53,7 +53,7 @@ class KnownTrials:
 
     def __init__(
         self,
-        store: Store,
+        store: TrialStore,
         conditions: Conditions,
         *,
         still_hold: Callable[[], bool],
@@ -145,7 +145,7 @@ class KnownTrials:
         self._expected.clear()
         return jobs
 
-    def _find(self, job: TrialJob) -> tuple[Entry, Row] | None:
+    def _find(self, job: TrialJob) -> tuple[CacheEntry, Row] | None:
         """Return the entry of a job, and the row that its trial would have in this run."""
         entry = self._store.find(self._conditions, self._conditions.key(job))
         if entry is None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.cache.key import Conditions, system
 from nw_eval.engine.cache.known import KnownTrials
 from nw_eval.engine.cache.nothing import NothingKnown
-from nw_eval.engine.cache.store import Store, limit_bytes
+from nw_eval.engine.cache.store import TrialStore, limit_bytes
 from nw_eval.engine.provenance import journal_header
 from nw_eval.errors import StoreError
 
@@ -51,7 +51,7 @@ def known_trials(
         yield NothingKnown(off)
         return
     try:
-        store = Store.of_user()
+        store = TrialStore.of_user()
     except StoreError as error:
         listener.message(f"no result is taken over from earlier runs, or kept for later: {error}")
         yield NothingKnown(error.message)

@@ -16,7 +16,7 @@ from pathlib import Path
 from time import time
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.cache.entry import NO_ENTRY, Entry, read_entry, remove, write_entry
+from nw_eval.engine.cache.entry import NO_ENTRY, CacheEntry, read_entry, remove, write_entry
 from nw_eval.errors import UsageError
 from nw_eval.files.cache import private_dir
 
@@ -57,7 +57,7 @@ def limit_bytes() -> int:
     raise UsageError(f"NW_EVAL_CACHE_GB is {text[:40]!r}", fix="give a size in GB; 0 keeps nothing")
 
 
-class Store:
+class TrialStore:
     """The cache of trials.
 
     Args:
@@ -76,7 +76,7 @@ class Store:
         """
         return cls(private_dir("trials"))
 
-    def find(self, conditions: Conditions, key: str) -> Entry | None:
+    def find(self, conditions: Conditions, key: str) -> CacheEntry | None:
         """Return the entry of a key, if there is one that can be used."""
         try:
             return read_entry(self._path(conditions, key))

@@ -9,7 +9,7 @@ from nw_eval.clean import clean
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.api import CacheUse, Removed
+    from nw_eval.api import CacheCleanup, CacheUse
 
 _SHOWN = 20
 """Policies that are listed."""
@@ -35,7 +35,7 @@ def cache_page(use: CacheUse) -> str:
     return "\n".join(lines)
 
 
-def removed_line(removed: Removed) -> str:
+def removed_line(removed: CacheCleanup) -> str:
     """Return what was removed, and what is left."""
     return (
         f"{plural(removed.removed, 'trial')} removed ({_size(removed.bytes)}), "
@@ -43,7 +43,7 @@ def removed_line(removed: Removed) -> str:
     )
 
 
-def verified_line(checked: Removed) -> str:
+def verified_line(checked: CacheCleanup) -> str:
     """Return how many entries were read, and how many were damaged."""
     damaged = f"{checked.removed:,} damaged and removed" if checked.removed else "none damaged"
     return f"{plural(checked.looked_at, 'trial')} read, {damaged}; nothing was run"

@@ -9,7 +9,7 @@ import tyro
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info:
+class ShowCache:
     """Say where the cache of trials lies, how full it is, and of which policies."""
 
     def __call__(self) -> int:
@@ -21,7 +21,7 @@ class Info:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prune:
+class PruneCache:
     """Remove the trials that have not been used for longest, until the rest is within a size."""
 
     limit: float | None = None
@@ -37,7 +37,7 @@ class Prune:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verify:
+class VerifyCache:
     """Read every kept row and log, and remove those that are not what was written.
 
     Compares the checksum of each row and the SHA-256 of each log. Exit code 4 if one was damaged;
@@ -56,13 +56,13 @@ class Verify:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cache:
+class CacheOfTrials:
     """Look into the results of earlier runs that a run takes over, prune or verify them."""
 
     action: (
-        Annotated[Info, tyro.conf.subcommand("info")]
-        | Annotated[Prune, tyro.conf.subcommand("prune")]
-        | Annotated[Verify, tyro.conf.subcommand("verify")]
+        Annotated[ShowCache, tyro.conf.subcommand("info")]
+        | Annotated[PruneCache, tyro.conf.subcommand("prune")]
+        | Annotated[VerifyCache, tyro.conf.subcommand("verify")]
     )
 
     def __call__(self) -> int:
