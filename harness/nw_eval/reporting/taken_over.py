@@ -21,5 +21,5 @@ def taken_over(run: RunInfo, rows: Sequence[Row]) -> str:
     if run.cache is None or not again:
         return f"{text}."
     wrong = len(run.cache.differing)
-    came = f"{wrong} of them to other bits" if wrong else "to the same bits"
-    return f"{text}; {again} more that could be ran again, {came}."
+    came = f"{wrong} of them came to other bits" if wrong else "came to the same bits"
+    return f"{text}; {again} more ran again to be compared, and {came}."
