@@ -33,8 +33,8 @@ def run(make_run):
 
 
 SENTENCE = (
-    "15 of 20 results are from earlier runs, by the cache of trials; 1 more that could be ran "
-    "again, to the same bits."
+    "15 of 20 results are from earlier runs, by the cache of trials; 1 more ran again "
+    "to be compared, and came to the same bits."
 )
 
 
@@ -71,9 +71,8 @@ def test_a_result_that_differed_makes_every_verdict_one_of_infrastructure(rows, 
     verdict = judge_run(rows, doubted, BAR, None)
     assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
     assert verdict.reasons[0] == "trial x came out otherwise"
-    assert taken_over(doubted, rows).endswith(
-        "2 more that could be ran again, 1 of them to other bits."
-    )
+    said = "; 2 more ran again to be compared, and 1 of them came to other bits."
+    assert taken_over(doubted, rows).endswith(said)
 
 
 def test_what_a_session_says_adds_to_what_those_before_it_said():

@@ -28,6 +28,7 @@ def call(tmp_path, monkeypatch, capsys):
 @pytest.fixture
 def three(call, folder):
     """Keep three trials in the user's cache; return their folders."""
+    assert call("info")[0] == 0
     store = TrialStore.of_user()
     for job in jobs_of(folder, trials=3):
         store.put(HERE, HERE.key(job), row_of(job, folder), job.mcap)
@@ -44,7 +45,8 @@ def test_an_empty_cache_is_said_to_be_empty(call, tmp_path):
     ]
 
 
-def test_it_says_of_which_policies_it_has_trials(call, three):
+@pytest.mark.usefixtures("three")
+def test_it_says_of_which_policies_it_has_trials(call):
     _, out, _ = call("info")
     assert "trials     3\n" in out
     assert re.search(r"last used  \d{4}-\d\d-\d\d \d\d:\d\d UTC or later", out)
@@ -62,7 +64,8 @@ def test_what_cannot_be_used_is_counted_and_removed_once(call, three):
     assert not three[0].exists()
 
 
-def test_it_is_pruned_to_a_size_and_to_nothing(call, three, tmp_path):
+@pytest.mark.usefixtures("three")
+def test_it_is_pruned_to_a_size_and_to_nothing(call, tmp_path):
     where = tmp_path / "cache" / "trials"
     code, out, _ = call("prune")
     assert (code, out) == (0, f"0 trials removed (0.0 MB), 3 left (0.0 MB) in {where}\n")
