@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
@@ -66,6 +67,8 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "CacheCleanup",
+    "CacheUse",
     "CardDraft",
     "CheckedBaseline",
     "CheckedScene",
@@ -89,6 +92,7 @@ __all__ = [
     "WrittenSplat",
     "agree",
     "bisect",
+    "cache_info",
     "check",
     "check_baseline",
     "check_policy",
@@ -112,6 +116,7 @@ __all__ = [
     "plan",
     "plan_shards",
     "plan_trials",
+    "prune_cache",
     "publish",
     "publish_error",
     "read_ledger",
@@ -133,5 +138,6 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "verify_cache",
     "warmup",
 ]

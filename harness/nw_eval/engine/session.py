@@ -6,6 +6,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from nw_eval.engine.cache.opening import known_trials
+from nw_eval.engine.cache.store import limit_bytes
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
@@ -25,12 +27,13 @@ from nw_eval.rollout.confined.access import why_off
 from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from nw_eval.engine.rounds import Enough
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
+    from nw_eval.rollout.job import TrialJob
 
     Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 
@@ -48,6 +51,7 @@ def carry_out(
     in_process: bool = False,
     prelude: Prelude | None = None,
     enough: Enough | None = None,
+    cache: bool = True,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
@@ -66,15 +70,18 @@ def carry_out(
             returns what it is to say from then on; `stopped_after` 0, or `interrupted`, ends the
             run there.
         enough: asked between rounds whether the rest need not run: see `run_trials`.
+        cache: whether results of earlier runs are taken over: see `engine.cache.known`.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
         PrerequisiteError: the renderer is not installed.
+        UsageError: `NW_EVAL_CACHE_GB` is no size.
     """
     listener = listener or Silence()
     workers = 1 if in_process else workers
+    limit_bytes()  # Before anything is written, if it is none.
     if plan.renders:
         off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
         open_backend(plan.render, listener, is_fenced=not off)
@@ -96,22 +103,17 @@ def carry_out(
         if info.stopped_after != 0 and not info.interrupted:
             _make_ready(plan, folder, listener)
             jobs = plan_jobs(plan, folder)
-            outcome = run_trials(
+            info = _run(
+                plan,
+                folder,
+                info,
                 jobs,
                 journal=journal,
-                folder=folder,
-                policy=plan.bundle.name,
-                arm=plan.arm,
                 hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
                 workers=workers,
                 enough=enough,
+                uncached=_uncached(cache=cache, in_process=in_process),
                 listener=listener,
-            )
-            info = info.model_copy(
-                update={
-                    "interrupted": outcome.interrupted is not None,
-                    "stopped_after": outcome.stopped_after,
-                }
             )
         _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
     return folder
@@ -172,7 +174,8 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
     if earlier.baseline and info.baseline and earlier.baseline.sha256 == info.baseline.sha256:
         # What the baseline showed on this machine holds until it has been looked at again.
         info = info.model_copy(update={"baseline": earlier.baseline})
-    info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
+    since = {"started": earlier.started, "wall_s": earlier.wall_s, "cache": earlier.cache}
+    info = info.model_copy(update=since)
     write_run_info(folder.run_json, info)
     return info
 
@@ -189,6 +192,58 @@ def _make_ready(plan: Plan, folder: RunFolder, listener: Listener) -> None:
         temporary.write_text(layout_json(shown), encoding="utf-8")
     if plan.renders:
         build_splats(plan.scenes, listener)
+
+
+def _run(
+    plan: Plan,
+    folder: RunFolder,
+    info: RunInfo,
+    jobs: Sequence[TrialJob],
+    *,
+    journal: Journal,
+    hire: Hire,
+    workers: int | None,
+    enough: Enough | None,
+    uncached: str,
+    listener: Listener,
+) -> RunInfo:
+    """Run jobs, but for what the cache knows; return what run.json is to say afterwards."""
+
+    def seen() -> RunInfo:
+        return info.model_copy(update={"cache": known.info.after(info.cache)})
+
+    with known_trials(
+        plan,
+        folder,
+        off=uncached,
+        listener=listener,
+        doubted=lambda: write_run_info(folder.run_json, seen()),
+    ) as known:
+        outcome = run_trials(
+            jobs,
+            journal=journal,
+            folder=folder,
+            policy=plan.bundle.name,
+            arm=plan.arm,
+            hire=hire,
+            workers=workers,
+            enough=enough,
+            listener=listener,
+            known=known,
+        )
+    return seen().model_copy(
+        update={
+            "interrupted": outcome.interrupted is not None,
+            "stopped_after": outcome.stopped_after,
+        }
+    )
+
+
+def _uncached(*, cache: bool, in_process: bool) -> str:
+    """Return why a run is to do without the cache of trials; empty if it is not."""
+    if in_process:
+        return "in the calling process"  # For a debugger, which wants to see it run.
+    return "" if cache else "--no-cache"
 
 
 def _in_process(plan: Plan) -> Hire:

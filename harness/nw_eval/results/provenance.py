@@ -108,6 +108,27 @@ class PartInfo(_Saved):
     rows_digest: str
 
 
+class CacheInfo(_Saved):
+    """How a run used the cache of trials. Which results it took over, rows say: `Row.cached`."""
+
+    off: str = ""  # Why it was not used; empty if it was.
+    reexecuted: int = Field(default=0, ge=0)
+    """Trials that ran although the cache had their result, to be compared with it."""
+    differing: tuple[str, ...] = ()
+    """Sentences: which of these came out otherwise. Where there are any, the run is INFRASTRUCTURE:
+    what else was taken over may be as wrong."""
+
+    def after(self, earlier: CacheInfo | None) -> CacheInfo:
+        """Return what a run has to say whose last session says this, and those before `earlier`."""
+        if earlier is None:
+            return self
+        return CacheInfo(
+            off=self.off if earlier.off else "",
+            reexecuted=earlier.reexecuted + self.reexecuted,
+            differing=(*earlier.differing, *self.differing),
+        )
+
+
 class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
@@ -133,6 +154,7 @@ class RunInfo(_Saved):
     baseline: BaselineInfo | None = None  # None: nothing to compare with.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
+    cache: CacheInfo | None = None  # None: of an older nw-eval, which had none.
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
     command: tuple[str, ...] = ()
     code: CodeInfo

@@ -67,20 +67,39 @@ class RunFolder:
         """The logs of trials: all that worker processes write."""
         return self.path / "mcap"
 
+    @property
+    def cached(self) -> Path:
+        """The logs of trials that were taken over from earlier runs, as `logs` has the others.
+
+        They are the cache's own files, which no worker process may write.
+        """
+        return self.path / "cached"
+
     def mcap(self, scene: str, trial_id: str) -> Path:
         """Path of a trial's log; `relative` gives what its row says.
 
         Raises:
             StoreError: the names lead out of the folder.
         """
+        return self._log(self.logs, scene, trial_id)
+
+    def cached_mcap(self, scene: str, trial_id: str) -> Path:
+        """Path of the log of a trial that was taken over, likewise.
+
+        Raises:
+            StoreError: the names lead out of the folder.
+        """
+        return self._log(self.cached, scene, trial_id)
+
+    def _log(self, logs: Path, scene: str, trial_id: str) -> Path:
         try:
-            inside(self.logs, f"{scene}/{trial_id}.mcap")
+            inside(logs, f"{scene}/{trial_id}.mcap")
         except OutsideError as error:
             raise StoreError(
                 f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
                 fix="rename the scene",
             ) from None
-        return self.logs / PurePosixPath(scene) / f"{trial_id}.mcap"
+        return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def bank(self, name: str) -> Path:
         """Path of the copy of the bank that the run is compared with.

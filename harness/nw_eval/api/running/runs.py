@@ -29,6 +29,7 @@ def run(
     out: Path | None = None,
     resume: Path | None = None,
     in_process: bool = False,
+    cache: bool = True,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -45,6 +46,8 @@ def run(
             does not ask for is as the run was begun, but for leave to run code.
         in_process: run trials in this very process, one after another, for a debugger or a
             notebook: nothing confines the policy, and nothing ends it if it hangs.
+        cache: take over results that earlier runs have of the same trials, all but a few, which are
+            run again and compared; trials in this very process always run.
         listener: hears of progress.
         changes: fields of `Request` by name.
 
@@ -70,6 +73,7 @@ def run(
             out=out,
             resume=resume,
             in_process=in_process,
+            cache=cache,
             listener=listener,
         )
     )
@@ -83,6 +87,7 @@ def roll_out(
     resume: Path | None,
     in_process: bool,
     listener: Listener | None,
+    cache: bool = True,
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
 
@@ -95,6 +100,7 @@ def roll_out(
         resume: the folder of an interrupted run.
         in_process: whether trials run in this very process.
         listener: hears of progress.
+        cache: whether results of earlier runs are taken over.
 
     Raises:
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
@@ -108,7 +114,9 @@ def roll_out(
     if plan.shard is not None:
         ears.message(_part(plan, plan.shard))
     if plan.against is not None:
-        contest = Contest(plan, plan.against, workers=workers, command=command, listener=ears)
+        contest = Contest(
+            plan, plan.against, workers=workers, command=command, listener=ears, cache=cache
+        )
     elif plan.suite.gate.max_drop is not None and plan.shard is None:
         ears.message(_without_baseline(plan))
     return session.carry_out(
@@ -122,6 +130,7 @@ def roll_out(
         prelude=None if contest is None else contest.begin,
         # What is enough shows in whole rounds only, of which a part has none.
         enough=None if contest is None or plan.shard is not None else contest.enough,
+        cache=cache,
     )
 
 

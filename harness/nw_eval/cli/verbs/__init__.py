@@ -17,6 +17,7 @@ from nw_eval.cli.verbs.judging.gate import GateRun
 from nw_eval.cli.verbs.judging.ledger import Ledger
 from nw_eval.cli.verbs.judging.merge import MergeRuns
 from nw_eval.cli.verbs.judging.plan import PlanTrials
+from nw_eval.cli.verbs.parts.cache import CacheOfTrials
 from nw_eval.cli.verbs.parts.policies import Policies
 from nw_eval.cli.verbs.parts.scenes import Scenes
 from nw_eval.cli.verbs.parts.schema import Schema
@@ -47,6 +48,7 @@ Verb = (
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]
     | Annotated[Splat, tyro.conf.subcommand("splat")]
     | Annotated[Schema, tyro.conf.subcommand("schema")]
+    | Annotated[CacheOfTrials, tyro.conf.subcommand("cache")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
 

@@ -34,6 +34,9 @@ class Run(Publishing, Options):
     in_process: bool = False
     """Run trials in this very process, one after another, so that `breakpoint()` works.
     For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
+    no_cache: bool = False
+    """Run every trial. Results of earlier runs of the very same trials are taken over otherwise,
+    but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
 
     def __call__(self) -> int:
         return self.publishing(str(self.suite or self.resume or "suite"), self._run)
@@ -56,6 +59,7 @@ class Run(Publishing, Options):
                 out=self.out,
                 resume=self.resume,
                 in_process=self.in_process,
+                cache=not self.no_cache,
                 listener=progress,
             )
         print(summary(outcome, folded=self.on_github))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nw_eval.results.row import Row
@@ -82,4 +83,28 @@ def make_row(
         mcap_bytes=result.mcap_bytes,
         error_type=result.error_type or "",
         error_text=result.error_text,
+    )
+
+
+def taken_over(row: Row, job: TrialJob, *, policy: str, folder: RunFolder, arm: Arm) -> Row:
+    """Return the row that an earlier run has of a trial as this run has it: by its own names.
+
+    Args:
+        row: of the earlier run. Its times stay, which are none of this run's.
+        job: what need not be run.
+        policy: the policy's name.
+        folder: of the run, which the row's log path starts from.
+        arm: whether the policy is the one that is judged.
+    """
+    trial = job.trial
+    return replace(
+        row,
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        tier=trial.tier,
+        policy=policy,
+        arm=arm,
+        cached=True,
+        mcap_path=folder.relative(folder.cached_mcap(trial.scene, trial.id)),
     )

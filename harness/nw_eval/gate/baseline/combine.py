@@ -21,6 +21,7 @@ from nw_eval.suite.model import Gate
 def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
     """Judge the rows of a run by the bar, and against a bank if there is one.
 
+    Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
     Where the bank's own policy did other than the bank says on the machine of the run, the verdict
     is INVALID: nothing is charged to the candidate. A part of a run is not judged (`gate.part`).
 
@@ -35,6 +36,15 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     if run.shard is not None:
         return of_part(rows, run, gate)
+    verdict = _of_rows(rows, run, gate, against)
+    if run.cache is None or not run.cache.differing:
+        return verdict
+    reasons = (*run.cache.differing, *verdict.reasons)
+    return replace(verdict, verdict="INFRASTRUCTURE", reasons=reasons)
+
+
+def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+    """Return the verdict on the rows as they are."""
     if against is None:
         return judge(rows, gate, run.planned)
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
+from nw_eval.reporting.taken_over import taken_over
 from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -17,7 +18,7 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
     spent = throughput(rows, run)
     # A run that was resumed knows the time of its last part only.
     wall = max(run.wall_s, sum(row.wall_s for row in rows if not row.cached) / run.workers)
-    rate = 60.0 * len(rows) / wall if wall > 0 else 0.0
+    rate = 60.0 * sum(not row.cached for row in rows) / wall if wall > 0 else 0.0
     return Table(
         title="Where the time went",
         columns=("stage", "seconds", "ms per control step", "share"),
@@ -29,11 +30,12 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
                 f"{100 * stage.share:.0f} %",
             )
             for stage in spent.stages
-            if rows  # Where nothing ran no time went anywhere.
+            if not all(row.cached for row in rows)  # Where nothing ran no time went anywhere.
         ),
         numbers=frozenset({"seconds", "ms per control step", "share"}),
         note=f"{rate:.1f} trials per minute on {plural(run.workers, 'worker')}; "
-        f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker.",
+        f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker."
+        f" {taken_over(run, rows)}".rstrip(),
     )
 
 

@@ -104,8 +104,8 @@ class Row:
     cached: Annotated[
         bool,
         Column(
-            "whether the row was taken over from another run, so that its times are none of "
-            "this run's; so far never",
+            "whether the row was taken over from an earlier run, by the cache of trials, so that "
+            "its times are none of this run's",
             measured=True,
         ),
     ] = False

@@ -30,6 +30,7 @@ class Contest:
         workers: processes; one for each core if None.
         command: what was typed.
         listener: hears of progress.
+        cache: whether results of earlier runs are taken over.
     """
 
     def __init__(
@@ -40,12 +41,14 @@ class Contest:
         workers: int | None,
         command: tuple[str, ...],
         listener: Listener,
+        cache: bool,
     ) -> None:
         self._plan = plan
         self._against = against
         self._workers = workers
         self._command = command
         self._listener = listener
+        self._cache = cache
         self._run: RunInfo | None = None
 
     def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
@@ -81,6 +84,7 @@ class Contest:
                 workers=self._workers,
                 command=self._command,
                 listener=self._listener,
+                cache=self._cache,
             )
         self._run = run
         return run

@@ -44,6 +44,8 @@ class Save:
     """Let the policy's card import Python code."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes; the number of cores when absent."""
+    no_cache: bool = False
+    """Run every trial, and keep no result for later runs."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -61,6 +63,7 @@ class Save:
                 from_run=self.from_run,
                 renew=self.renew,
                 workers=self.workers,
+                cache=not self.no_cache,
                 listener=progress,
                 checkpoint=self.checkpoint,
                 render=self.render,
