@@ -20,6 +20,7 @@ from nw_eval.api import (
     ShownSuite,
     Surfaces,
     TrialPlan,
+    VerifiedRun,
     WarmUp,
     WrittenSplat,
     agree,
@@ -66,6 +67,7 @@ from nw_eval.api import (
     splat_convert,
     splat_info,
     splat_render,
+    verify,
     warmup,
 )
 from nw_eval.cards.card import Card
@@ -152,6 +154,7 @@ __all__ = [
     "TrialPlan",
     "UsageError",
     "Verdict",
+    "VerifiedRun",
     "WarmUp",
     "WrittenRecording",
     "WrittenSplat",
@@ -200,5 +203,6 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "verify",
     "warmup",
 ]
