@@ -1,4 +1,4 @@
-"""The Merkle Tree Hash against the definition of RFC 6962 and the roots that its authors publish."""
+"""The Merkle Tree Hash against RFC 6962's definition, and roots that its authors publish."""
 
 from hashlib import sha256
 

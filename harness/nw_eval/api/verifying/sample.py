@@ -14,7 +14,7 @@ SAMPLE = "5%"
 """Of the trials with a result, where nothing else is asked for."""
 
 _BITS = 48  # of a seed, which somebody may have to type
-_SHARE = re.compile(r"(\d{1,3}(?:\.\d{1,9})?) ?%|(\d{1,9})")
+_SHARE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,9})?) ?%|([0-9]{1,9})")
 
 
 def unforeseen_seed() -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from hashlib import file_digest
+from operator import attrgetter
 from pathlib import Path
 
 from nw_eval.results.evidence.merkle import leaf_hash
@@ -16,7 +17,9 @@ from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Row
 
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
-_ADDED = tuple((name, column.default) for name, column in COLUMNS.items() if column.added)
+_VALUES = attrgetter(*COLUMNS)
+_DEFAULTS = tuple((column.added, column.default) for column in COLUMNS.values())
+_REALS = tuple(place for place, name in enumerate(COLUMNS) if name in COLUMNS.reals)
 
 
 def run_leaf(info: RunInfo) -> str:
@@ -41,17 +44,17 @@ def run_leaf(info: RunInfo) -> str:
 
 
 def row_leaf(row: Row) -> str:
-    """Return the hex hash of a row: of all columns but those added later that have their default.
+    """Return the hex hash of a row: of the values of all columns, in their order.
 
-    So a row keeps its hash under every later version, which adds columns.
+    Columns that came later are last. While they have their defaults they are left out, so that a
+    row keeps its hash under every version that adds some.
     """
-    values = {name: getattr(row, name) for name in COLUMNS}
-    for name in COLUMNS.reals:  # A whole number comes back from Parquet as a real one.
-        if type(values[name]) is int:
-            values[name] = float(values[name])
-    for name, default in _ADDED:
-        if values[name] == default:
-            del values[name]
+    values = list(_VALUES(row))
+    for place in _REALS:  # A whole number comes back from Parquet as a real one.
+        if type(values[place]) is int:
+            values[place] = float(values[place])
+    while _DEFAULTS[len(values) - 1] == (True, values[-1]):
+        values.pop()
     return leaf_hash(_ENCODE(values).encode()).hex()
 
 

@@ -50,7 +50,8 @@ def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
         if written.tell() > _MOST_ANSWER:
             raise StoreError(f"{path} has over {_MOST_ANSWER // 2**20} MiB", fix=fix)
         written.seek(0)
-        lines = [json.loads(line) for line in written if line.endswith(b"\n")]
+        whole = [line for line in written if line.endswith(b"\n")]
+        lines = json.loads(b"[" + b",".join(whole) + b"]")  # Faster than one by one.
     if not lines or lines[-1] != "end":
         error = next((line["error"] for line in lines if "error" in line), None)
         if error is not None:
