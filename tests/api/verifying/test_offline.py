@@ -17,10 +17,10 @@ SUCCESS = {"success": 1.0, "completed": True, "waypoints_reached": 4, "outcome":
 def look(run, **options):
     """What was found, as (what, file, trial), and all that was said about it."""
     verified = api.verify(run.path, offline=True, **options)
-    assert verified.exit_code == (4 if verified.evidence.findings else 0)
+    assert verified.exit_code == (4 if verified.files.findings else 0)
     assert verified.repeats is None
-    found = verified.evidence.findings
-    words = [*(each.about for each in found), *verified.evidence.remarks]
+    found = verified.files.findings
+    words = [*(each.about for each in found), *verified.files.remarks]
     return {(each.what, each.file, each.trial) for each in found}, " ".join(words)
 
 
@@ -41,9 +41,9 @@ def test_a_run_is_as_it_ended_also_once_its_table_was_written_again(run):
     assert "written again" in judged.verdict.reasons[-1]
     verified = api.verify(run.path, offline=True)
     assert verified.exit_code == 0
-    assert verified.evidence.remarks == ()
-    assert (verified.evidence.rows, verified.evidence.logs) == (3, 3)
-    assert verified.evidence.root == run.info.merkle_root
+    assert verified.files.remarks == ()
+    assert (verified.files.rows, verified.files.logs) == (3, 3)
+    assert verified.files.root == run.info.merkle_root
 
 
 def test_verifying_writes_nothing(run):

@@ -60,14 +60,14 @@ def _logs(
     Equal trials make equal bytes. Where a policy lies elsewhere now, or an attempt was repeated,
     what a log says besides differs.
     """
-    recorded, made = log_path(run, row), log_path(now, again)
+    recorded, written = log_path(run, row), log_path(now, again)
     known = {row.mcap_sha256, "" if recorded is None else log_sha256(recorded)} - {""}
     if again.mcap_sha256 and known == {again.mcap_sha256}:
         return "same", {}
-    if recorded is None or made is None:
+    if recorded is None or written is None:
         return "gone", {}
     try:
-        return "compared", partings(recorded, made)
+        return "compared", partings(recorded, written)
     except StoreError:  # Missing or damaged, which was said of it already.
         return "gone", {}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from nw_eval.errors import NwEvalError, StoreError
 
 if TYPE_CHECKING:
-    from nw_eval.results.evidence.finding import Evidence
+    from nw_eval.results.evidence.discrepancy import CheckedFiles
     from nw_eval.rollout.replaying.report import Difference
 
 Kind = Literal["state", "action", "observation", "image", "other"]
@@ -58,7 +58,7 @@ class VerifiedRun:
     """A run that was looked at, and of which trials were run again."""
 
     folder: Path
-    evidence: Evidence
+    files: CheckedFiles
     """Whether its files are as they were."""
     repeats: Repeats | None
     """Trials that were run again; None where none was asked for."""
@@ -67,7 +67,7 @@ class VerifiedRun:
     def is_as_it_was(self) -> bool:
         """Whether nothing speaks against rows and logs."""
         again = () if self.repeats is None else self.repeats.trials
-        return not self.evidence.findings and all(each.is_identical for each in again)
+        return not self.files.findings and all(each.is_identical for each in again)
 
     @property
     def interrupted(self) -> bool:

@@ -13,7 +13,7 @@ from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.evidence.finding import Evidence
+    from nw_eval.results.evidence.discrepancy import CheckedFiles
 
 _ROOT = re.compile(r"[0-9a-f]{64}")
 
@@ -56,7 +56,7 @@ def verify(
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.api.verifying.sample import check_sample, unforeseen_seed
     from nw_eval.request import Request
-    from nw_eval.results.evidence.check import check_evidence
+    from nw_eval.results.evidence.check import check_files
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import RunFolder, open_run_folder
 
@@ -67,9 +67,9 @@ def verify(
     folder = RunFolder(path=open_run_folder(Path(run)).path.resolve())
     info = read_run_info(folder.run_json)
     planned = {trial.id for trial in saved_trials(info, saved_suite(info))}
-    evidence, rows = check_evidence(folder, info, planned)
+    files, rows = check_files(folder, info, planned)
     if root not in {None, info.merkle_root}:
-        evidence = _of_another_root(evidence, root or "")
+        files = _of_another_root(files, root or "")
     repeats = None
     if not offline:
         from nw_eval.api.verifying.again import run_again
@@ -84,12 +84,12 @@ def verify(
             workers=workers,
             listener=listener,
         )
-    return VerifiedRun(folder=folder.path, evidence=evidence, repeats=repeats)
+    return VerifiedRun(folder=folder.path, files=files, repeats=repeats)
 
 
-def _of_another_root(evidence: Evidence, root: str) -> Evidence:
-    from nw_eval.results.evidence.finding import Finding
+def _of_another_root(files: CheckedFiles, root: str) -> CheckedFiles:
+    from nw_eval.results.evidence.discrepancy import Discrepancy
 
-    about = f"merkle_root is {evidence.root[:12] or 'missing'}, not {root[:12]}"
-    finding = Finding(what="changed", file="run.json", about=about)
-    return replace(evidence, findings=(finding, *evidence.findings))
+    about = f"merkle_root is {files.root[:12] or 'missing'}, not {root[:12]}"
+    finding = Discrepancy(what="changed", file="run.json", about=about)
+    return replace(files, findings=(finding, *files.findings))

@@ -11,7 +11,7 @@ from nw_eval.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
     from nw_eval.api.verifying.result import RepeatedTrial, Repeats
-    from nw_eval.results.evidence.finding import Evidence, Finding
+    from nw_eval.results.evidence.discrepancy import CheckedFiles, Discrepancy
 
 _MOST = 20
 """Lines about files; a run may have thousands."""
@@ -20,31 +20,31 @@ _DIGEST = 12  # digits that tell two apart
 
 def verification_lines(verified: VerifiedRun) -> str:
     """Return what was found, in lines."""
-    lines = [*_evidence(verified.evidence)]
+    lines = [*_files(verified.files)]
     if verified.repeats is not None:
         lines += _repeats(verified.repeats)
     return "\n".join(clean(line, at_most=2000) for line in lines)
 
 
-def _evidence(evidence: Evidence) -> Iterator[str]:
-    yield from (_finding(each) for each in evidence.findings[:_MOST])
-    if len(evidence.findings) > _MOST:
-        yield f"and {len(evidence.findings) - _MOST} more"
-    yield from (f"* {remark}" for remark in evidence.remarks)
-    looked = plural(evidence.rows, "row")
-    if evidence.logs:
-        looked += f", {plural(evidence.logs, 'log')} of {evidence.log_bytes / 1e6:.1f} MB"
-    if evidence.findings:
-        yield f"NOT as the run ended: {plural(len(evidence.findings), 'finding')} ({looked})"
-    elif evidence.root:
+def _files(files: CheckedFiles) -> Iterator[str]:
+    yield from (_finding(each) for each in files.findings[:_MOST])
+    if len(files.findings) > _MOST:
+        yield f"and {len(files.findings) - _MOST} more"
+    yield from (f"* {remark}" for remark in files.remarks)
+    looked = plural(files.rows, "row")
+    if files.logs:
+        looked += f", {plural(files.logs, 'log')} of {files.log_bytes / 1e6:.1f} MB"
+    if files.findings:
+        yield f"NOT as the run ended: {plural(len(files.findings), 'finding')} ({looked})"
+    elif files.root:
         yield f"as the run ended: {looked}"
     else:
         yield f"nothing speaks against {looked}"
-    if evidence.root:
-        yield f"Merkle root {evidence.root}"
+    if files.root:
+        yield f"Merkle root {files.root}"
 
 
-def _finding(finding: Finding) -> str:
+def _finding(finding: Discrepancy) -> str:
     row = f": the row of {finding.trial}" if finding.trial and ".mcap" not in finding.file else ""
     about = f": {finding.about}" if finding.about else ""
     return f"{finding.what}: {finding.file}{row}{about}"

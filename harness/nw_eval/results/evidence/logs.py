@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.files.inside import OutsideError, inside, what_is
-from nw_eval.results.evidence.finding import Finding, What
+from nw_eval.results.evidence.discrepancy import Discrepancy, What
 from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
@@ -19,7 +19,7 @@ class LookedAt:
     """A log, and what was found of it."""
 
     bytes: int  # 0 where it could not be compared.
-    finding: Finding | None
+    finding: Discrepancy | None
 
 
 def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> list[LookedAt]:
@@ -74,5 +74,5 @@ def _look_at(folder: RunFolder, row: Row) -> LookedAt:
 
 
 def _wrong(row: Row, what: What, about: str) -> LookedAt:
-    finding = Finding(what=what, file=row.mcap_path, trial=row.trial_id, about=about)
+    finding = Discrepancy(what=what, file=row.mcap_path, trial=row.trial_id, about=about)
     return LookedAt(bytes=0, finding=finding)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.evidence.digests import Digests
-from nw_eval.results.evidence.finding import Finding
+from nw_eval.results.evidence.discrepancy import Discrepancy
 from nw_eval.results.evidence.leaves import row_leaf
 from nw_eval.results.journal import read_journal
 from nw_eval.results.parquet_apart import read_rows_apart
@@ -43,7 +43,7 @@ def copies_of(folder: RunFolder, planned: Collection[str], *, ended: bool) -> tu
     return (journal, _parquet(folder)) if ended else (journal,)
 
 
-def row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Finding]:
+def row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrepancy]:
     """Yield what is wrong with each row of each copy.
 
     Args:
@@ -52,19 +52,19 @@ def row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Finding]
     """
     for copy in copies:
         if copy.fault:
-            yield Finding(what="unreadable", file=copy.file, about=copy.fault)
+            yield Discrepancy(what="unreadable", file=copy.file, about=copy.fault)
             continue
         for trial in sorted({*copy.leaves, *sealed.rows}):
             leaf, known = copy.leaves.get(trial), sealed.rows.get(trial)
             if leaf == known:
                 continue
             if known is None:
-                yield Finding(what="extra", file=copy.file, trial=trial)
+                yield Discrepancy(what="extra", file=copy.file, trial=trial)
             elif leaf is None:
-                yield Finding(what="missing", file=copy.file, trial=trial)
+                yield Discrepancy(what="missing", file=copy.file, trial=trial)
             else:
                 about = _against_the_other(copy, trial, known, copies)
-                yield Finding(what="changed", file=copy.file, trial=trial, about=about)
+                yield Discrepancy(what="changed", file=copy.file, trial=trial, about=about)
 
 
 def believed(copies: Collection[Copy], sealed: Digests | None) -> dict[str, Row]:

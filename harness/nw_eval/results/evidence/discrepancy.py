@@ -9,7 +9,7 @@ What = Literal["changed", "missing", "extra", "unreadable"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class Discrepancy:
     """Something that is not as it was when the run ended."""
 
     what: What
@@ -22,10 +22,10 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence:
+class CheckedFiles:
     """What looking at a run's files showed; nothing was run."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[Discrepancy, ...]
     remarks: tuple[str, ...]
     """Sentences: what could not be looked at, and why."""
     rows: int
