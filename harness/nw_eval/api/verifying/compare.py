@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Literal
 
 from nw_eval.api.verifying.logs import partings
@@ -57,21 +58,18 @@ def _differences(row: Row, again: Row) -> tuple[Difference, ...]:
 def _logs(
     row: Row, again: Row, run: RunFolder, now: RunFolder
 ) -> tuple[Literal["same", "compared", "gone"], dict[Kind, int]]:
-    """Compare logs: by their bytes, or else, where both are there, message by message.
+    """Compare logs: by their bytes, or else, where both can be read, message by message.
 
     Equal trials make equal bytes. Where a policy lies elsewhere now, or an attempt was repeated,
-    what a log says besides differs.
+    what a log says besides differs. Of a log that is gone or damaged, the row knows the digest.
     """
     recorded, written = log_path(run, row), log_path(now, again)
-    known = {row.mcap_sha256, "" if recorded is None else log_sha256(recorded)} - {""}
-    if again.mcap_sha256 and known == {again.mcap_sha256}:
-        return "same", {}
-    if recorded is None or written is None:
-        return "gone", {}
-    try:
-        return "compared", partings(recorded, written)
-    except StoreError:  # Missing or damaged, which was said of it already.
-        return "gone", {}
+    is_known = again.mcap_sha256 != "" and again.mcap_sha256 == row.mcap_sha256
+    there = "" if recorded is None else log_sha256(recorded)
+    if again.mcap_sha256 != there and recorded is not None and written is not None:
+        with suppress(StoreError):
+            return "compared", partings(recorded, written)
+    return ("same" if is_known or there == again.mcap_sha256 != "" else "gone"), {}
 
 
 def _text(value: object) -> str:

@@ -33,9 +33,9 @@ def _files(files: CheckedFiles) -> Iterator[str]:
     yield from (f"* {remark}" for remark in files.remarks)
     looked = plural(files.rows, "row")
     if files.logs:
-        looked += f", {plural(files.logs, 'log')} of {files.log_bytes / 1e6:.1f} MB"
+        looked += f" and {plural(files.logs, 'log')} of {files.log_bytes / 1e6:.1f} MB"
     if files.findings:
-        yield f"NOT as the run ended: {plural(len(files.findings), 'finding')} ({looked})"
+        yield f"NOT as the run ended: {plural(len(files.findings), 'finding')} in {looked}"
     elif files.root:
         yield f"as the run ended: {looked}"
     else:

@@ -46,7 +46,9 @@ def check_files(
     rows = believed(copies, sealed)
     if absent := len({*planned} - rows.keys()):
         remarks.append(f"{plural(absent, 'planned trial')} without a row")
-    looked = look_at_logs(folder, rows.values())
+    # In a run that goes on, a trial that ended in an error may be running again.
+    still = [row for row in rows.values() if info.merkle_root or row.status == "ok"]
+    looked = look_at_logs(folder, still)
     findings += (each.finding for each in looked if each.finding is not None)
     extra = [*unnamed_logs(folder, [*rows.values(), *copies[0].others])]
     if info.merkle_root and not info.interrupted:
@@ -55,13 +57,12 @@ def check_files(
         remarks.append(f"{plural(len(extra), 'log')} of trials without a row, first {extra[0]}")
     if unknown := sum(bool(row.mcap_path) and not row.mcap_sha256 for row in rows.values()):
         remarks.append(f"{plural(unknown, 'log')} not compared: their rows have no digest of them")
-    intact = [each for each in looked if each.finding is None]
     evidence = CheckedFiles(
         findings=tuple(findings),
         remarks=tuple(remarks),
         rows=len(rows),
-        logs=len(intact),
-        log_bytes=sum(each.bytes for each in intact),
+        logs=len(looked),
+        log_bytes=sum(each.bytes for each in looked),
         root=info.merkle_root,
     )
     return evidence, rows

@@ -31,8 +31,8 @@ class CheckedFiles:
     rows: int
     """Trials with a row."""
     logs: int
-    """Logs that were compared with the digest in their row."""
+    """Logs whose digest a row has."""
     log_bytes: int
-    """Of those logs."""
+    """Of those that are there."""
     root: str
     """The Merkle root that run.json has, hex; empty where it has none."""

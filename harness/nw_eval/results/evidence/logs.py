@@ -18,7 +18,7 @@ from nw_eval.results.run_folder import RunFolder
 class LookedAt:
     """A log, and what was found of it."""
 
-    bytes: int  # 0 where it could not be compared.
+    bytes: int  # 0 where there is none.
     finding: Discrepancy | None
 
 
@@ -62,17 +62,22 @@ def _look_at(folder: RunFolder, row: Row) -> LookedAt:
     path = log_path(folder, row)
     if path is None:
         return _wrong(row, "unreadable", "its row names no file of this folder")
-    if what_is(path) != "file":
-        return _wrong(row, "missing", "")
-    size, digest = path.stat().st_size, log_sha256(path)
+    try:
+        size = path.stat().st_size if what_is(path) == "file" else None
+    except OSError:  # It was there a moment ago.
+        size = None
+    if size is None:
+        return _wrong(row, "missing")
+    digest = log_sha256(path)
     if not digest:
-        return _wrong(row, "unreadable", "check its rights")
+        return _wrong(row, "unreadable", "check its rights", size)
     if digest != row.mcap_sha256:
         sizes = f"{size:,} bytes, not {row.mcap_bytes:,}; " if size != row.mcap_bytes else ""
-        return _wrong(row, "changed", f"{sizes}SHA-256 {digest[:12]}, not {row.mcap_sha256[:12]}")
+        about = f"{sizes}SHA-256 {digest[:12]}, not {row.mcap_sha256[:12]}"
+        return _wrong(row, "changed", about, size)
     return LookedAt(bytes=size, finding=None)
 
 
-def _wrong(row: Row, what: What, about: str) -> LookedAt:
+def _wrong(row: Row, what: What, about: str = "", size: int = 0) -> LookedAt:
     finding = Discrepancy(what=what, file=row.mcap_path, trial=row.trial_id, about=about)
-    return LookedAt(bytes=0, finding=finding)
+    return LookedAt(bytes=size, finding=finding)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
+from nw_eval.plural import plural
 from nw_eval.results.evidence.digests import Digests
 from nw_eval.results.evidence.discrepancy import Discrepancy
 from nw_eval.results.evidence.leaves import row_leaf
@@ -118,8 +119,8 @@ def _against_the_other(copy: Copy, trial: str, leaf: str, copies: Collection[Cop
         f"{name} is {_short(getattr(now, name))}, was {_short(getattr(was, name))}"
         for name in changed[:_SHOWN]
     ]
-    more = [f"and {len(changed) - _SHOWN} more columns"] if len(changed) > _SHOWN else []
-    return "; ".join([*shown, *more])
+    more = len(changed) - _SHOWN
+    return "; ".join([*shown, *([f"and {plural(more, 'column')} more"] if more > 0 else [])])
 
 
 def _short(value: object) -> str:
