@@ -44,9 +44,9 @@ def test_what_differs_is_named_with_the_step_at_which_logs_part():
     difference = Difference(name="state_digest", recorded="ab" * 32, now="cd" * 32)
     other = trial(differences=(difference,), partings={"image": 60, "state": 57}, log="compared")
     found = lines(trials=(other, trial(log="gone"), trial(fault="crashed: killed")))
+    parts = "state in its log from step 57 on; image in its log from step 60 on"
     assert found[2:] == [
-        "t: OTHER BITS: state_digest was abababababab, now cdcdcdcdcdcd; state in its log from "
-        "step 57 on; image in its log from step 60 on",
+        f"t: OTHER BITS: state_digest was abababababab, now cdcdcdcdcdcd; {parts}",
         "t: the same in 7 steps: states and actions; there is no log to compare images with",
         "t: no result now: crashed: killed",
         "run again: 1 of 3 trials with the same bits, drawn from 100 by --seed 3",

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING, Literal
 
-from nw_eval.api.verifying.logs import partings
+from nw_eval.api.verifying.logs import partings_apart
 from nw_eval.api.verifying.result import Kind, RepeatedTrial
 from nw_eval.clean import clean
-from nw_eval.errors import StoreError
 from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.evidence.logs import log_path
 from nw_eval.results.row import COLUMNS, MEASURED
@@ -67,8 +65,9 @@ def _logs(
     is_known = again.mcap_sha256 != "" and again.mcap_sha256 == row.mcap_sha256
     there = "" if recorded is None else log_sha256(recorded)
     if again.mcap_sha256 != there and recorded is not None and written is not None:
-        with suppress(StoreError):
-            return "compared", partings(recorded, written)
+        parted = partings_apart(recorded, written)
+        if parted is not None:
+            return "compared", parted
     return ("same" if is_known or there == again.mcap_sha256 != "" else "gone"), {}
 
 

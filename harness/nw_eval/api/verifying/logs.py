@@ -9,14 +9,42 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from nw_eval.api.verifying.result import Kind
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.confinement import Rules
+from nw_eval.errors import NwEvalError
+from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.mcap.reader import LogReader
 
 _Entry = tuple[int, bytes]
 """Time in ns, and a digest of what was logged then."""
+_PROCESSOR_SECONDS = 60
+"""For two logs, which take less than one."""
 _KEPT_AT_WILL = ("/camera/", "/observation/")
 """Topics whose messages are in a log only if its images were kept."""
+
+
+def partings_apart(recorded: Path, now: Path) -> dict[Kind, int] | None:
+    """As `partings`, in a confined process: the recorded log may be anybody's. None if it cannot.
+
+    Args:
+        recorded: the log of the run.
+        now: the log of the same trial run again.
+    """
+    rules = Rules(reads=(recorded.resolve(), now.resolve()), seconds=_PROCESSOR_SECONDS)
+    try:
+        answer = call_isolated(
+            _partings, subject=str(recorded), rules=rules, recorded=str(recorded), now=str(now)
+        )
+        return TypeAdapter(dict[Kind, int]).validate_python(answer)
+    except (NwEvalError, OSError, ValidationError):
+        return None
+
+
+def _partings(*, recorded: str, now: str) -> dict[Kind, int]:
+    return partings(Path(recorded), Path(now))
 
 
 def partings(recorded: Path, now: Path) -> dict[Kind, int]:
