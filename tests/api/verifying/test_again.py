@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from nw_eval import api
-from nw_eval.api.verifying.logs import partings
+from nw_eval.api.verifying.logs import partings, partings_apart
 from nw_eval.cli import main
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, read_journal
@@ -152,6 +152,8 @@ def test_logs_of_other_bytes_are_compared_message_by_message(run):
     rewrite(again, change=lambda topic, data: None if topic == "/nw/state" else data)
     assert partings(first, again) == {"state": 0}
     assert set(partings(first, second)) >= {"state", "image"}
+    again.write_bytes(first.read_bytes()[:-2000])
+    assert partings_apart(again, first) is None, "it ends in the middle"
 
 
 @pytest.mark.parametrize("other", ["cpu", "code"])
