@@ -23,6 +23,7 @@ from nw_eval.api import (
     ShownSuite,
     Surfaces,
     TrialPlan,
+    VerifiedRun,
     WarmUp,
     WrittenSplat,
     agree,
@@ -73,6 +74,7 @@ from nw_eval.api import (
     splat_convert,
     splat_info,
     splat_render,
+    verify,
     verify_cache,
     warmup,
 )
@@ -163,6 +165,7 @@ __all__ = [
     "TrialPlan",
     "UsageError",
     "Verdict",
+    "VerifiedRun",
     "WarmUp",
     "WrittenRecording",
     "WrittenSplat",
@@ -215,6 +218,7 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "verify",
     "verify_cache",
     "warmup",
 ]

@@ -62,6 +62,8 @@ from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
+from nw_eval.api.verifying.result import VerifiedRun
+from nw_eval.api.verifying.verify import verify
 from nw_eval.request import Request
 
 __all__ = [
@@ -88,6 +90,7 @@ __all__ = [
     "ShownSuite",
     "Surfaces",
     "TrialPlan",
+    "VerifiedRun",
     "WarmUp",
     "WrittenSplat",
     "agree",
@@ -138,6 +141,7 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "verify",
     "verify_cache",
     "warmup",
 ]

@@ -164,6 +164,7 @@ class RunInfo(_Saved):
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
+    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
 
     @property
     def planned(self) -> dict[str, int]:

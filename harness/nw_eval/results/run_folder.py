@@ -38,6 +38,11 @@ class RunFolder:
         return self.path / "trials.parquet"
 
     @property
+    def digests(self) -> Path:
+        """What the Merkle root of run.json is made of; see `evidence.digests`."""
+        return self.path / "digests.json"
+
+    @property
     def report_md(self) -> Path:
         """The report for people."""
         return self.path / "report.md"

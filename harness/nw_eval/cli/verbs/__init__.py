@@ -27,6 +27,7 @@ from nw_eval.cli.verbs.parts.suites import Suites
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
 from nw_eval.cli.verbs.run import Run
+from nw_eval.cli.verbs.verify import Verify
 from nw_eval.cli.verbs.warmup import Warmup
 
 Verb = (
@@ -43,6 +44,7 @@ Verb = (
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Agree, tyro.conf.subcommand("agree")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]

@@ -6,6 +6,7 @@ import platform
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.row import Row
 from nw_eval.rollout.result import policy_fault
 
@@ -81,6 +82,7 @@ def make_row(
         host=platform.node(),
         mcap_path=folder.relative(job.mcap) if has_log and job.mcap is not None else "",
         mcap_bytes=result.mcap_bytes,
+        mcap_sha256=log_sha256(job.mcap) if has_log and job.mcap is not None else "",
         error_type=result.error_type or "",
         error_text=result.error_text,
     )

@@ -63,6 +63,7 @@ def provenance_table(run: RunInfo) -> Table:
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
         "rows": run.rows_digest[:12],
+        "Merkle root": run.merkle_root,
     }
     return Table(
         title="Provenance",
