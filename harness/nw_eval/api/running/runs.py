@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from nw_eval.api.running.plans import check_workers, plan
 from nw_eval.api.running.reports import RunReport, report
-from nw_eval.errors import UsageError
+from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.request import Request
+from nw_eval.words import Engine
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
@@ -26,6 +27,8 @@ def run(
     out: Path | None = None,
     resume: Path | None = None,
     in_process: bool = False,
+    engine: Engine = "local",
+    address: str | None = None,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -42,11 +45,13 @@ def run(
             does not ask for is as the run was begun, but for leave to run code.
         in_process: run trials in this very process, one after another, for a debugger or a
             notebook: nothing confines the policy, and nothing ends it if it hangs.
+        engine: where trials run; rows are the same, and a run that is resumed may use another.
+        address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
         changes: fields of `Request` by name.
 
     Raises:
-        UsageError, SuiteError, SceneError, PolicyError: nothing was run.
+        UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
@@ -56,8 +61,9 @@ def run(
     if resume is not None and out is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     request = Request.of(request, **changes)
+    cluster = _cluster(engine, address)
     if in_process:
-        _check_in_process(request, workers)
+        _check_in_process(request, workers, cluster)
     return judged(
         roll_out(
             plan(request) if resume is None else continued(resume, request),
@@ -65,6 +71,7 @@ def run(
             out=out,
             resume=resume,
             in_process=in_process,
+            cluster=cluster,
             listener=listener,
         )
     )
@@ -78,6 +85,7 @@ def roll_out(
     resume: Path | None,
     in_process: bool,
     listener: Listener | None,
+    cluster: str | None = None,
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
 
@@ -88,6 +96,7 @@ def roll_out(
         resume: the folder of an interrupted run.
         in_process: whether trials run in this very process.
         listener: hears of progress.
+        cluster: the address of a Ray cluster; None = this machine.
 
     Raises:
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
@@ -99,7 +108,9 @@ def roll_out(
     ears, command = listener or Silence(), tuple(sys.argv)
     contest = None
     if plan.against is not None:
-        contest = Contest(plan, plan.against, workers=workers, command=command, listener=ears)
+        contest = Contest(
+            plan, plan.against, workers=workers, cluster=cluster, command=command, listener=ears
+        )
     elif plan.suite.gate.max_drop is not None:
         ears.message(_without_baseline(plan))
     return session.carry_out(
@@ -110,6 +121,7 @@ def roll_out(
         command=command,
         listener=ears,
         in_process=in_process,
+        cluster=cluster,
         prelude=None if contest is None else contest.begin,
         enough=None if contest is None else contest.enough,
     )
@@ -126,12 +138,31 @@ def _without_baseline(plan: Plan) -> str:
     )
 
 
-def _check_in_process(request: Request, workers: int | None) -> None:
+def _cluster(engine: Engine, address: str | None) -> str | None:
+    """Return the address of the cluster that trials run on; None = none.
+
+    Raises:
+        UsageError: an address of nothing, or no such engine.
+    """
+    if engine not in get_args(Engine):
+        raise UsageError(f"--engine {engine!r}", fix=nearest(str(engine), get_args(Engine)))
+    if engine == "ray":
+        return address or "local"
+    if address is not None:
+        raise UsageError(f"--address {address} is of no use here", fix="add --engine ray")
+    return None
+
+
+def _check_in_process(request: Request, workers: int | None, cluster: str | None) -> None:
     """Refuse what one process cannot do.
 
     Raises:
         UsageError: more workers than one, or a limit that nobody could hold a trial to.
     """
+    if cluster is not None:
+        raise UsageError(
+            "--in-process with --engine ray: trials run here or there", fix="drop one of them"
+        )
     if workers not in {None, 1}:
         raise UsageError(
             f"--workers {workers} with --in-process: it runs one trial after another",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nw_eval.cli.verbs.options import Options
 from nw_eval.cli.verbs.publishing import Publishing
+from nw_eval.words import Engine
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
@@ -35,6 +36,13 @@ class Run(Publishing, Options):
     """Run trials in this very process, one after another, so that `breakpoint()` works.
     For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
 
+    engine: Engine = "local"
+    """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
+    Rows are the same; --resume may use another engine than the run began with."""
+    address: str | None = None
+    """With --engine ray: auto, host:port of the cluster's head, or ray://host:port.
+    A cluster of this machine is started for the run when absent."""
+
     def __call__(self) -> int:
         return self.publishing(str(self.suite or self.resume or "suite"), self._run)
 
@@ -56,6 +64,8 @@ class Run(Publishing, Options):
                 out=self.out,
                 resume=self.resume,
                 in_process=self.in_process,
+                engine=self.engine,
+                address=self.address,
                 listener=progress,
             )
         print(summary(outcome, folded=self.on_github))

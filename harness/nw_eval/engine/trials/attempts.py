@@ -148,6 +148,7 @@ class Attempts:
             policy=self._policy,
             arm=self._arm,
             folder=self._folder,
+            host=ended.host,
         )
         self._journal.append(row)
         if row.status == "error":

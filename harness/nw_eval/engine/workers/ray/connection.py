@@ -1,0 +1,176 @@
+"""A Ray cluster that is joined, or one on this machine that is started and ends with the run."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import signal
+import socket
+import tempfile
+import threading
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from nw_eval.clean import clean
+from nw_eval.engine.machine.cores import default_workers
+from nw_eval.errors import PrerequisiteError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+HERE = "local"
+"""In place of an address: a cluster of this machine alone."""
+
+_QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
+_CONNECT = 10.0  # s
+_CLIENT_PORT, _HEAD_PORT = 10001, 6379
+# Bytes in shared memory on this machine: logs on their way, pieces of splats. More goes to disk.
+_STORE = 2**28
+_SHORT = 40  # Characters of a folder in which a Unix socket's path, 107 at most, has room.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joined:
+    """A cluster that this process has joined."""
+
+    ray: Any
+    """Ray's own module: it describes few of its types."""
+
+    @property
+    def cores(self) -> int:
+        """How many trials its nodes run at a time, at least 1."""
+        return max(1, int(self.ray.cluster_resources().get("CPU", 0)))
+
+    def on(self, node: str, task: Any, *, cores: int) -> Any:
+        """Return a function or a class as it runs on one node and nowhere else.
+
+        Args:
+            node: its id.
+            task: of a module that nodes have, too.
+            cores: that are taken while it runs; an actor, as long as it lives.
+        """
+        strategies = import_module("ray.util.scheduling_strategies")
+        where = strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+        options: dict[str, Any] = {"num_cpus": cores, "scheduling_strategy": where}
+        # Whatever is lost is the engine's to try again, which counts it.
+        again = {"max_restarts": 0} if isinstance(task, type) else {"max_retries": 0}
+        return self.ray.remote(**options, **again)(task)
+
+
+@contextmanager
+def joined(address: str, *, cores: int | None) -> Generator[Joined]:
+    """Join a cluster inside the `with` block. Who has joined one already stays in it.
+
+    Args:
+        address: `HERE`, `auto`, `host:port` or `ray://host:port`.
+        cores: workers of a cluster that is started here; one for each core if None.
+
+    Raises:
+        PrerequisiteError: Ray is not installed.
+        UsageError: nobody answers at the address, or no cluster that can be used.
+    """
+    with ExitStack() as cleanup:
+        cleanup.enter_context(_quiet())
+        try:
+            ray = import_module("ray")
+        except ImportError as error:
+            raise PrerequisiteError(
+                "--engine ray needs the package ray, which is not installed",
+                fix='pip install "nw-eval[ray]"',
+            ) from error
+        if not ray.is_initialized():
+            _check_answers(address)
+            options = _started_here(cleanup, cores) if address == HERE else {}
+            cleanup.enter_context(_own_signals())
+            cleanup.callback(ray.shutdown)
+            try:
+                ray.init(
+                    address=address,
+                    log_to_driver=False,
+                    logging_level=logging.CRITICAL,
+                    **options,
+                )
+            except Exception as error:
+                raise _unusable(address, error) from error
+        yield Joined(ray=ray)
+
+
+def _started_here(cleanup: ExitStack, cores: int | None) -> dict[str, Any]:
+    """Return the options of a cluster of this machine, which leaves nothing behind."""
+    base = tempfile.gettempdir()
+    folder = tempfile.mkdtemp(prefix="nw-", dir=base if len(base) < _SHORT else "/tmp")  # noqa: S108 - sockets need a short path; mkdtemp makes it private.
+    cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
+    return {
+        "num_cpus": default_workers() if cores is None else cores,
+        "num_gpus": 0,
+        "include_dashboard": False,
+        "object_store_memory": _STORE,
+        "_temp_dir": folder,
+    }
+
+
+def _check_answers(address: str) -> None:
+    """Find out in seconds that nobody is there; Ray itself tries for minutes.
+
+    Raises:
+        UsageError: nobody is, or the address is none.
+    """
+    if address in {HERE, "auto"}:
+        return
+    try:
+        parts = urlsplit(address if "://" in address else f"//{address}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise _unusable(address, error) from None
+    if not host or parts.scheme not in {"", "ray"}:
+        raise UsageError(
+            f"--address {address!r} is no address of a Ray cluster",
+            fix="give auto, host:port of its head, or ray://host:port",
+        )
+    port = port or (_CLIENT_PORT if parts.scheme else _HEAD_PORT)
+    try:
+        socket.create_connection((host, port), timeout=_CONNECT).close()
+    except OSError as error:
+        raise _unusable(address, error) from None
+
+
+def _unusable(address: str, error: Exception) -> UsageError:
+    reason = next((line for line in str(error).splitlines() if line.strip()), repr(error))
+    where = "on this machine" if address in {HERE, "auto"} else f"at {address}"
+    return UsageError(
+        f"no Ray cluster can be used {where}: {clean(reason, at_most=300)}",
+        fix="look at --address and at `ray status` on the cluster's head; without --address a "
+        "cluster of this machine is started",
+    )
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """Let Ray, and what it starts, tell nobody how it is used."""
+    before = {name: os.environ.get(name) for name in _QUIET}
+    os.environ.update(_QUIET)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _own_signals() -> Generator[None]:
+    """Keep the handler of SIGTERM, in whose place `ray.init` puts its own."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
