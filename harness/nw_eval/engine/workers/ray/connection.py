@@ -7,26 +7,35 @@ import os
 import shutil
 import signal
 import socket
+import sys
 import tempfile
 import threading
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
+from warnings import catch_warnings, simplefilter
 
 from nw_eval.clean import clean
 from nw_eval.engine.machine.cores import default_workers
 from nw_eval.errors import PrerequisiteError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Generator, Mapping
 
 HERE = "local"
 """In place of an address: a cluster of this machine alone."""
 
-_QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
+# Nobody is told how Ray is used, and announcements are left out.
+_QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_BACKEND_LOG_LEVEL": "error",
+}
 _CONNECT = 10.0  # s
+_ATTEMPTS = "2"  # Of some 40 s each, at asking what answers at an address, but is no cluster.
 _CLIENT_PORT, _HEAD_PORT = 10001, 6379
 # Bytes in shared memory on this machine: logs on their way, pieces of splats. More goes to disk.
 _STORE = 2**28
@@ -74,7 +83,7 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
         UsageError: nobody answers at the address, or no cluster that can be used.
     """
     with ExitStack() as cleanup:
-        cleanup.enter_context(_quiet())
+        cleanup.enter_context(_environment(**_QUIET))
         try:
             ray = import_module("ray")
         except ImportError as error:
@@ -84,23 +93,37 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
             ) from error
         if not ray.is_initialized():
             _check_answers(address)
-            options = _started_here(cleanup, cores) if address == HERE else {}
-            cleanup.enter_context(_own_signals())
+            options = _started_here(cleanup, cores) if address == HERE else _found_there(cleanup)
             cleanup.callback(ray.shutdown)
-            try:
-                ray.init(
-                    address=address,
-                    log_to_driver=False,
-                    logging_level=logging.CRITICAL,
-                    **options,
-                )
-            except Exception as error:
-                raise _unusable(address, error) from error
+            cleanup.enter_context(_silence())
+            _init(ray, address, options)
         yield Joined(ray=ray)
+
+
+def _init(ray: Any, address: str, options: Mapping[str, Any]) -> None:
+    with _own_signals(), _muted(), catch_warnings():
+        simplefilter("ignore")
+        try:
+            ray.init(
+                address=address, log_to_driver=False, logging_level=logging.CRITICAL, **options
+            )
+        except SystemExit as error:  # What Ray makes of SIGTERM meanwhile.
+            raise KeyboardInterrupt from error
+        except Exception as error:
+            raise _unusable(address, error) from error
+
+
+def _found_there(cleanup: ExitStack) -> dict[str, Any]:
+    """Return the options of joining a cluster, in bounded time."""
+    cleanup.enter_context(_environment(RAY_gcs_server_port_wait_time_s=_ATTEMPTS))
+    return {}
 
 
 def _started_here(cleanup: ExitStack, cores: int | None) -> dict[str, Any]:
     """Return the options of a cluster of this machine, which leaves nothing behind."""
+    # Without a token of its own Ray leaves one in the user's home, or lets everybody in.
+    own = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token_hex(32)}
+    cleanup.enter_context(_environment(**own))
     base = tempfile.gettempdir()
     folder = tempfile.mkdtemp(prefix="nw-", dir=base if len(base) < _SHORT else "/tmp")  # noqa: S108 - sockets need a short path; mkdtemp makes it private.
     cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -139,7 +162,8 @@ def _check_answers(address: str) -> None:
 
 
 def _unusable(address: str, error: Exception) -> UsageError:
-    reason = next((line for line in str(error).splitlines() if line.strip()), repr(error))
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [repr(error)]
+    reason = lines[-1] if "Traceback" in str(error) else " ".join(lines)
     where = "on this machine" if address in {HERE, "auto"} else f"at {address}"
     return UsageError(
         f"no Ray cluster can be used {where}: {clean(reason, at_most=300)}",
@@ -149,10 +173,10 @@ def _unusable(address: str, error: Exception) -> UsageError:
 
 
 @contextmanager
-def _quiet() -> Generator[None]:
-    """Let Ray, and what it starts, tell nobody how it is used."""
-    before = {name: os.environ.get(name) for name in _QUIET}
-    os.environ.update(_QUIET)
+def _environment(**values: str) -> Generator[None]:
+    """Let Ray, and what it starts, find variables set inside the `with` block."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
@@ -161,6 +185,39 @@ def _quiet() -> Generator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _silence() -> Generator[None]:
+    """Keep pages about lost nodes off the console, which says it in a line of its own.
+
+    No option does: with `log_to_driver=False` Ray still prints what its raylets report.
+    """
+    module = import_module("ray._private.worker")
+    before = getattr(module, "print_to_stdstream", None)
+    vars(module)["print_to_stdstream"] = _unheard
+    try:
+        yield
+    finally:
+        vars(module)["print_to_stdstream"] = before
+
+
+@contextmanager
+def _muted() -> Generator[None]:
+    """Drop what native code writes to standard error, such as each attempt to connect."""
+    sys.stderr.flush()
+    before, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+
+
+def _unheard(*_: Any, **__: Any) -> None:
+    """Take the place of what prints."""
 
 
 @contextmanager

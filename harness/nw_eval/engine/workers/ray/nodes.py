@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 _LOOK, _PATIENCE = 2.0, 60.0
 _FAREWELL = 10.0  # s in which nodes tidy up
 _PIECE = 2**24  # Bytes of a file that travel at once.
-_STRIKES = 3  # Times that nothing could be started on a node, after which nothing more is.
+# Times that nothing could be started on a node, after which nothing more is; and seconds between
+# them, in which the cluster finds out whether the node is there at all.
+_STRIKES, _REST = 3, 5.0
 
 
 @dataclass(kw_only=True)
@@ -37,6 +39,7 @@ class Node:
     awaited: Any = None
     """Ray's reference to the answer to what it was last asked; None = to nothing."""
     strikes: int = 0
+    rests_until: float = 0.0
 
 
 class Nodes:
@@ -73,7 +76,9 @@ class Nodes:
     @property
     def ready(self) -> Iterator[Node]:
         """Nodes on which workers can be started."""
-        return (node for node in self._nodes.values() if node.stage == "ready")
+        now = monotonic()
+        nodes = self._nodes.values()
+        return (node for node in nodes if node.stage == "ready" and now >= node.rests_until)
 
     def look(self) -> None:
         """Take in what nodes have answered, which came and which are gone; wait for nothing.
@@ -97,6 +102,7 @@ class Nodes:
     def strike(self, node: Node, error: Exception) -> None:
         """Note that nothing could be started on a node."""
         node.strikes += 1
+        node.rests_until = monotonic() + _REST
         if node.strikes >= _STRIKES and node.stage != "refused":
             self._refuse(node, reason_of(error))
 
@@ -130,7 +136,7 @@ class Nodes:
                 )
                 self._nodes[name] = node
             node = self._nodes[name]
-            if node.stage == "asked" and node.awaited is None:
+            if node.stage == "asked" and node.awaited is None and monotonic() >= node.rests_until:
                 node.awaited = self._ask(node, there.facts, **self._question)
 
     def _hear(self, node: Node) -> None:

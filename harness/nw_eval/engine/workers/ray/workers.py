@@ -229,16 +229,16 @@ class RayWorkers:
             return self._lost(each.node, job, error)
         each.awaited, each.job = None, None
         if job is None or isinstance(answer, bool):
-            each.node.strikes = 0
             return None
+        each.node.strikes = 0
         with suppress(OSError):
             os.write(self._output.end.fileno(), answer.printed)
         return Finished(job=job, result=keep_log(answer, job), host=answer.host)
 
     def _lost(self, node: Node, job: TrialJob | None, error: Exception) -> Finished | None:
         """Return what the job of a seat that is gone came to: an error, if it was begun."""
+        self._nodes.strike(node, error)
         if job is None:
-            self._nodes.strike(node, error)
             return None
         if isinstance(getattr(error, "cause", None), TrialError):  # No worker could begin it.
             self._queue.appendleft(job)
