@@ -39,6 +39,9 @@ _ATTEMPTS = "2"  # Of some 40 s each, at asking what answers at an address, but 
 _CLIENT_PORT, _HEAD_PORT = 10001, 6379
 # Bytes in shared memory on this machine: logs on their way, pieces of splats. More goes to disk.
 _STORE = 2**28
+# Lets this process and what it starts into a cluster of this machine, and nobody else. One for all
+# of them: Ray remembers the first that it has seen.
+_TOKEN = token_hex(32)
 _SHORT = 40  # Characters of a folder in which a Unix socket's path, 107 at most, has room.
 
 
@@ -121,9 +124,9 @@ def _found_there(cleanup: ExitStack) -> dict[str, Any]:
 
 def _started_here(cleanup: ExitStack, cores: int | None) -> dict[str, Any]:
     """Return the options of a cluster of this machine, which leaves nothing behind."""
-    # Without a token of its own Ray leaves one in the user's home, or lets everybody in.
-    own = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token_hex(32)}
-    cleanup.enter_context(_environment(**own))
+    # Ray asks for a token by default, sets the mode itself, and would keep one in the user's home.
+    token, mode = os.environ.get("RAY_AUTH_TOKEN", _TOKEN), os.environ.get("RAY_AUTH_MODE")
+    cleanup.enter_context(_environment(RAY_AUTH_TOKEN=token, RAY_AUTH_MODE=mode))
     base = tempfile.gettempdir()
     folder = tempfile.mkdtemp(prefix="nw-", dir=base if len(base) < _SHORT else "/tmp")  # noqa: S108 - sockets need a short path; mkdtemp makes it private.
     cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -173,10 +176,14 @@ def _unusable(address: str, error: Exception) -> UsageError:
 
 
 @contextmanager
-def _environment(**values: str) -> Generator[None]:
-    """Let Ray, and what it starts, find variables set inside the `with` block."""
+def _environment(**values: str | None) -> Generator[None]:
+    """Let Ray, and what it starts, find variables set inside the `with` block.
+
+    Args:
+        values: by name; None is left for Ray to set.
+    """
     before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
+    os.environ.update({name: value for name, value in values.items() if value is not None})
     try:
         yield
     finally:
