@@ -3,6 +3,7 @@
 import os
 import secrets
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -61,8 +62,8 @@ class Cluster:
         if self.nodes:
             own += [f"--address={self.address}"]
         else:
-            own += ["--head", "--port=0", "--include-dashboard=false", "--ray-client-server-port=0"]
-            own += [f"--temp-dir={self.folder}"]
+            own += ["--head", "--port=0", "--include-dashboard=false"]
+            own += [f"--temp-dir={self.folder}", f"--ray-client-server-port={_free_port()}"]
         self.nodes.append(
             subprocess.Popen(
                 [sys.executable, "-c", RAY, "start", "--block", *own],
@@ -72,7 +73,7 @@ class Cluster:
                 start_new_session=True,
             )
         )
-        until(lambda: self.raylet(-1), "a raylet")
+        until(lambda: self.raylet(-1) or self.nodes[-1].poll() is not None, "a raylet")
         until(lambda: (self.folder / "ray_current_cluster").exists(), "the head's address")
 
     def raylet(self, node):
@@ -91,6 +92,12 @@ class Cluster:
                         os.kill(process, signal.SIGKILL)
                 node.poll()
                 time.sleep(0.05)
+
+
+def _free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
 
 
 def _processes(session):
