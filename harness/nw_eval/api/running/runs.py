@@ -12,6 +12,7 @@ from nw_eval.api.running.reports import RunReport, report
 from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.request import Request
+from nw_eval.rollout.confined.start import prepare
 from nw_eval.words import Engine
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ def run(
     cluster = _cluster(engine, address)
     if in_process:
         _check_in_process(request, workers, cluster)
+    elif cluster is None and not request.allow_code:
+        prepare()  # It takes as long as planning does.
     return judged(
         roll_out(
             plan(request) if resume is None else continued(resume, request),

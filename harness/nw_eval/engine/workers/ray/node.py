@@ -82,7 +82,7 @@ def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
     scenes = [open_scene(places.get(name, name), collision) for name, collision in orders.scenes]
     ready_scans(scenes, Silence())
     if orders.renders:
-        open_backend(orders.render, Silence())
+        open_backend(orders.render, Silence(), is_fenced=False)
         build_splats(scenes, Silence())
 
 
