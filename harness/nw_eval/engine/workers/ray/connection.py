@@ -57,20 +57,23 @@ class Joined:
         """How many trials its nodes run at a time, at least 1."""
         return max(1, int(self.ray.cluster_resources().get("CPU", 0)))
 
-    def on(self, node: str, task: Any, *, cores: int) -> Any:
+    def on(self, node: str, task: Any, *, cores: int, once: bool = False) -> Any:
         """Return a function or a class as it runs on one node and nowhere else.
 
         Args:
             node: its id.
             task: of a module that nodes have, too.
             cores: that are taken while it runs; an actor, as long as it lives.
+            once: whether its process ends with it.
         """
         strategies = import_module("ray.util.scheduling_strategies")
         where = strategies.NodeAffinitySchedulingStrategy(node, soft=False)
         options: dict[str, Any] = {"num_cpus": cores, "scheduling_strategy": where}
         # Whatever is lost is the engine's to try again, which counts it.
-        again = {"max_restarts": 0} if isinstance(task, type) else {"max_retries": 0}
-        return self.ray.remote(**options, **again)(task)
+        options["max_restarts" if isinstance(task, type) else "max_retries"] = 0
+        if once:
+            options["max_calls"] = 1
+        return self.ray.remote(**options)(task)
 
 
 @contextmanager

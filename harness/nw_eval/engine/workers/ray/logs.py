@@ -11,7 +11,7 @@ from nw_eval.files.cache import atomic_path
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from nw_eval.engine.workers.ray.seat import Answer
+    from nw_eval.engine.workers.ray.station import Answer
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.result import TrialResult
 

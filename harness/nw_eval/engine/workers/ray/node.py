@@ -87,10 +87,10 @@ def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
 
 
 def scratch(token: str) -> Path:
-    """Return the folder in which a run's seats on this node write, until the head has it."""
+    """Return the folder in which a run's station on this node writes, until the head has it."""
     return Path(tempfile.gettempdir()) / f"nw-eval-{token}"
 
 
 def tidy(token: str) -> None:
-    """Remove what a run's seats have left: logs of trials that were killed."""
+    """Remove what a run's stations have left: logs of trials that were killed."""
     shutil.rmtree(scratch(token), ignore_errors=True)

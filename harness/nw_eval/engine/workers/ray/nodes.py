@@ -165,7 +165,9 @@ class Nodes:
             self.strike(node, error)
 
     def _ask(self, node: Node, question: Any, *arguments: Any, **options: Any) -> Any:
-        return self._joined.on(node.id, question, cores=0).remote(*arguments, **options)
+        # What compiles kernels holds much memory: its process ends with it.
+        once = question is there.make_ready
+        return self._joined.on(node.id, question, cores=0, once=once).remote(*arguments, **options)
 
     def _cut(self, sha256: str) -> list[Any]:
         """Return references to the pieces of a file, which each node fetches once."""

@@ -1,4 +1,4 @@
-"""Workers on the nodes of a cluster: a queue here, a seat there for each trial that runs."""
+"""Workers on the nodes of a cluster: a queue here, and a station on each node that is ready."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nw_eval.engine.workers.ray.logs import keep_log
 from nw_eval.engine.workers.ray.node import Orders
 from nw_eval.engine.workers.ray.nodes import Nodes
 from nw_eval.engine.workers.ray.parcels import Outgoing
-from nw_eval.engine.workers.ray.seat import Answer, Seat
+from nw_eval.engine.workers.ray.station import Answer, Station
 from nw_eval.errors import TrialError, UsageError
 from nw_eval.rollout.result import TrialResult
 
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 POLL = 0.1  # s between two looks at whether somebody asked to stop
 # Seconds beyond a trial's limit after which its node, which would have said `hung`, is silent.
 _SILENCE = 600.0
+# Seconds in which a node must have as many cores free as it has, or half of them are tried.
+_OPENING = 60.0
 
 
 class RayProcesses:
@@ -91,37 +93,51 @@ class RayProcesses:
         self._nodes.tidy()
 
     def __call__(self, count: int, *, fresh: bool) -> RayWorkers:
-        """Return workers: `count` seats, whose processes are each for many jobs or for one."""
+        """Return workers: `count` processes, each for many jobs or for one."""
         return RayWorkers(
             count,
             joined=self._joined,
             nodes=self._nodes,
-            seat=(self._orders, self._one_each, fresh),
+            station=(self._orders, self._one_each, fresh),
             output=WorkerOutput(self._folder.workers_log),
         )
 
 
 @dataclass(kw_only=True, eq=False)
-class _Taken:
-    """A seat as the head knows it."""
+class _Staffed:
+    """A station as the head knows it."""
 
     node: Node
     actor: Any
+    workers: int
     awaited: Any
-    """Ray's reference to what it says next: that it is open, or an `Answer`; None = nothing."""
-    job: TrialJob | None = None
-    deadline: float = 0.0
+    """Ray's reference to what it says next; None = it has not been asked."""
+    is_open: bool = False
+    opened_by: float
+    """When it must be open: another job of the cluster's may have cores of its node."""
+    jobs: dict[str, tuple[TrialJob, float]] = field(
+        default_factory=dict[str, "tuple[TrialJob, float]"]
+    )
+    """What it has begun, by the trial's id, and when the head gives it up."""
     scenes: set[str] = field(default_factory=set[str])
+
+    @property
+    def is_late(self) -> bool:
+        """Whether its node is silent."""
+        now = monotonic()
+        if not self.is_open:
+            return now > self.opened_by
+        return any(now > deadline for _, deadline in self.jobs.values())
 
 
 class RayWorkers:
-    """Seats on nodes, with a queue; a context manager.
+    """Stations on nodes, with a queue; a context manager.
 
     Args:
-        workers: number of seats.
+        workers: number of jobs that run at a time.
         joined: the cluster.
         nodes: of the cluster.
-        seat: orders, jobs and `fresh` of `Seat`.
+        station: orders, jobs and `fresh` of `Station`.
         output: where what workers print goes; not entered yet.
     """
 
@@ -131,17 +147,17 @@ class RayWorkers:
         *,
         joined: Joined,
         nodes: Nodes,
-        seat: tuple[Orders, Sequence[TrialJob], bool],
+        station: tuple[Orders, Sequence[TrialJob], bool],
         output: WorkerOutput,
     ) -> None:
         self._count = workers
         self._joined = joined
         self._nodes = nodes
-        self._seat = seat
+        self._station = station
         self._output = output
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
-        self._taken: list[_Taken] = []
+        self._staff: list[_Staffed] = []
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
@@ -160,96 +176,113 @@ class RayWorkers:
         Raises:
             PrerequisiteError, TrialError: no node can be used, or none is left.
         """
-        while self._queue or any(each.job is not None for each in self._taken):
+        while self._queue or any(each.jobs for each in self._staff):
             self._nodes.look()
             self._open()
-            self._hand_out()
-            ended = [done for each in self._heard() if (done := self._look(each)) is not None]
+            for each in self._staff:
+                if each.is_open and each.awaited is None:
+                    self._ask(each)
+            ended = [done for each in self._heard() for done in self._look(each)]
             yield from ended or (None,)
 
     def stop(self) -> None:
-        """End every seat now, running trials included; calling it again does nothing."""
+        """End every station now, running trials included; calling it again does nothing."""
         self._queue.clear()
-        while self._taken:
-            self._leave(self._taken[-1])
+        while self._staff:
+            self._leave(self._staff[-1])
         self._cleanup.close()
 
     def _open(self) -> None:
-        """Open one more seat on each node that has room, up to as many as have something to do."""
-        busy = sum(each.job is not None for each in self._taken)
-        wanted = min(self._count, len(self._queue) + busy) - len(self._taken)
-        rooms = {
-            node.id: (node, node.cores - sum(each.node is node for each in self._taken))
-            for node in self._nodes.ready
-        }
-        for _ in range(wanted):
-            node, room = max(rooms.values(), key=lambda each: each[1], default=(None, 0))
-            if node is None or room < 1:
+        """Open stations on nodes that have none, for as many workers as have something to do."""
+        begun = sum(len(each.jobs) for each in self._staff)
+        wanted = min(self._count, len(self._queue) + begun)
+        wanted -= sum(each.workers for each in self._staff)
+        staffed = {each.node.id for each in self._staff}
+        for node in [node for node in self._nodes.ready if node.id not in staffed]:
+            workers = min(wanted, node.cores)
+            if workers < 1:
                 return
-            rooms[node.id] = (node, room - 1)
-            orders, jobs, fresh = self._seat
-            actor = self._joined.on(node.id, Seat, cores=1).remote(orders, jobs, fresh=fresh)
-            self._taken.append(_Taken(node=node, actor=actor, awaited=actor.open.remote()))
+            wanted -= workers
+            orders, jobs, fresh = self._station
+            actor = self._joined.on(node.id, Station, cores=workers).remote(
+                orders, jobs, workers, fresh=fresh
+            )
+            self._staff.append(
+                _Staffed(
+                    node=node,
+                    actor=actor,
+                    workers=workers,
+                    awaited=actor.open.remote(),
+                    opened_by=monotonic() + _OPENING,
+                )
+            )
 
-    def _hand_out(self) -> None:
-        for each in self._taken:
-            if self._queue and each.awaited is None:
-                each.job = self._next(each)
-                each.scenes.add(each.job.trial.scene)
-                each.deadline = monotonic() + each.job.time_limit + _SILENCE
-                each.awaited = each.actor.run.remote(each.job)
+    def _ask(self, each: _Staffed) -> None:
+        """Give a station what it has workers for, and ask what it has come to."""
+        given: list[TrialJob] = []
+        while self._queue and len(each.jobs) < each.workers:
+            job = self._next(each)
+            each.jobs[job.trial.id] = job, monotonic() + job.time_limit + _SILENCE
+            each.scenes.add(job.trial.scene)
+            given.append(job)
+        if each.jobs:
+            each.awaited = each.actor.work.remote(given)
 
-    def _next(self, each: _Taken) -> TrialJob:
-        """Take a seat's next job from the queue."""
-        others = {scene for other in self._taken for scene in other.scenes}
-        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=others)
+    def _next(self, each: _Staffed) -> TrialJob:
+        """Take a station's next job from the queue."""
+        taken = {scene for other in self._staff for scene in other.scenes}
+        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
         job = self._queue[place]
         del self._queue[place]
         return job
 
-    def _heard(self) -> list[_Taken]:
-        """Wait a moment; return the seats that have said something, or should have long ago."""
-        asked = {each.awaited: each for each in self._taken if each.awaited is not None}
+    def _heard(self) -> list[_Staffed]:
+        """Wait a moment; return stations that have said something, or should have long ago."""
+        asked = {each.awaited: each for each in self._staff if each.awaited is not None}
         if not asked:
             sleep(POLL)
             return []
-        said, _ = self._joined.ray.wait(list(asked), timeout=POLL)
-        if said:  # Whatever else is there by now.
-            said, _ = self._joined.ray.wait(list(asked), num_returns=len(asked), timeout=0)
-        late = [each for each in self._taken if each.job and monotonic() > each.deadline]
-        return list({id(each): each for each in (*map(asked.__getitem__, said), *late)}.values())
+        answered, _ = self._joined.ray.wait(list(asked), timeout=POLL)
+        if answered:  # Whatever else is there by now.
+            answered, _ = self._joined.ray.wait(list(asked), num_returns=len(asked), timeout=0)
+        return [
+            each for reference, each in asked.items() if reference in answered or each.is_late
+        ]
 
-    def _look(self, each: _Taken) -> Finished | None:
-        """Return what a seat's job came to, if it had one."""
-        job = each.job
+    def _look(self, each: _Staffed) -> Iterator[Finished]:
+        """Take in what a station says, and yield jobs that have ended."""
         try:
-            answer: Answer | bool = self._joined.ray.get(each.awaited, timeout=POLL)
+            answer: Answer | None = self._joined.ray.get(each.awaited, timeout=POLL)
         except self._joined.ray.exceptions.RayError as error:
             self._leave(each)
-            return self._lost(each.node, job, error)
-        each.awaited, each.job = None, None
-        if job is None or isinstance(answer, bool):
-            return None
+            yield from self._lost(each, error)
+            return
+        each.awaited, each.is_open = None, True
+        if answer is None:
+            return
         each.node.strikes = 0
         with suppress(OSError):
             os.write(self._output.end.fileno(), answer.printed)
-        return Finished(job=job, result=keep_log(answer, job), host=answer.host)
+        job, _ = each.jobs.pop(answer.trial)
+        yield Finished(job=job, result=keep_log(answer, job), host=answer.host)
 
-    def _lost(self, node: Node, job: TrialJob | None, error: Exception) -> Finished | None:
-        """Return what the job of a seat that is gone came to: an error, if it was begun."""
+    def _lost(self, each: _Staffed, error: Exception) -> Iterator[Finished]:
+        """Yield what the jobs of a station that is gone came to: an error, if they were begun."""
+        node = each.node
+        if not each.is_open and each.is_late:
+            node.cores = max(1, each.workers // 2)  # Somebody else has the others.
+            return
         self._nodes.strike(node, error)
-        if job is None:
-            return None
-        if isinstance(getattr(error, "cause", None), TrialError):  # No worker could begin it.
-            self._queue.appendleft(job)
+        jobs = [job for job, _ in each.jobs.values()]
+        if isinstance(getattr(error, "cause", None), TrialError):  # No worker could begin one.
+            self._queue.extendleft(reversed(jobs))
             self._nodes.refuse(node, error)
-            return None
-        text = f"node {node.name}, or its worker's supervisor there, was lost"
-        return Finished(
-            job=job, result=TrialResult(status="error", error_type="crashed", error_text=text)
-        )
+            return
+        text = f"node {node.name}, or its workers' supervisor there, was lost"
+        result = TrialResult(status="error", error_type="crashed", error_text=text)
+        yield from (Finished(job=job, result=result) for job in jobs)
 
-    def _leave(self, each: _Taken) -> None:
-        self._taken.remove(each)
+    def _leave(self, each: _Staffed) -> None:
+        self._staff.remove(each)
         with suppress(Exception):  # It is gone already, or the cluster is.
             self._joined.ray.kill(each.actor, no_restart=True)
