@@ -134,9 +134,7 @@ def _renderer(render: Backend) -> str:
     return f"{render} gsplat-1.5"
 
 
-def fence_of(
-    adapter: str, *, allow_code: bool, render: Backend, in_process: bool = False
-) -> str:
+def fence_of(adapter: str, *, allow_code: bool, render: Backend, in_process: bool = False) -> str:
     """Return what stands round the workers of a run on this machine.
 
     Args:

@@ -1,4 +1,4 @@
-"""Ray clusters of this machine alone: a head, more raylets, and an end to all of their processes."""
+"""Ray clusters of this machine: a head, more raylets, and an end to all of their processes."""
 
 import os
 import secrets
@@ -74,7 +74,7 @@ class Cluster:
             )
         )
         until(lambda: self.raylet(-1) or self.nodes[-1].poll() is not None, "a raylet")
-        until(lambda: (self.folder / "ray_current_cluster").exists(), "the head's address")
+        until((self.folder / "ray_current_cluster").exists, "the head's address")
 
     def raylet(self, node):
         """The process id of a node's raylet; None while it has none."""

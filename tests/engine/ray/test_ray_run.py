@@ -64,9 +64,7 @@ def test_a_cluster_of_this_machine_makes_the_rows_and_logs_of_this_process(nw_ev
 
 
 @pytest.mark.nightly
-def test_a_raylet_that_is_killed_costs_its_trials_one_retry(
-    cluster, nw_eval, until, tmp_path
-):
+def test_a_raylet_that_is_killed_costs_its_trials_one_retry(cluster, nw_eval, until, tmp_path):
     for _ in range(3):
         cluster.start()
     here, there = tmp_path / "here", tmp_path / "there"
@@ -112,9 +110,7 @@ def test_a_node_with_another_processor_is_refused_by_name(cluster, nw_eval, tiny
 
 
 @pytest.mark.nightly
-def test_an_interrupted_run_goes_on_with_another_engine(
-    cluster, nw_eval, until, tmp_path
-):
+def test_an_interrupted_run_goes_on_with_another_engine(cluster, nw_eval, until, tmp_path):
     cluster.start()
     here, there = tmp_path / "here", tmp_path / "there"
     api.run("smoke", out=here, workers=1)

@@ -94,7 +94,8 @@ def test_scene_and_policy_open_on_a_node_under_the_references_of_the_head(node, 
     assert library.bundle(plan.bundle.reference, None).digest == plan.bundle.digest
 
 
-def test_what_a_node_has_does_not_travel_again(node, scene):
+@pytest.mark.usefixtures("node")
+def test_what_a_node_has_does_not_travel_again(scene):
     outgoing = Outgoing(plan_of("stand", scene))
     send(outgoing)
     assert received.missing(outgoing.parcels) == ()
@@ -137,7 +138,8 @@ def test_weights_of_the_callers_own_travel_in_place_of_the_cards(node, tmp_path)
     assert bundle.checkpoint_digest == plan.bundle.checkpoint_digest
 
 
-def test_code_travels_with_all_that_lies_beside_it_but_not_through_a_link(node, tmp_path):
+@pytest.mark.usefixtures("node")
+def test_code_travels_with_all_that_lies_beside_it_but_not_through_a_link(tmp_path):
     folder = tmp_path / "mine"
     (folder / "tables").mkdir(parents=True)
     (folder / "policy.yaml").write_text(

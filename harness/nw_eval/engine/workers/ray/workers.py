@@ -245,9 +245,7 @@ class RayWorkers:
         answered, _ = self._joined.ray.wait(list(asked), timeout=POLL)
         if answered:  # Whatever else is there by now.
             answered, _ = self._joined.ray.wait(list(asked), num_returns=len(asked), timeout=0)
-        return [
-            each for reference, each in asked.items() if reference in answered or each.is_late
-        ]
+        return [each for reference, each in asked.items() if reference in answered or each.is_late]
 
     def _look(self, each: _Staffed) -> Iterator[Finished]:
         """Take in what a station says, and yield jobs that have ended."""
