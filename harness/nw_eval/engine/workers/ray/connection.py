@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import shutil
@@ -11,16 +12,17 @@ import sys
 import tempfile
 import threading
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from secrets import token_hex
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from warnings import catch_warnings, simplefilter
 
 from nw_eval.clean import clean
 from nw_eval.engine.machine.cores import default_workers
-from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.errors import PrerequisiteError, TrialError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
@@ -33,8 +35,12 @@ _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_BACKEND_LOG_LEVEL": "error",
+    # A minute after the head is lost Ray would end this process, with exit code 1. `Joined.check`
+    # is earlier, and says what it was.
+    "RAY_gcs_rpc_server_reconnect_timeout_s": "3600",
 }
 _CONNECT = 10.0  # s
+_ABSENCE = 20.0  # s in which a head may be started anew
 _ATTEMPTS = "2"  # Of some 40 s each, at asking what answers at an address, but is no cluster.
 _CLIENT_PORT, _HEAD_PORT = 10001, 6379
 # Bytes in shared memory on this machine: logs on their way, pieces of splats. More goes to disk.
@@ -45,17 +51,49 @@ _TOKEN = token_hex(32)
 _SHORT = 40  # Characters of a folder in which a Unix socket's path, 107 at most, has room.
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Joined:
     """A cluster that this process has joined."""
 
     ray: Any
     """Ray's own module: it describes few of its types."""
+    head: tuple[str, int] = ("", 0)
+    """Host and port at which the cluster is there as long as its head is."""
+    is_lost: bool = False
+    """Whether nothing may be asked of it any more: no answer would ever come."""
+    seen: float = field(default_factory=monotonic)
+    """When its head was there."""
 
     @property
     def cores(self) -> int:
         """How many trials its nodes run at a time, at least 1."""
         return max(1, int(self.ray.cluster_resources().get("CPU", 0)))
+
+    @property
+    def answers(self) -> bool:
+        """Whether the head is there. What asks it of something would wait where it is not."""
+        try:
+            socket.create_connection(self.head, timeout=_CONNECT).close()
+        except OSError:
+            return False
+        self.seen = monotonic()
+        return True
+
+    def check(self) -> bool:
+        """Return whether the head is there.
+
+        Raises:
+            TrialError: it has not been for a while.
+        """
+        if self.answers:
+            return True
+        self.is_lost = monotonic() > self.seen + _ABSENCE
+        if self.is_lost:
+            raise TrialError(
+                f"the head of the cluster has not answered for {_ABSENCE:.0f} s",
+                fix="--resume goes on with the run, on this machine or another cluster",
+            )
+        return False
 
     def on(self, node: str, task: Any, *, cores: int, once: bool = False) -> Any:
         """Return a function or a class as it runs on one node and nowhere else.
@@ -97,13 +135,41 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
                 "--engine ray needs the package ray, which is not installed",
                 fix='pip install "nw-eval[ray]"',
             ) from error
+        found = Joined(ray=ray)
         if not ray.is_initialized():
             _check_answers(address)
             options = _started_here(cleanup, cores) if address == HERE else _found_there(cleanup)
-            cleanup.callback(ray.shutdown)
             cleanup.enter_context(_silence())
+            cleanup.callback(_leave, found)
             _init(ray, address, options)
-        yield Joined(ray=ray)
+        found.head = _head(ray, address)
+        yield found
+
+
+def _leave(found: Joined) -> None:
+    """Take leave of a cluster. If its head is lost, that is left to the end of this process.
+
+    Ray's own way out would wait for the head, and its native code would then end the process with a
+    signal, or with exit code 1, which is a verdict's.
+    """
+    if not found.is_lost:
+        found.ray.shutdown()
+        return
+    atexit.unregister(import_module("ray._private.worker").shutdown)
+    atexit.register(_end_at_once)
+
+
+def _end_at_once() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(TrialError.exit_code)
+
+
+def _head(ray: Any, address: str) -> tuple[str, int]:
+    """Return where the head of a cluster that has been joined answers."""
+    known = address if "://" in address else f"//{ray.get_runtime_context().gcs_address}"
+    parts = urlsplit(known)
+    return parts.hostname or "", parts.port or _CLIENT_PORT
 
 
 def _init(ray: Any, address: str, options: Mapping[str, Any]) -> None:

@@ -85,10 +85,11 @@ class Nodes:
 
         Raises:
             PrerequisiteError: all nodes are refused.
-            TrialError: there has been none for a minute.
+            TrialError: there has been none for a minute, or the head of the cluster is lost.
         """
         if monotonic() >= self._next_look:
-            self._count()
+            if self._joined.check():
+                self._count()
             self._next_look = monotonic() + _LOOK
         asked = {each.awaited: each for each in self._nodes.values() if each.awaited is not None}
         if asked:
@@ -113,6 +114,8 @@ class Nodes:
     def tidy(self) -> None:
         """Have nodes remove what the run left there; wait some seconds at most."""
         ray, token = self._joined.ray, self._orders.token
+        if not self._joined.answers:
+            return
         asked = [self._ask(each, there.tidy, token) for each in self._nodes.values()]
         if asked:
             ray.wait(asked, num_returns=len(asked), timeout=_FAREWELL)

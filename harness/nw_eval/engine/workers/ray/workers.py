@@ -200,7 +200,7 @@ class RayWorkers:
         staffed = {each.node.id for each in self._staff}
         for node in [node for node in self._nodes.ready if node.id not in staffed]:
             workers = min(wanted, node.cores)
-            if workers < 1:
+            if workers < 1 or not self._joined.check():
                 return
             wanted -= workers
             orders, jobs, fresh = self._station
@@ -282,5 +282,6 @@ class RayWorkers:
 
     def _leave(self, each: _Staffed) -> None:
         self._staff.remove(each)
-        with suppress(Exception):  # It is gone already, or the cluster is.
-            self._joined.ray.kill(each.actor, no_restart=True)
+        if self._joined.answers:
+            with suppress(self._joined.ray.exceptions.RayError, ValueError):  # It is gone already.
+                self._joined.ray.kill(each.actor, no_restart=True)
