@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nw_eval.cli.verbs.options import Options
 from nw_eval.cli.verbs.publishing import Publishing
+from nw_eval.words import Engine
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
@@ -38,6 +39,13 @@ class Run(Publishing, Options):
     """Run every trial. Results of earlier runs of the very same trials are taken over otherwise,
     but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
 
+    engine: Engine = "local"
+    """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
+    Rows are the same; --resume may use another engine than the run began with."""
+    address: str | None = None
+    """With --engine ray: auto, host:port of the cluster's head, or ray://host:port.
+    A cluster of this machine is started for the run when absent."""
+
     def __call__(self) -> int:
         return self.publishing(str(self.suite or self.resume or "suite"), self._run)
 
@@ -60,6 +68,8 @@ class Run(Publishing, Options):
                 resume=self.resume,
                 in_process=self.in_process,
                 cache=not self.no_cache,
+                engine=self.engine,
+                address=self.address,
                 listener=progress,
             )
         print(summary(outcome, folded=self.on_github))

@@ -25,10 +25,13 @@ from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.access import running_rules
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
+
+    Run = Callable[[TrialJob], TrialResult]
 
 # Trials that a worker runs before a fresh one takes its place: a leak has an end.
 RECYCLE_AFTER = 100
@@ -45,6 +48,7 @@ class LocalProcesses:
     Args:
         jobs: all of the run.
         folder: of the run.
+        run: called with each job in a worker.
 
     Raises:
         PolicyError, SceneError: policy or scenes are not where the jobs say.
@@ -52,7 +56,9 @@ class LocalProcesses:
 
     again = "in a fresh process"
 
-    def __init__(self, jobs: Sequence[TrialJob], folder: RunFolder) -> None:
+    def __init__(
+        self, jobs: Sequence[TrialJob], folder: RunFolder, *, run: Run = worker.run_job
+    ) -> None:
         job = jobs[0]
         bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
         rules = running_rules(
@@ -65,12 +71,14 @@ class LocalProcesses:
         draws = any(needs_splats(bundle.card, each.record) for each in jobs)
         self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
         self._printed = folder.workers_log
+        self._run = run
 
     def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
         """Return workers: `count` processes, each for many jobs or for one."""
         return LocalWorkers(
             count,
             start=self._start,
+            run=self._run,
             output=WorkerOutput(self._printed),
             recycle_after=1 if fresh else RECYCLE_AFTER,
         )
@@ -82,6 +90,7 @@ class LocalWorkers:
     Args:
         workers: number of processes.
         start: what each of them starts with.
+        run: called there with each job.
         output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
     """
@@ -91,11 +100,13 @@ class LocalWorkers:
         workers: int,
         *,
         start: WorkerStart,
+        run: Run,
         output: WorkerOutput,
         recycle_after: int = RECYCLE_AFTER,
     ) -> None:
         self._count = workers
         self._start_with = start
+        self._run = run
         self._output = output
         self._recycle_after = recycle_after
         self._cleanup = ExitStack()
@@ -145,7 +156,7 @@ class LocalWorkers:
         try:
             return WorkerProcess(
                 start=partial(worker.start, self._start_with),
-                run=worker.run_job,
+                run=self._run,
                 rules=self._start_with.rules,
                 output=self._output.end,
             )
