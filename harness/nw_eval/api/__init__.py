@@ -44,7 +44,13 @@ from nw_eval.api.publishing.surfaces import (
     publish,
     publish_error,
 )
-from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
+from nw_eval.api.replays import (
+    foxglove_layout,
+    replay,
+    rerun_layout,
+    rerun_recording,
+    take_over,
+)
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
@@ -128,5 +134,6 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "take_over",
     "warmup",
 ]

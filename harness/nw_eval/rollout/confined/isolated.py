@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Mapping
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from nw_eval.confinement import (
     Rules,
@@ -82,28 +82,73 @@ def call_isolated(
         NwEvalError: what the function raised, of the same class.
         PolicyError: the process died, took more than it may, or did not come back in time.
     """
-    context = get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
-    )
-    try:
-        with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
-            process.start()
-        sender.close()
-        answer = _received(receiver, process, subject, time_limit)
-    finally:
-        receiver.close()
-        if process.pid is not None:
-            kill_group(process.pid)
-            process.kill()
-            process.join()
-    if "error" in answer:
-        kind = _KINDS.get(str(answer.get("kind")))
-        lines = str(answer["error"]).splitlines()[:_LINES] or [""]
-        # What was not raised on purpose does not say what it is about.
-        raise PolicyError(f"{subject}: {lines[0]}") if kind is None else kind(lines)
-    return answer["value"]
+    with IsolatedCall(
+        function, subject=subject, rules=rules, renders=renders, arguments=arguments
+    ) as call:
+        return call.answer(time_limit)
+
+
+class IsolatedCall:
+    """A call that a fresh, confined process is at; a context manager that ends it.
+
+    Args: as for `call_isolated`.
+
+    Attributes:
+        receiver: what to wait for: it is ready when there is an answer, or never will be one.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        /,
+        *,
+        subject: str,
+        rules: Rules,
+        renders: bool,
+        arguments: Mapping[str, Any],
+    ) -> None:
+        context = get_context("spawn")
+        self.receiver, sender = context.Pipe(duplex=False)
+        self._subject = subject
+        self._process = context.Process(
+            target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
+        )
+        try:
+            with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
+                self._process.start()
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            sender.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def answer(self, time_limit: float) -> Any:
+        """Wait for what the function returns, at most `time_limit` s; to be called once.
+
+        Raises:
+            NwEvalError, PolicyError: as `call_isolated`.
+        """
+        answer = _received(self.receiver, self._process, self._subject, time_limit)
+        if "error" in answer:
+            kind = _KINDS.get(str(answer.get("kind")))
+            lines = str(answer["error"]).splitlines()[:_LINES] or [""]
+            # What was not raised on purpose does not say what it is about.
+            raise PolicyError(f"{self._subject}: {lines[0]}") if kind is None else kind(lines)
+        return answer["value"]
+
+    def close(self) -> None:
+        """End the process, and all that it started."""
+        self.receiver.close()
+        if self._process.pid is not None:
+            kill_group(self._process.pid)
+            self._process.kill()
+            self._process.join()
 
 
 def _received(
