@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
@@ -70,6 +71,9 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "BlamePlan",
+    "BlamedTrial",
+    "Blames",
     "CardDraft",
     "CheckedBaseline",
     "CheckedScene",
@@ -92,6 +96,7 @@ __all__ = [
     "WrittenSplat",
     "agree",
     "bisect",
+    "blame",
     "check",
     "check_baseline",
     "check_policy",

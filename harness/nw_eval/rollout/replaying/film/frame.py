@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 Bytes = NDArray[np.uint8]
 
-VIEW = (480, 270)
+VIEW = (400, 225)
 """Width and height of each of the two views, pixels."""
-FRAME = (2 * VIEW[0], VIEW[1] + 66)
+FRAME = (2 * VIEW[0], VIEW[1] + 67)
 """Of the whole picture; even, as video wants it."""
 
 _BAND = 6  # pixels
 _GROUND, _INK, _FAINT = (18, 22, 28), (240, 242, 245), (160, 168, 178)
 _DRIVERS = ((74, 144, 226), (245, 140, 40))
 """The band's colours: of whoever began, of whoever took over."""
-_LARGE, _SMALL, _LABEL = 19, 14, 13  # pixels, of letters
+_LARGE, _SMALL, _LABEL = 18, 14, 12  # pixels, of letters
 
 
 @dataclass(frozen=True, kw_only=True)

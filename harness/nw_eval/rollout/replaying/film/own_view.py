@@ -40,7 +40,7 @@ class OwnView:
         self._shown: Bytes = np.zeros((*_BLIND[::-1], 3), dtype=np.uint8)
         self._drawn_at = -_PERIOD
         self.name = (
-            "the robot's camera (the policy is blind)"
+            "the robot's camera; the policy has none"
             if self._view is None
             else f"what {trial.bundle.name} sees: {self._view.observation}"
         )
