@@ -24,6 +24,7 @@ from nw_eval.api import (
     WrittenSplat,
     agree,
     bisect,
+    blame,
     check,
     check_baseline,
     check_policy,
@@ -66,6 +67,7 @@ from nw_eval.api import (
     splat_convert,
     splat_info,
     splat_render,
+    take_over,
     warmup,
 )
 from nw_eval.cards.card import Card
@@ -95,6 +97,7 @@ from nw_eval.results.bank import SavedBank
 from nw_eval.results.bank.changes import BankChange
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.report import ReplayReport
+from nw_eval.rollout.replaying.takeover.report import TakeoverReport
 from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.describe import SplatFigures
@@ -148,6 +151,7 @@ __all__ = [
     "StoreError",
     "SuiteError",
     "Surfaces",
+    "TakeoverReport",
     "TrialError",
     "TrialPlan",
     "UsageError",
@@ -158,6 +162,7 @@ __all__ = [
     "__version__",
     "agree",
     "bisect",
+    "blame",
     "check",
     "check_baseline",
     "check_policy",
@@ -200,5 +205,6 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "take_over",
     "warmup",
 ]

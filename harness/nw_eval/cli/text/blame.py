@@ -16,6 +16,14 @@ if TYPE_CHECKING:
     from nw_eval.api import BlamedTrial, BlamePlan, Blames
     from nw_eval.rollout.replaying.blame.report import BlameReport
 
+_EVENTS = {
+    "collided": "the contact",
+    "fell": "the fall",
+    "off_course": "leaving the course",
+    "policy_failed": "the policy's failure",
+    "stuck": "it counted as stuck",
+    "timeout": "the timeout",
+}
 _COLUMNS = ("trial", "ended", "at", "committed at", "before that", "the baseline")
 
 
@@ -47,9 +55,9 @@ def blame_page(blames: Blames) -> str:
 def written(blames: Blames, suffix: str) -> str:
     """Return the content of a file: JSON with every try, or Markdown."""
     if suffix == ".json":
-        said = [{"says": _sentence(trial), **_verdict(trial)} for trial in blames.trials]
+        words = [{"says": _sentence(trial), **_verdict(trial)} for trial in blames.trials]
         whole = asdict(blames)
-        whole["trials"] = [each | more for each, more in zip(whole["trials"], said, strict=True)]
+        whole["trials"] = [each | more for each, more in zip(whole["trials"], words, strict=True)]
         return json.dumps(whole, indent=2) + "\n"
     lines = [_COLUMNS, ("---",) * len(_COLUMNS), *(_cells(trial) for trial in blames.trials)]
     table = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines]
@@ -75,7 +83,7 @@ def _cells(trial: BlamedTrial) -> tuple[str, ...]:
     committed = report.committed
     return (
         clean(trial.trial),
-        _event(report),
+        clean(f"{report.was.end} ({report.was.reason})", at_most=60),
         f"{_seconds(report.was.steps)} s",
         "never" if committed is None else f"{_seconds(committed.step)} s",
         "" if committed is None else f"{_seconds(report.was.steps - committed.step)} s",
@@ -133,9 +141,11 @@ def _spells(report: BlameReport) -> str:
 
 
 def _event(report: BlameReport) -> str:
-    """Return what ended the trial: `contact trunk`, or its outcome."""
+    """Return what ended the trial, as something that one comes before."""
     was = report.was
-    return clean(was.reason if was.end == "collided" and was.reason else was.end, at_most=60)
+    if was.end == "collided" and was.reason:
+        return clean(was.reason, at_most=60)  # Such as `contact trunk`.
+    return _EVENTS.get(was.end, clean(was.end, at_most=60))
 
 
 def _seconds(steps: int) -> str:

@@ -6,8 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError
-from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.messages import SimState
@@ -53,8 +51,6 @@ def blame(
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    bundle = library.bundle(job.policy, job.checkpoint)
-    check_bundle(bundle, get_robot(job.robot), allow_code=allow_code)
     with open_trial(replace(job, mcap=None), library, StageClock()) as trial:
         states, stride = _kept(lead(trial, recorded, library))
         if not states:

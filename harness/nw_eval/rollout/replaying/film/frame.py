@@ -52,8 +52,8 @@ def composed(beside: Bytes, own: Bytes, words: Words) -> Bytes:
     """Return one picture, (`FRAME` height, width, 3).
 
     Args:
-        beside: the view from outside, of the size `VIEW`.
-        own: the policy's own view, of any size.
+        beside: the view from outside, (H, W, 3).
+        own: the policy's own view, likewise; both are fitted into `VIEW`.
         words: see there.
     """
     from PIL import Image, ImageDraw
@@ -61,7 +61,7 @@ def composed(beside: Bytes, own: Bytes, words: Words) -> Bytes:
     width, height = VIEW
     colour = _DRIVERS[words.has_taken_over]
     picture = Image.new("RGB", FRAME, _GROUND)
-    picture.paste(Image.fromarray(beside), (0, 0))
+    picture.paste(Image.fromarray(enlarged(beside, VIEW)), (0, 0))
     picture.paste(Image.fromarray(enlarged(own, VIEW)), (width, 0))
     pen = ImageDraw.Draw(picture)
     _label(pen, (8, 6), "from outside")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
@@ -20,6 +19,7 @@ from nw_eval.rollout.replaying.run_on import run_on
 from nw_eval.rollout.replaying.takeover.handover import carried, driver, new_handover
 from nw_eval.rollout.replaying.takeover.led import lead_to
 from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
+from nw_eval.sensors.check import check_card
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,7 +83,6 @@ def take_over(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     bundle = library.bundle(job.policy, job.checkpoint)
-    check_bundle(bundle, get_robot(job.robot), allow_code=allow_code)
     job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, handover))
     clock = StageClock()
     with open_trial(job, library, clock) as trial:
@@ -128,12 +127,14 @@ def second_job(
     """Return the trial of a log as one of the policy that is to take over; as for `take_over`.
 
     Raises:
-        StoreError, PolicyError: as `agreed`.
+        StoreError, PolicyError: as `agreed`; or the policy does not fit the robot.
     """
     job = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     ).job
     bundle = library.bundle(job.policy, job.checkpoint)
+    code_from = bundle.folder if allow_code else None
+    check_card(bundle.card, get_robot(job.robot), where=bundle.card_path, code_from=code_from)
     digest = "" if bundle.card.adapter == "remote" else bundle.checkpoint_digest
     return replace(job, policy_name=bundle.name, checkpoint_digest=digest)
 
