@@ -104,9 +104,8 @@ def test_files_hold_every_try_and_the_page_a_table():
     read = json.loads(written(blames, ".json"))
     assert [each["committed_s"] for each in read["trials"]] == [0.0, None]
     assert len(read["trials"][0]["report"]["tries"]) == 2
-    assert "| t-001 | collided (contact face) | 4.92 s | 0.00 s | 4.92 s |" in written(
-        blames, ".md"
-    )
+    row = "| t-001 | collided (contact face) | 4.92 s | 0.00 s | 4.92 s |"
+    assert row in " ".join(written(blames, ".md").split())
     assert blame_page(blames).splitlines()[-1] == "t-002: it is damaged"
 
 

@@ -133,13 +133,11 @@ def blame(
         allow_code=allow_code,
         workers=count,
     ):
-        failed_to = isinstance(what, NwEvalError)
-        found[place] = BlamedTrial(
-            trial=chosen[place].trial_id,
-            scene=chosen[place].scene,
-            report=None if failed_to else what,
-            fault=str(what) if failed_to else "",
-        )
+        row = chosen[place]
+        report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
+        if report is not None and report.trial != row.trial_id:
+            report, fault = None, f"{logs[row.trial_id]} is the log of another trial"
+        found[place] = BlamedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
         if ended is not None:
             ended(found[place])
     return Blames(

@@ -42,7 +42,7 @@ def forecast_line(plan: BlamePlan) -> str:
 
 def trial_line(trial: BlamedTrial) -> str:
     """Return what came of one trial."""
-    return f"{clean(trial.trial)}: {_sentence(trial)}"
+    return clean(f"{trial.trial}: {_sentence(trial)}")
 
 
 def blame_page(blames: Blames) -> str:
@@ -59,11 +59,18 @@ def written(blames: Blames, suffix: str) -> str:
         whole = asdict(blames)
         whole["trials"] = [each | more for each, more in zip(whole["trials"], words, strict=True)]
         return json.dumps(whole, indent=2) + "\n"
-    lines = [_COLUMNS, ("---",) * len(_COLUMNS), *(_cells(trial) for trial in blames.trials)]
-    table = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines]
-    notes = [f"* {trial_line(trial)}" for trial in blames.trials]
-    head = f"# Blame: {clean(blames.run)}"
-    return "\n".join([head, "", forecast_line(blames.plan), "", *table, "", *notes]) + "\n"
+    from nw_eval.reporting.markdown import escaped, markdown_table
+    from nw_eval.reporting.tables.table import Table
+
+    table = Table(
+        title="Blame",
+        columns=_COLUMNS,
+        rows=tuple(_cells(trial) for trial in blames.trials),
+        numbers=frozenset({"at", "committed at", "before that"}),
+    )
+    notes = [f"* {escaped(trial_line(trial))}" for trial in blames.trials]
+    head = [f"# Blame: {escaped(blames.run)}", "", escaped(forecast_line(blames.plan)), ""]
+    return "\n".join([*head, markdown_table(table), "", *notes]) + "\n"
 
 
 def _verdict(trial: BlamedTrial) -> dict[str, object]:
@@ -108,12 +115,12 @@ def _needs_words(trial: BlamedTrial) -> bool:
 def _sentence(trial: BlamedTrial) -> str:
     report = trial.report
     if report is None:
-        return clean(trial.fault)
+        return trial.fault
     committed, tried = report.committed, plural(len(report.tries), "moment")
     if committed is None:
         return (
             f"not the candidate's fault alone: {report.baseline} fails this start as well "
-            f"({clean(report.tries[0].end)} at {_seconds(report.tries[0].steps)} s), and completes "
+            f"({report.tries[0].end} at {_seconds(report.tries[0].steps)} s), and completes "
             f"from none of {tried}"
         )
     if report.completes_throughout:
