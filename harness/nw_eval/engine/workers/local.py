@@ -13,7 +13,6 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.confinement import child_environment
 from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
@@ -107,7 +106,6 @@ class LocalWorkers:
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
-        self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -146,7 +144,10 @@ class LocalWorkers:
         """Return one more worker."""
         try:
             return WorkerProcess(
-                start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
+                start=partial(worker.start, self._start_with),
+                run=worker.run_job,
+                rules=self._start_with.rules,
+                output=self._output.end,
             )
         except OSError as error:
             raise TrialError(

@@ -80,6 +80,7 @@ def blame_apart(
                     rules=ready.rules,
                     renders=ready.renders,
                     arguments=arguments,
+                    is_one_of_many=True,
                 )
                 running.append(_Running(place, call, monotonic() + TIME_LIMIT))
             if not running:
