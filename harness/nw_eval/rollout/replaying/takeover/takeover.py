@@ -86,7 +86,7 @@ def take_over(
     job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, handover))
     clock = StageClock()
     with open_trial(job, library, clock) as trial:
-        log = TrialLog(out, record="all", joints=trial.robot.joints)
+        log = TrialLog(out, record="all")
         recorder = Recorder(trial, log, clock)
         observers: list[Observer] = [recorder]
         recorder.start()
