@@ -24,7 +24,7 @@ _EVENTS = {
     "stuck": "it counted as stuck",
     "timeout": "the timeout",
 }
-_COLUMNS = ("trial", "ended", "at", "committed at", "before that", "the baseline")
+_COLUMNS = ("trial", "ended", "at", "committed at", "before its end", "the baseline")
 
 
 def forecast_line(plan: BlamePlan) -> str:
@@ -66,7 +66,7 @@ def written(blames: Blames, suffix: str) -> str:
         title="Blame",
         columns=_COLUMNS,
         rows=tuple(_cells(trial) for trial in blames.trials),
-        numbers=frozenset({"at", "committed at", "before that"}),
+        numbers=frozenset({"at", "committed at", "before its end"}),
     )
     notes = [f"* {escaped(trial_line(trial))}" for trial in blames.trials]
     head = [f"# Blame: {escaped(blames.run)}", "", escaped(forecast_line(blames.plan)), ""]
