@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from nw_eval.errors import NwEvalError
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -96,7 +97,7 @@ def blame(
     """
     from nw_eval.api.blaming.policy import baseline_bundle
     from nw_eval.engine.machine.cores import worker_count
-    from nw_eval.errors import NwEvalError, UsageError
+    from nw_eval.errors import UsageError
     from nw_eval.reporting.tables.trials import worst_trials
     from nw_eval.rollout.confined.vetting import vet_bundle
     from nw_eval.rollout.replaying.blame.apart import blame_apart
@@ -126,23 +127,27 @@ def blame(
     if planned is not None:
         planned(plan)
     found: dict[int, BlamedTrial] = {}
+    paths = [logs[row.trial_id] for row in chosen]
     for place, what in blame_apart(
-        [logs[row.trial_id] for row in chosen],
+        paths,
         policy=bundle.reference,
         checkpoint=checkpoint,
         allow_code=allow_code,
         workers=count,
     ):
-        row = chosen[place]
-        report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
-        if report is not None and report.trial != row.trial_id:
-            report, fault = None, f"{logs[row.trial_id]} is the log of another trial"
-        found[place] = BlamedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
+        found[place] = _blamed(chosen[place], paths[place], what)
         if ended is not None:
             ended(found[place])
-    return Blames(
-        run=str(run), plan=plan, trials=tuple(found[place] for place in range(len(chosen)))
-    )
+    return Blames(run=str(run), plan=plan, trials=tuple(found[n] for n in range(len(chosen))))
+
+
+def _blamed(row: Row, log: Path, what: BlameReport | NwEvalError) -> BlamedTrial:
+    from nw_eval.errors import NwEvalError
+
+    report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
+    if report is not None and report.trial != row.trial_id:
+        report, fault = None, f"{log} is the log of another trial"
+    return BlamedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
 
 
 def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:

@@ -16,7 +16,12 @@ from nw_eval.rollout.recorder import Recorder
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed, read_logged_trial
 from nw_eval.rollout.replaying.moment import check_inside, check_start, step_at
 from nw_eval.rollout.replaying.run_on import run_on
-from nw_eval.rollout.replaying.takeover.handover import carried, driver, new_handover
+from nw_eval.rollout.replaying.takeover.handover import (
+    Handover,
+    carried,
+    driver,
+    new_handover,
+)
 from nw_eval.rollout.replaying.takeover.led import lead_to
 from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
 from nw_eval.sensors.check import check_card
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.replaying.film.film import Film
     from nw_eval.rollout.result import TrialResult
+    from nw_eval.sim import World
 
 OPTION = "--from"
 
@@ -84,36 +90,45 @@ def take_over(
     )
     bundle = library.bundle(job.policy, job.checkpoint)
     job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, handover))
-    clock = StageClock()
-    with open_trial(job, library, clock) as trial:
-        log = TrialLog(out, record="all")
-        recorder = Recorder(trial, log, clock)
-        observers: list[Observer] = [recorder]
-        recorder.start()
-        if film is not None:
-            observers.append(film.begun(trial, driver=handover.policy))
-        lead_to(step, trial, recorded, library, *observers)
-        words = f"{driver(job)} takes over from {handover.policy}"
-        log.event(trial.episode.world.time, "start", words, step=step)
-        if film is not None:
-            film.hand_over(driver(job))
-        result = run_on(trial, *observers)
-        recorder.end(result)
-        if film is not None:
-            film.end(result)
+    with open_trial(job, library, StageClock()) as trial:
+        result = _driven(trial, recorded, handover, library, film)
+        was, now = recorded.verdict, as_metadata(result)
+        last = _last_place(recorded, trial.robot.bodies[0])
         report = TakeoverReport(
             trial=job.trial.id,
             step=step,
-            was=Ending.of(
-                recorded.verdict,
-                policy=driver(recorded.job),
-                position=_last_place(recorded, trial),
-            ),
-            now=Ending.of(as_metadata(result), policy=driver(job), position=_place(trial)),
+            was=Ending.of(was, policy=driver(recorded.job), position=last),
+            now=Ending.of(now, policy=driver(job), position=_xyz(trial.episode.world)),
         )
+    return TakenOver(result=result, report=report)
+
+
+def _driven(
+    trial: OpenTrial,
+    recorded: LoggedTrial,
+    handover: Handover,
+    library: Library,
+    film: Film | None,
+) -> TrialResult:
+    """Lead a trial to where its policy takes over, let it, and record and film all of that."""
+    log = TrialLog(trial.job.mcap, record="all")
+    recorder = Recorder(trial, log, StageClock())
+    observers: list[Observer] = [recorder]
+    recorder.start()
+    if film is not None:
+        observers.append(film.begun(trial, driver=handover.policy))
+    lead_to(handover.step, trial, recorded, library, *observers)
+    words = f"{driver(trial.job)} takes over from {handover.policy}"
+    log.event(trial.episode.world.time, "start", words, step=handover.step)
+    if film is not None:
+        film.hand_over(driver(trial.job))
+    result = run_on(trial, *observers)
+    recorder.end(result)
+    if film is not None:
+        film.end(result)
     if log.error:
         raise StoreError(f"the log of the new trial is lost: {log.error}")
-    return TakenOver(result=result, report=report)
+    return result
 
 
 def second_job(
@@ -139,16 +154,16 @@ def second_job(
     return replace(job, policy_name=bundle.name, checkpoint_digest=digest)
 
 
-def _place(trial: OpenTrial) -> tuple[float, float, float]:
-    x, y, z = trial.episode.world.trunk_position.tolist()
+def _xyz(world: World) -> tuple[float, float, float]:
+    x, y, z = world.trunk_position.tolist()
     return x, y, z
 
 
-def _last_place(recorded: LoggedTrial, trial: OpenTrial) -> tuple[float, float, float] | None:
+def _last_place(recorded: LoggedTrial, trunk: str) -> tuple[float, float, float] | None:
     """Return where the recorded trial ended."""
     last = None
     for _, poses in recorded.log.poses():
-        last = poses.get(trial.robot.bodies[0])
+        last = poses.get(trunk)
     if last is None:
         return None
     x, y, z = last[0].tolist()
