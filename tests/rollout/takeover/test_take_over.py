@@ -187,3 +187,13 @@ def test_a_confined_process_takes_over_and_writes_the_new_log(tmp_path):
     assert taken.now.digests != taken.was.digests
     assert LogReader(new).metadata()["nw.verdict"]["state_digest"] == taken.now.digests[0]
     assert [each.name for each in new.parent.iterdir()] == ["new.mcap"]
+
+
+def test_a_damaged_word_of_a_take_over_is_said_to_be(walked, library, monkeypatch):
+    whole = LogReader(walked[0]).attachments()
+    torn = {**whole, "takeover.json": b'{"step": "\\u202e soon"}'}
+    monkeypatch.setattr(LogReader, "attachments", lambda _: torn)
+    with pytest.raises(
+        StoreError, match=r"its attachment takeover.json is damaged: .*valid integer"
+    ):
+        replay(walked[0], library=library)
