@@ -28,6 +28,7 @@ from nw_eval.api import (
     WrittenSplat,
     agree,
     bisect,
+    blame,
     cache_info,
     check,
     check_baseline,
@@ -74,6 +75,7 @@ from nw_eval.api import (
     splat_convert,
     splat_info,
     splat_render,
+    take_over,
     verify,
     verify_cache,
     warmup,
@@ -105,6 +107,7 @@ from nw_eval.results.bank import SavedBank
 from nw_eval.results.bank.changes import BankChange
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.report import ReplayReport
+from nw_eval.rollout.replaying.takeover.report import TakeoverReport
 from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.describe import SplatFigures
@@ -161,6 +164,7 @@ __all__ = [
     "StoreError",
     "SuiteError",
     "Surfaces",
+    "TakeoverReport",
     "TrialError",
     "TrialPlan",
     "UsageError",
@@ -172,6 +176,7 @@ __all__ = [
     "__version__",
     "agree",
     "bisect",
+    "blame",
     "cache_info",
     "check",
     "check_baseline",
@@ -218,6 +223,7 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "take_over",
     "verify",
     "verify_cache",
     "warmup",

@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
@@ -45,7 +46,13 @@ from nw_eval.api.publishing.surfaces import (
     publish,
     publish_error,
 )
-from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
+from nw_eval.api.replays import (
+    foxglove_layout,
+    replay,
+    rerun_layout,
+    rerun_recording,
+    take_over,
+)
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
@@ -69,6 +76,9 @@ from nw_eval.request import Request
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "BlamePlan",
+    "BlamedTrial",
+    "Blames",
     "CacheCleanup",
     "CacheUse",
     "CardDraft",
@@ -95,6 +105,7 @@ __all__ = [
     "WrittenSplat",
     "agree",
     "bisect",
+    "blame",
     "cache_info",
     "check",
     "check_baseline",
@@ -141,6 +152,7 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "take_over",
     "verify",
     "verify_cache",
     "warmup",

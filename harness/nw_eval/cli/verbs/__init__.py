@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.blame import Blame
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.judging.agree import Agree
 from nw_eval.cli.verbs.judging.baseline import Baseline
@@ -45,6 +46,7 @@ Verb = (
     | Annotated[Agree, tyro.conf.subcommand("agree")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
+    | Annotated[Blame, tyro.conf.subcommand("blame")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]
