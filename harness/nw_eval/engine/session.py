@@ -100,7 +100,9 @@ def carry_out(
                 folder=folder,
                 policy=plan.bundle.name,
                 arm=plan.arm,
-                hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
+                hire=_in_process(plan)
+                if in_process
+                else LocalProcesses(jobs, folder, memory_limit=plan.memory_limit),
                 workers=workers,
                 enough=enough,
                 listener=listener,

@@ -62,7 +62,8 @@ def save_baseline(
         root: the folder of banks; `reports/baselines` if None.
         workers: processes; one for each core if None.
         listener: hears of progress.
-        changes: of `Request`: checkpoint, render, time_limit, allow_code.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit,
+            allow_code.
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.

@@ -14,6 +14,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.confinement import child_environment
+from nw_eval.engine.machine.descendants import can_be_listed
 from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
@@ -21,7 +22,7 @@ from nw_eval.engine.workers import worker
 from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
 from nw_eval.engine.workers.protocol import Finished
 from nw_eval.engine.workers.worker import WorkerStart
-from nw_eval.errors import TrialError
+from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.access import running_rules
 
@@ -46,14 +47,23 @@ class LocalProcesses:
     Args:
         jobs: all of the run.
         folder: of the run.
+        memory_limit: bytes that a worker may hold with its children.
 
     Raises:
         PolicyError, SceneError: policy or scenes are not where the jobs say.
+        PrerequisiteError: this system cannot hold them to a memory limit.
     """
 
     again = "in a fresh process"
 
-    def __init__(self, jobs: Sequence[TrialJob], folder: RunFolder) -> None:
+    def __init__(
+        self, jobs: Sequence[TrialJob], folder: RunFolder, *, memory_limit: int | None = None
+    ) -> None:
+        if memory_limit is not None and not can_be_listed():
+            raise PrerequisiteError(
+                "--memory-limit: this system does not say what a process and its children hold",
+                fix="drop it, or run on Linux with /proc",
+            )
         job = jobs[0]
         bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
         rules = running_rules(
@@ -66,6 +76,7 @@ class LocalProcesses:
         draws = any(needs_splats(bundle.card, each.record) for each in jobs)
         self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
         self._printed = folder.workers_log
+        self._memory_limit = memory_limit
 
     def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
         """Return workers: `count` processes, each for many jobs or for one."""
@@ -74,6 +85,7 @@ class LocalProcesses:
             start=self._start,
             output=WorkerOutput(self._printed),
             recycle_after=1 if fresh else RECYCLE_AFTER,
+            memory_limit=self._memory_limit,
         )
 
 
@@ -85,6 +97,7 @@ class LocalWorkers:
         start: what each of them starts with.
         output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
+        memory_limit: bytes that a process may hold with its children.
     """
 
     def __init__(
@@ -94,11 +107,13 @@ class LocalWorkers:
         start: WorkerStart,
         output: WorkerOutput,
         recycle_after: int = RECYCLE_AFTER,
+        memory_limit: int | None = None,
     ) -> None:
         self._count = workers
         self._start_with = start
         self._output = output
         self._recycle_after = recycle_after
+        self._memory_limit = memory_limit
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
@@ -146,7 +161,9 @@ class LocalWorkers:
         """Return one more worker."""
         try:
             return WorkerProcess(
-                start=partial(worker.start, self._start_with, self._output.end), run=worker.run_job
+                start=partial(worker.start, self._start_with, self._output.end),
+                run=worker.run_job,
+                memory_limit=self._memory_limit,
             )
         except OSError as error:
             raise TrialError(
