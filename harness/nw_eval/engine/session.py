@@ -21,6 +21,7 @@ from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
+from nw_eval.rollout.confined.access import why_off
 from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ def carry_out(
     listener = listener or Silence()
     workers = 1 if in_process else workers
     if plan.renders:
-        open_backend(plan.render, listener)
+        off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
+        open_backend(plan.render, listener, is_fenced=not off)
     folder = _folder(plan, out, resume)
     listener.message(f"run folder: {folder.path}")
     # Workers and rows need a path that means the same everywhere.

@@ -12,6 +12,7 @@ from nw_eval.api.running.reports import RunReport, report
 from nw_eval.errors import UsageError
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.request import Request
+from nw_eval.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
@@ -58,6 +59,8 @@ def run(
     request = Request.of(request, **changes)
     if in_process:
         _check_in_process(request, workers)
+    elif not request.allow_code:
+        prepare()  # It takes as long as planning does.
     return judged(
         roll_out(
             plan(request) if resume is None else continued(resume, request),

@@ -13,7 +13,6 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.confinement import child_environment
 from nw_eval.engine.machine.descendants import can_be_listed
 from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
@@ -122,7 +121,6 @@ class LocalWorkers:
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
-        self._cleanup.enter_context(child_environment(fenced=not self._start_with.rules.off))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -161,8 +159,10 @@ class LocalWorkers:
         """Return one more worker."""
         try:
             return WorkerProcess(
-                start=partial(worker.start, self._start_with, self._output.end),
+                start=partial(worker.start, self._start_with),
                 run=worker.run_job,
+                rules=self._start_with.rules,
+                output=self._output.end,
                 memory_limit=self._memory_limit,
             )
         except OSError as error:

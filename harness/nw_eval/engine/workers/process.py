@@ -14,7 +14,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from multiprocessing import get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import NoReturn
@@ -23,9 +23,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
-from nw_eval.confinement import interrupts_blocked, kill_group, without_script
+from nw_eval.confinement import Rules, kill_group
 from nw_eval.engine.machine.descendants import descendants, kill, left_by
 from nw_eval.engine.machine.resident import Resident
+from nw_eval.rollout.confined.start import start_process
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 
@@ -49,8 +50,10 @@ class WorkerProcess:
     """A process that runs one job after the other.
 
     Args:
-        start: called once in the process.
+        start: called once in the process, with `output`; it confines it.
         run: called there with each job.
+        rules: by which it will be confined.
+        output: what it prints to; remains the caller's.
         memory_limit: bytes that it may hold with its children while it runs one.
 
     Raises:
@@ -60,18 +63,22 @@ class WorkerProcess:
     def __init__(
         self,
         *,
-        start: Callable[[], None],
+        start: Callable[[Connection], None],
         run: Callable[[TrialJob], TrialResult],
+        rules: Rules,
+        output: Connection,
         memory_limit: int | None = None,
     ) -> None:
-        context = get_context("spawn")
-        theirs, self._jobs = context.Pipe(duplex=False)
-        self._results, back = context.Pipe(duplex=False)
-        # Its processes are ours to end: a daemon could have none of its own, which policies may.
-        self._process = context.Process(target=_serve, args=(start, run, theirs, back))
+        theirs, self._jobs = Pipe(duplex=False)
+        self._results, back = Pipe(duplex=False)
         try:
-            with interrupts_blocked(), without_script():
-                self._process.start()
+            self._process = start_process(
+                _serve,
+                (start, run),
+                (theirs, back, output),
+                rules=rules,
+                is_one_of_many=True,
+            )
         except BaseException:
             self._jobs.close()
             self._results.close()
@@ -145,13 +152,16 @@ class WorkerProcess:
         """End the process and all that it started, without waiting; to be called once."""
         has_ended = self._process.exitcode is not None
         others = left_by(self._pid) if has_ended else descendants(self._pid)
-        kill_group(self._pid)
-        self._process.kill()
+        if not has_ended:  # Else its number may be another's by now.
+            kill_group(self._pid)
+            self._process.kill()
         kill(others)
 
     def close(self) -> None:
         """Wait for a killed process, and close its pipes."""
         self._process.join(_LAST_MOMENTS)
+        if self._process.exitcode is not None:
+            self._process.close()
         self._jobs.close()
         self._results.close()
 
@@ -212,15 +222,16 @@ def _crashed(text: str, *, end_reason: str = "") -> TrialResult:
 
 
 def _serve(
-    start: Callable[[], None],
+    start: Callable[[Connection], None],
     run: Callable[[TrialJob], TrialResult],
     jobs: Connection,
     results: Connection,
+    output: Connection,
 ) -> NoReturn:
     """Run jobs until the pipe ends: the main function of the process."""
     own = os.getpid()
     try:
-        start()
+        start(output)
         while True:
             job: TrialJob = jobs.recv()
             _say(results, _TAKEN)

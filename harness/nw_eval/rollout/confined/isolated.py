@@ -9,18 +9,11 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Callable, Mapping
-from multiprocessing import get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from nw_eval.confinement import (
-    Rules,
-    child_environment,
-    confine,
-    interrupts_blocked,
-    kill_group,
-    without_script,
-)
+from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.errors import (
     IncomparableError,
     NwEvalError,
@@ -31,9 +24,7 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
-
-if TYPE_CHECKING:
-    from multiprocessing.context import SpawnProcess
+from nw_eval.rollout.confined.start import Started, start_process
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -82,22 +73,26 @@ def call_isolated(
         NwEvalError: what the function raised, of the same class.
         PolicyError: the process died, took more than it may, or did not come back in time.
     """
-    context = get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
-    )
+    receiver, sender = Pipe(duplex=False)
+    process: Started | None = None
     try:
-        with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
-            process.start()
+        process = start_process(
+            _answer,
+            (rules, renders, function, dict(arguments)),
+            (sender,),
+            rules=rules,
+            is_one_of_many=False,
+        )
         sender.close()
         answer = _received(receiver, process, subject, time_limit)
     finally:
         receiver.close()
-        if process.pid is not None:
-            kill_group(process.pid)
-            process.kill()
+        if process is not None:
+            if process.exitcode is None:
+                kill_group(process.pid)
+                process.kill()
             process.join()
+            process.close()
     if "error" in answer:
         kind = _KINDS.get(str(answer.get("kind")))
         lines = str(answer["error"]).splitlines()[:_LINES] or [""]
@@ -107,7 +102,7 @@ def call_isolated(
 
 
 def _received(
-    receiver: Connection, process: SpawnProcess, subject: str, time_limit: float
+    receiver: Connection, process: Started, subject: str, time_limit: float
 ) -> dict[str, Any]:
     """Return what a process says.
 
@@ -122,7 +117,6 @@ def _received(
     try:
         answer = json.loads(receiver.recv_bytes(_ANSWER))
     except EOFError:
-        kill_group(process.pid)
         process.join()
         raise _died(subject, process.exitcode) from None
     except (OSError, ValueError, RecursionError):
@@ -148,11 +142,11 @@ def _died(subject: str, code: int | None) -> PolicyError:
 
 
 def _answer(
-    sender: Connection,
     rules: Rules,
     renders: bool,
     function: Callable[..., Any],
     arguments: Mapping[str, Any],
+    sender: Connection,
 ) -> None:
     try:
         if renders:
