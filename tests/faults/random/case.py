@@ -66,6 +66,7 @@ class Case:
     mark: str = field(default_factory=lambda: uuid.uuid4().hex)
     run: Run | None = None
     runs: list = field(default_factory=list)
+    wrong: list = field(default_factory=list)  # Sentences.
 
     def __post_init__(self):
         self.folder = self.folder or self.work / "run"

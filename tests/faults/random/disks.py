@@ -47,5 +47,11 @@ def release(folder):
     _run("umount", "--lazy", str(folder))
 
 
+def forget(folder):
+    """Take a disk away, if the folder is one."""
+    if folder.is_mount():
+        release(folder)
+
+
 def _run(*words):
     subprocess.run(words, check=True, capture_output=True)

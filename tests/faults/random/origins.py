@@ -79,7 +79,9 @@ class Origin:
         shutil.copytree(self.work / "run", case.folder)
         lines = case.journal.read_bytes().splitlines(keepends=True)
         case.journal.write_bytes(b"".join(lines[: 1 + TRIALS // 2]))
-        case.start("--resume", case.folder, *self.resumed, before=lambda: _note(case.work / "sites"))
+        case.start(
+            "--resume", case.folder, *self.resumed, before=lambda: _note(case.work / "sites")
+        )
         assert case.run.end() == VERDICT, case.run.said
         return list(dict.fromkeys((case.work / "sites").read_text().splitlines()))
 
@@ -109,9 +111,7 @@ class Origins:
         bundles = _bundles()
         bundles.write_bundle(work / "slow", "slow")
         (work / "obeying").mkdir()
-        (work / "obeying" / "policy.yaml").write_text(
-            bundles.PYTHON_CARD.format(name="obeying")
-        )
+        (work / "obeying" / "policy.yaml").write_text(bundles.PYTHON_CARD.format(name="obeying"))
         (work / "obeying" / "obeying.py").write_text(OBEYS)
 
     def __getitem__(self, name):
