@@ -3,6 +3,7 @@
 import hashlib
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from nw_eval.protocol import STRICT
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.confined import start
 from nw_eval.rollout.spawn import draw_start
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
@@ -26,6 +28,30 @@ from nw_eval.suite.trials import expand
 SCENE = "flat/carpet_room"
 # Index of delta_yaw among the numbers of `parkour53`: its sign differs from trial to trial.
 DELTA_YAW = 6
+
+
+@pytest.fixture
+def workers():
+    """Return what gives the numbers of all worker processes of this one."""
+    return worker_numbers
+
+
+def worker_numbers():
+    nursery = start._nursery
+    forked = [] if nursery is None else children_of(nursery._process.pid)
+    return [child.pid for child in active_children() if not child.daemon] + forked
+
+
+def children_of(parent):
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == parent:
+            found.append(int(path.parent.name))
+    return found
 
 
 def chosen_by_sign(if_positive, otherwise):

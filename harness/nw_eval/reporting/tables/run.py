@@ -14,7 +14,7 @@ from nw_eval.suite.digest import digest_of
 
 def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
     """Return where the time went."""
-    spent = throughput(rows)
+    spent = throughput(rows, run)
     # A run that was resumed knows the time of its last part only.
     wall = max(run.wall_s, sum(row.wall_s for row in rows if not row.cached) / run.workers)
     rate = 60.0 * len(rows) / wall if wall > 0 else 0.0
