@@ -5,7 +5,6 @@ import os
 import random
 import resource
 import signal
-import subprocess
 import sys
 import time
 import uuid
@@ -25,7 +24,7 @@ SESSION, STATE = 3, 0  # Fields of /proc/PID/stat behind the name.
 
 @dataclass
 class Run:
-    """One process of nw-eval: forked from this one, which has imported everything, or a new one."""
+    """One process of nw-eval: forked from this one, which has imported everything."""
 
     pid: int
     output: Path
@@ -81,7 +80,7 @@ class Case:
 
         Args:
             words: of the command line, behind `run`.
-            cache: a cache of its own, which takes a process of its own.
+            cache: a cache of its own.
             limit: bytes that every file may have: a disk that fills up.
             before: called in the new process first.
         """
@@ -89,11 +88,7 @@ class Case:
         environment = {MARK: self.mark, "TMPDIR": str(self.work / "tmp")}
         if cache is not None:
             environment["NW_EVAL_CACHE"] = str(cache)
-        words = ["nw-eval", "run", *map(str, words)]
-        if cache is None:
-            pid = _forked(words, environment, output, before)
-        else:
-            pid = _executed(words, environment, output)
+        pid = _forked(["nw-eval", "run", *map(str, words)], environment, output, before)
         if limit is not None:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, limit))
         self.run = Run(pid=pid, output=output)
@@ -204,15 +199,3 @@ def _forked(words, environment, output, before):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
-
-
-def _executed(words, environment, output):
-    """Run the command line in a process that begins from nothing."""
-    with output.open("wb") as stream:
-        return subprocess.Popen(
-            [sys.executable, "-c", "from nw_eval.cli import main; main()", *words[1:]],
-            stdout=stream,
-            stderr=stream,
-            start_new_session=True,
-            env={**os.environ, **environment},
-        ).pid
