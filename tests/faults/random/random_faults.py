@@ -21,7 +21,8 @@ from pathlib import Path
 import disks
 from aftermath import faults_of
 from case import Case
-from kinds import KINDS, cache_of, possible
+from hits import cache_of
+from kinds import KINDS, possible
 from origins import VERDICT, Origins, import_what_runs_import
 from tally import table
 
@@ -102,7 +103,7 @@ def wanted():
     parser.add_argument("seed", type=int, nargs="?", default=9)
     parser.add_argument("first", type=int, nargs="?", default=0)
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
-    parser.add_argument("--fast", action="store_true", help="without kinds that render")
+    parser.add_argument("--fast", action="store_true", help="without what takes longest")
     parser.add_argument("--only", help="one kind")
     parser.add_argument("--out", type=Path, help="a file for the tally")
     return parser.parse_args()
@@ -113,7 +114,7 @@ def main():
     asked = wanted()
     disks.enter_namespace()
     kinds = [name for name in possible() if asked.only in {None, name}]
-    kinds = [name for name in kinds if not (asked.fast and KINDS[name].origin == "rendered")]
+    kinds = [name for name in kinds if KINDS[name].daily or not asked.fast]
     plan = drawn(asked.count, asked.seed, asked.first, kinds)
     with tempfile.TemporaryDirectory(prefix="nw-eval-faults-") as name:
         work = Path(name)
