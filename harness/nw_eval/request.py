@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from nw_eval.amounts import bytes_of
 from nw_eval.errors import UsageError
 from nw_eval.words import Backend, Collision, PanelKind, Record
 
@@ -79,6 +80,9 @@ class Request:
     """Camera images in MCAP for which trials; the suite's own choice when absent."""
     time_limit: float | None = None
     """Seconds of wall time after which a trial counts as hung; a generous default when absent."""
+    memory_limit: str | None = None
+    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB: a
+    trial that takes more ends as crashed. No limit of its own when absent."""
     render: Backend | None = None
     """The splat renderer; cpu when absent. There is no silent fallback."""
     collision: Collision | None = None
@@ -118,6 +122,7 @@ class Request:
         if checked.time_limit is not None and not checked.time_limit > 0.0:
             raise _unusable("time_limit", values, "give seconds, more than 0")
         _ = checked.part  # It raises.
+        _ = checked.memory_bytes  # Likewise.
         return checked
 
     @property
@@ -128,6 +133,18 @@ class Request:
             UsageError: it names none.
         """
         return None if self.shard is None else Shard.of(self.shard)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """The memory limit in bytes.
+
+        Raises:
+            UsageError: it is no amount.
+        """
+        try:
+            return None if self.memory_limit is None else bytes_of(self.memory_limit)
+        except ValueError as error:
+            raise _unusable("memory_limit", vars(self), str(error)) from None
 
     def over(self, earlier: Request) -> Request:
         """Return an earlier request with all that this one asks for in its place.

@@ -78,6 +78,11 @@ class Plan:
         limit = self.request.time_limit
         return default_time_limit(self.suite.episode.duration) if limit is None else limit
 
+    @property
+    def memory_limit(self) -> int | None:
+        """Bytes that a worker may hold with its children; None = as many as there are."""
+        return self.request.memory_bytes
+
 
 def default_time_limit(duration: float) -> float:
     """Return the wall seconds after which a trial of `duration` simulated s counts as hung."""

@@ -198,9 +198,25 @@ def _check_in_process(request: Request, workers: int | None, cluster: str | None
             f"--workers {workers} with --in-process: it runs one trial after another",
             fix="drop one of them",
         )
-    if request.time_limit is not None:
+    check_limits(request, "--in-process")
+
+
+def check_limits(request: Request, door: str) -> None:
+    """Refuse limits to trials that run in this very process.
+
+    Args:
+        request: what is asked for.
+        door: why they do, in words.
+
+    Raises:
+        UsageError: there is a limit that nobody could hold a trial to.
+    """
+    time, memory = request.time_limit, request.memory_limit
+    limits = [] if time is None else [f"--time-limit {time:g}"]
+    limits += [] if memory is None else [f"--memory-limit {memory}"]
+    if limits:
         raise UsageError(
-            f"--time-limit {request.time_limit:g} with --in-process: nobody could end the trial",
+            f"{' and '.join(limits)} with {door}: nobody could end the trial",
             fix="drop one of them",
         )
 

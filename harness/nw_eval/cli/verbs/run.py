@@ -27,7 +27,7 @@ class Run(Publishing, Options):
     """The run's folder; `reports/<suite>-<policy>-<time>-<digest>` when absent."""
     resume: Path | None = None
     """The folder of an interrupted run to finish: what is not given is as the run was begun.
-    Other trials, scenes, record or time limit may be given with it.
+    Other trials, scenes, record, time or memory limit may be given with it.
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
     ledger: Path | None = None

@@ -13,6 +13,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.engine.machine.descendants import can_be_listed
 from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
@@ -20,7 +21,7 @@ from nw_eval.engine.workers import worker
 from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
 from nw_eval.engine.workers.protocol import Finished
 from nw_eval.engine.workers.worker import WorkerStart
-from nw_eval.errors import TrialError
+from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.access import running_rules
 
@@ -49,16 +50,28 @@ class LocalProcesses:
         jobs: all of the run.
         folder: of the run.
         run: called with each job in a worker.
+        memory_limit: bytes that a worker may hold with its children.
 
     Raises:
         PolicyError, SceneError: policy or scenes are not where the jobs say.
+        PrerequisiteError: this system cannot hold them to a memory limit.
     """
 
     again = "in a fresh process"
 
     def __init__(
-        self, jobs: Sequence[TrialJob], folder: RunFolder, *, run: Run = worker.run_job
+        self,
+        jobs: Sequence[TrialJob],
+        folder: RunFolder,
+        *,
+        run: Run = worker.run_job,
+        memory_limit: int | None = None,
     ) -> None:
+        if memory_limit is not None and not can_be_listed():
+            raise PrerequisiteError(
+                "--memory-limit: this system does not say what a process and its children hold",
+                fix="drop it, or run on Linux with /proc",
+            )
         job = jobs[0]
         bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
         rules = running_rules(
@@ -72,6 +85,7 @@ class LocalProcesses:
         self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
         self._printed = folder.workers_log
         self._run = run
+        self._memory_limit = memory_limit
 
     def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
         """Return workers: `count` processes, each for many jobs or for one."""
@@ -81,6 +95,7 @@ class LocalProcesses:
             run=self._run,
             output=WorkerOutput(self._printed),
             recycle_after=1 if fresh else RECYCLE_AFTER,
+            memory_limit=self._memory_limit,
         )
 
 
@@ -93,6 +108,7 @@ class LocalWorkers:
         run: called there with each job.
         output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
+        memory_limit: bytes that a process may hold with its children.
     """
 
     def __init__(
@@ -103,12 +119,14 @@ class LocalWorkers:
         run: Run,
         output: WorkerOutput,
         recycle_after: int = RECYCLE_AFTER,
+        memory_limit: int | None = None,
     ) -> None:
         self._count = workers
         self._start_with = start
         self._run = run
         self._output = output
         self._recycle_after = recycle_after
+        self._memory_limit = memory_limit
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
@@ -159,6 +177,7 @@ class LocalWorkers:
                 run=self._run,
                 rules=self._start_with.rules,
                 output=self._output.end,
+                memory_limit=self._memory_limit,
             )
         except OSError as error:
             raise TrialError(
