@@ -49,7 +49,7 @@ class Workplace:
             with RayProcesses(plan, jobs, folder, joined=self.joined, listener=listener) as hire:
                 yield hire
         else:
-            yield LocalProcesses(jobs, folder)
+            yield LocalProcesses(jobs, folder, memory_limit=plan.memory_limit)
 
 
 @contextmanager

@@ -34,6 +34,8 @@ class Orders:
     render: Backend
     renders: bool
     """Whether any trial may render."""
+    memory_limit: int | None
+    """Bytes that a worker may hold with its children."""
 
 
 def facts(render: Backend, *, adapter: str, allow_code: bool) -> dict[str, str]:

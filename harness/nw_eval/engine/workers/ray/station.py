@@ -77,6 +77,7 @@ class Station:
             [_at_home(job, places) for job in jobs],
             self._folder,
             run=partial(library.run_job, places),
+            memory_limit=orders.memory_limit,
         )
         self._workers = hire(workers, fresh=fresh).__enter__()
         self._finished: Iterator[Finished | None] = iter(())

@@ -78,6 +78,7 @@ class RayProcesses:
             parcels=outgoing.parcels,
             render=plan.render,
             renders=plan.renders,
+            memory_limit=plan.memory_limit,
         )
         question = {
             "render": plan.render,
