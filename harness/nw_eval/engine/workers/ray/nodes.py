@@ -91,11 +91,11 @@ class Nodes:
             if self._joined.check():
                 self._count()
             self._next_look = monotonic() + _LOOK
-        asked = {each.awaited: each for each in self._nodes.values() if each.awaited is not None}
-        if asked:
-            answered, _ = self._joined.ray.wait(list(asked), num_returns=len(asked), timeout=0)
+        pending = {each.awaited: each for each in self._nodes.values() if each.awaited is not None}
+        if pending:
+            answered, _ = self._joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
             for reference in answered:
-                self._hear(asked[reference])
+                self._hear(pending[reference])
         if not any(each.stage == "packing" for each in self._nodes.values()):
             self._pieces.clear()
         self._check_hope()
@@ -116,9 +116,9 @@ class Nodes:
         ray, token = self._joined.ray, self._orders.token
         if not self._joined.answers:
             return
-        asked = [self._ask(each, there.tidy, token) for each in self._nodes.values()]
-        if asked:
-            ray.wait(asked, num_returns=len(asked), timeout=_FAREWELL)
+        pending = [self._ask(each, there.tidy, token) for each in self._nodes.values()]
+        if pending:
+            ray.wait(pending, num_returns=len(pending), timeout=_FAREWELL)
 
     def _count(self) -> None:
         """Ask nodes that are new; forget those that are gone."""

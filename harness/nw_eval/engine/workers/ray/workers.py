@@ -220,14 +220,14 @@ class RayWorkers:
 
     def _ask(self, each: _Staffed) -> None:
         """Give a station what it has workers for, and ask what it has come to."""
-        given: list[TrialJob] = []
+        jobs_to_go: list[TrialJob] = []
         while self._queue and len(each.jobs) < each.workers:
             job = self._next(each)
             each.jobs[job.trial.id] = job, monotonic() + job.time_limit + _SILENCE
             each.scenes.add(job.trial.scene)
-            given.append(job)
+            jobs_to_go.append(job)
         if each.jobs:
-            each.awaited = each.actor.work.remote(given)
+            each.awaited = each.actor.work.remote(jobs_to_go)
 
     def _next(self, each: _Staffed) -> TrialJob:
         """Take a station's next job from the queue."""
@@ -239,14 +239,14 @@ class RayWorkers:
 
     def _heard(self) -> list[_Staffed]:
         """Wait a moment; return stations that have said something, or should have long ago."""
-        asked = {each.awaited: each for each in self._staff if each.awaited is not None}
-        if not asked:
+        pending = {each.awaited: each for each in self._staff if each.awaited is not None}
+        if not pending:
             sleep(POLL)
             return []
-        answered, _ = self._joined.ray.wait(list(asked), timeout=POLL)
+        answered, _ = self._joined.ray.wait(list(pending), timeout=POLL)
         if answered:  # Whatever else is there by now.
-            answered, _ = self._joined.ray.wait(list(asked), num_returns=len(asked), timeout=0)
-        return [each for reference, each in asked.items() if reference in answered or each.is_late]
+            answered, _ = self._joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
+        return [each for reference, each in pending.items() if reference in answered or each.is_late]
 
     def _look(self, each: _Staffed) -> Iterator[Finished]:
         """Take in what a station says, and yield jobs that have ended."""
