@@ -9,7 +9,18 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.splat.kernels.simd import F8, FLOAT, I1, I32, I32X8, I64, LANES, Float8, intrinsic
+from nw_eval.splat.kernels.simd import (
+    F8,
+    FLOAT,
+    I1,
+    I32,
+    I32X8,
+    I64,
+    LANES,
+    Float8,
+    integers,
+    intrinsic,
+)
 
 
 @intrinsic
@@ -58,10 +69,10 @@ def pack_range(_typing: Any, first: Any, last: Any) -> Any:
 
 
 def exponent_shift(builder: Any, value: Any, whole: Any) -> Any:
-    """Return value * 2**whole by adding to the exponent bits (IR; whole is integral)."""
-    shift = ir.Constant(I32X8, [23] * LANES)
-    exponent = builder.shl(builder.fptosi(whole, I32X8), shift)
-    return builder.bitcast(builder.add(builder.bitcast(value, I32X8), exponent), F8)
+    """Return value * 2**n by adding to the exponent bits; n stands in the last bits of `whole`."""
+    shift = integers(23, value.type.count)
+    exponent = builder.shl(builder.bitcast(whole, shift.type), shift)
+    return builder.bitcast(builder.add(builder.bitcast(value, shift.type), exponent), value.type)
 
 
 def split_exponent(builder: Any, value: Any) -> tuple[Any, Any]:

@@ -27,7 +27,8 @@ from nw_eval.splat.kernels.simd import (
     LANES,
     Float8,
     address,
-    constant8,
+    constant,
+    integers,
     intrinsic,
     lane_list,
 )
@@ -54,12 +55,9 @@ def _widen_halves(builder: Any, bits: Any) -> Any:
     which a multiplication mends, for denormals too.
     """
 
-    def constant(value: int) -> Any:
-        return ir.Constant(I32X8, [value] * LANES)
-
-    magnitude = builder.shl(builder.and_(bits, constant(0x7FFF)), constant(13))
-    value = builder.fmul(builder.bitcast(magnitude, F8), constant8(2.0**112))
-    sign = builder.shl(builder.and_(bits, constant(0x8000)), constant(16))
+    magnitude = builder.shl(builder.and_(bits, integers(0x7FFF, LANES)), integers(13, LANES))
+    value = builder.fmul(builder.bitcast(magnitude, F8), constant(2.0**112))
+    sign = builder.shl(builder.and_(bits, integers(0x8000, LANES)), integers(16, LANES))
     return builder.bitcast(builder.or_(builder.bitcast(value, I32X8), sign), F8)
 
 
@@ -84,35 +82,6 @@ def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp, Float8), generate
-
-
-@intrinsic
-def load_rows(_typing: Any, array: Any, upper: Any, lower: Any) -> Any:
-    """Return array[upper : upper + 4] in lanes 0..3 and array[lower : lower + 4] in 4..7."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        halves: list[Any] = []
-        for index in args[1:]:
-            place = address(context, builder, signature.args[0], args[0], index)
-            halves.append(builder.load(builder.bitcast(place, F4.as_pointer()), align=4))
-        return builder.shuffle_vector(halves[0], halves[1], lane_list(list(range(LANES))))
-
-    return Float8(array, types.intp, types.intp), generate
-
-
-@intrinsic
-def store_rows(_typing: Any, array: Any, upper: Any, lower: Any, value: Any) -> Any:
-    """Write lanes 0..3 to array[upper : upper + 4] and 4..7 to array[lower : lower + 4]."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        undefined = ir.Constant(F8, ir.Undefined)
-        for index, lanes in ((args[1], [0, 1, 2, 3]), (args[2], [4, 5, 6, 7])):
-            half = builder.shuffle_vector(args[3], undefined, lane_list(lanes))
-            place = address(context, builder, signature.args[0], args[0], index)
-            builder.store(half, builder.bitcast(place, F4.as_pointer()), align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, Float8), generate
 
 
 @intrinsic

@@ -35,8 +35,8 @@ THRESHOLD = math.log2(1.0 / 255.0)
 """log2 of the least alpha that is blended."""
 
 # Places in a record of 16 floats.
-U, V, A, B, C, LOG_OPACITY, DEPTH = 0, 1, 2, 3, 4, 5, 6
-COLUMNS, ROWS, RED, GREEN, BLUE = 7, 8, 9, 10, 11
+U, V, A, B, C, LOG_OPACITY, COLUMNS, ROWS = 0, 1, 2, 3, 4, 5, 6, 7
+RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
 
 _LOG2E = 1.4426950408889634
 _TWO_LN2 = 2.0 * math.log(2.0)
@@ -189,12 +189,12 @@ def project_chunk(
                 xy * half * -2.0,
                 xx * half,
                 log_opacity,
-                z,
                 pack_range(c_low - column0, c_high - column0),
                 pack_range(r_low - row0, r_high - row0),
                 maximum(red, 0.0),
                 maximum(green, 0.0),
                 maximum(blue, 0.0),
+                z,
             ),
         )
     return count
