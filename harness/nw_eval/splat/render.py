@@ -212,6 +212,7 @@ class _Workspace:
         self._chunk_keys = np.empty(chunks, dtype=np.int64)
         self._nearest = np.empty(chunks, dtype=np.float32)
         self._records = _aligned((gaussians + GROUP) * RECORD)
+        self._depths = np.empty(gaussians, dtype=np.float32)
         self._histogram = np.empty(HISTOGRAM, dtype=np.int64)
         self._light = np.empty(0, dtype=np.float32)
         self._paint = np.empty(0, dtype=np.float32)
@@ -235,6 +236,7 @@ class _Workspace:
             self._chunk_keys,
             self._nearest,
             self._records,
+            self._depths,
             self._histogram,
             self._light,
             self._paint,

@@ -18,11 +18,11 @@ from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.blend import SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
-from nw_eval.splat.kernels.memory import load, peek, store
+from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import project_chunk
 from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.shapes import CHANNELS
-from nw_eval.splat.kernels.sort import sort_keys, sort_nearer
+from nw_eval.splat.kernels.sort import note_depths, sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.
 CULL, PROJECT, SORT, BLEND = 0, 1, 2, 3
@@ -52,10 +52,12 @@ def nearest_of(key: Any, least: Any) -> Any:
 
 
 @kernel
-def _keep_carried(records: Any, carried: Any, count: Any) -> None:
+def _keep_carried(records: Any, depths: Any, carried: Any, count: Any) -> None:
     """Move the carried records to the front, in their order."""
     for i in range(count):
-        source, target = peek(carried, i) * RECORD, i * RECORD
+        record = peek(carried, i)
+        poke(depths, i, peek(depths, record))
+        source, target = record * RECORD, i * RECORD
         first, second = load(records, source), load(records, source + 8)
         store(records, target, first)
         store(records, target + 8, second)
@@ -109,7 +111,7 @@ def draw(
         rows: likewise of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, numbers of
             the alpha curve, background (3,) float32, chunks in a slab).
-        work: (keys, scratch, carried, chunk_keys, nearest, records, histogram, light, paint, live): the
+        work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live): the
             workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
         statistics: (STATISTICS,) int64, out.
@@ -117,7 +119,7 @@ def draw(
     """
     geometry, dc, sh, bounds = store_arrays
     eps2d, antialiased, floor2, most_alpha, numbers, background, slab = options
-    keys, scratch, carried, chunk_keys, nearest, records, histogram, light, paint, live = work
+    keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = work
     width, height = int(view[at.COLUMN1] - view[at.COLUMN0]), int(view[at.ROW1] - view[at.ROW0])
     stride = width + SLACK_COLUMNS
     live_stride = (width + 7) // 8 + 1
@@ -153,6 +155,7 @@ def draw(
                 records,
                 count,
             )
+            note_depths(records, before, count, depths)
             statistics[RECORDS] += count - before
         taken = end
         now = clock_nanoseconds(clock) if clock >= 0 else 0
@@ -162,7 +165,7 @@ def draw(
         if taken < visible:
             boundary = nearest_of(chunk_keys[taken], least)
         ready, in_scratch, later = sort_nearer(
-            records, count, boundary, keys, scratch, carried, histogram
+            depths, count, boundary, keys, scratch, carried, histogram
         )
         ordered = scratch if in_scratch else keys
         now = clock_nanoseconds(clock) if clock >= 0 else 0
@@ -186,7 +189,7 @@ def draw(
         left -= finished
         statistics[VECTORS] += vectors
         statistics[DRAWN] += drawn
-        _keep_carried(records, carried, later)
+        _keep_carried(records, depths, carried, later)
         count = later
         now = clock_nanoseconds(clock) if clock >= 0 else 0
         statistics[BLEND] += now - started
