@@ -111,7 +111,7 @@ def _retire(live: Any, live_stride: Any, bits: Any, x: Any, y: Any, width_bits: 
     return count
 
 
-@inlined
+@kernel
 def _any_live(live: Any, live_stride: Any, x0: Any, x1: Any, y0: Any, y1: Any) -> Any:
     left, right = x0 >> 3, x1 >> 3
     row, last = (y0 >> 3) * live_stride, (y1 >> 3) * live_stride
@@ -242,26 +242,34 @@ def blend(
             dx = _square_columns(columns, xa) - u
             across = fma(negate(dx * ca), dx, log_opacity)
             slope = dx * cb
-            for y in range(ya, yb + 1, 4):
+            y = ya
+            while True:
                 dy = _square_rows(rows, y) - v
                 power = fma(negate(fma(dy, cc, slope)), dy, across)
                 bits = _draw_square(light, paint, o, stride, power, curve, colour)
                 if bits != 0:
                     finished += _retire(live, live_stride, bits, xa, y, 2)
                 o += 4 * stride
+                y += 4
                 blocks += 1
+                if y > yb:
+                    break
         elif xb - xa < 8:
             dx = _flat_columns(columns, xa) - u
             across = fma(negate(dx * ca), dx, log_opacity)
             slope = dx * cb
-            for y in range(ya, yb + 1, 2):
+            y = ya
+            while True:
                 dy = _flat_rows(rows, y) - v
                 power = fma(negate(fma(dy, cc, slope)), dy, across)
                 bits = _draw_flat(light, paint, o, stride, power, curve, colour)
                 if bits != 0:
                     finished += _retire(live, live_stride, bits, xa, y, 3)
                 o += 2 * stride
+                y += 2
                 blocks += 1
+                if y > yb:
+                    break
         elif xb - xa < 16:
             dx = _line_columns(columns, xa) - u
             across = fma(negate(dx * ca), dx, log_opacity)

@@ -11,7 +11,7 @@ from numba.core import cgutils
 
 from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels.bits import exponent_shift, split_exponent
-from nw_eval.splat.kernels.simd import Float8, call_llvm, constant, floor, fma, intrinsic, minimum
+from nw_eval.splat.kernels.simd import call_llvm, constant, floor, fma, intrinsic, minimum
 
 EXP2 = (1.5 * 2.0**23, 1.0, 0.6931469776, 0.2402224209, 0.05550733743, 0.009671512645, 0.001326472712)
 """What `exp2` works with. First what makes a float32 round to a whole number, as there are no bits
@@ -53,12 +53,13 @@ def log2(_typing: Any, x: Any) -> Any:
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         exponent, mantissa = split_exponent(builder, args[0])
-        one = constant(1.0)
+        one = constant(1.0, x.lanes)
         s = builder.fdiv(builder.fsub(mantissa, one), builder.fadd(mantissa, one))
-        series = _horner(builder, builder.fmul(s, s), [constant(factor) for factor in _LOG2])
+        factors = [constant(factor, x.lanes) for factor in _LOG2]
+        series = _horner(builder, builder.fmul(s, s), factors)
         return call_llvm(builder, "fmuladd", s, series, exponent)
 
-    return Float8(Float8), generate
+    return x(x), generate
 
 
 @inlined

@@ -27,9 +27,8 @@ LANES = 8
 
 FLOAT = ir.FloatType()
 I1, I8, I32, I64 = ir.IntType(1), ir.IntType(8), ir.IntType(32), ir.IntType(64)
-F4 = ir.VectorType(FLOAT, 4)
-F8 = ir.VectorType(FLOAT, LANES)
-I32X8 = ir.VectorType(I32, LANES)
+F8, F16 = ir.VectorType(FLOAT, LANES), ir.VectorType(FLOAT, 2 * LANES)
+I32X16 = ir.VectorType(I32, 2 * LANES)
 I16X8 = ir.VectorType(ir.IntType(16), LANES)
 HALF8 = ir.VectorType(ir.HalfType(), LANES)
 
