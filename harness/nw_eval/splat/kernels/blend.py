@@ -41,7 +41,7 @@ from nw_eval.splat.kernels.project import (
 from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, Shape, repeat4
 from nw_eval.splat.kernels.simd import (
-    broadcast16,
+    broadcast,
     ceil,
     floor,
     fma,
@@ -142,10 +142,12 @@ def _row_spans(dy: Any, ellipse: Any, view: Any, xa: Any, xb: Any) -> Any:
     high = floor((root - half) * inverse + (u + np.float32(0.502)))
     stride, inverse_stride = view[at.STRIDE], view[at.INVERSE_STRIDE]
     offset, block = view[at.OFFSET], view[at.BLOCK]
+    if stride != 1.0:
+        low = taken_below(low, stride, inverse_stride, offset, block)
+        high = taken_below(high, stride, inverse_stride, offset, block)
     origin = view[at.COLUMN0]
-    first = taken_below(low, stride, inverse_stride, offset, block) - origin
-    last = taken_below(high, stride, inverse_stride, offset, block) - (origin + np.float32(1.0))
-    first = minimum(maximum(first, np.float32(xa)), 32767.0)
+    first = minimum(maximum(low - origin, np.float32(xa)), 32767.0)
+    last = high - (origin + np.float32(1.0))
     last = where(inside > 0.0, minimum(last, np.float32(xb)), -1.0)
     return pack_range(first, maximum(last, -1.0))
 
@@ -166,7 +168,7 @@ def clear(
 
 
 @kernel
-def blend(
+def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few lines.
     records: Any,
     ordered: Any,
     count: Any,
@@ -205,17 +207,17 @@ def blend(
     spans = np.empty(8, np.float32)
     span_bits = spans.view(np.int32)
     curve = (
-        broadcast16(numbers[0]),
-        broadcast16(numbers[1]),
-        broadcast16(most_alpha),
+        broadcast(numbers[0]),
+        broadcast(numbers[1]),
+        broadcast(most_alpha),
         (
-            broadcast16(numbers[2]),
-            broadcast16(numbers[3]),
-            broadcast16(numbers[4]),
-            broadcast16(numbers[5]),
-            broadcast16(numbers[6]),
-            broadcast16(numbers[7]),
-            broadcast16(numbers[8]),
+            broadcast(numbers[2]),
+            broadcast(numbers[3]),
+            broadcast(numbers[4]),
+            broadcast(numbers[5]),
+            broadcast(numbers[6]),
+            broadcast(numbers[7]),
+            broadcast(numbers[8]),
         ),
     )
     for i in range(count):
@@ -231,10 +233,10 @@ def blend(
         ):
             continue
         drawn += 1
-        u, v = broadcast16(peek(records, j + U)), broadcast16(peek(records, j + V))
-        ca, cb = broadcast16(peek(records, j + A)), broadcast16(peek(records, j + B))
-        cc = broadcast16(peek(records, j + C))
-        log_opacity = broadcast16(peek(records, j + LOG_OPACITY))
+        u, v = broadcast(peek(records, j + U)), broadcast(peek(records, j + V))
+        ca, cb = broadcast(peek(records, j + A)), broadcast(peek(records, j + B))
+        cc = broadcast(peek(records, j + C))
+        log_opacity = broadcast(peek(records, j + LOG_OPACITY))
         colour = repeat4(records, j + RED)
         o = ya * stride + xa
         # power = log_opacity - dx (A dx) - dy (B dx + C dy), always in this order.
@@ -275,7 +277,7 @@ def blend(
             across = fma(negate(dx * ca), dx, log_opacity)
             slope = dx * cb
             for y in range(ya, yb + 1):
-                dy = broadcast16(peek(rows, y)) - v
+                dy = broadcast(peek(rows, y)) - v
                 power = fma(negate(fma(dy, cc, slope)), dy, across)
                 bits = _draw_line(light, paint, o, stride, power, curve, colour)
                 if bits != 0:
@@ -295,7 +297,7 @@ def blend(
                     below = load(rows, y) - peek(records, j + V)
                     store(spans, 0, _row_spans(below, ellipse, view, xa, xb))
                 packed = int(peek(span_bits, (y - ya) & 7))
-                dy = broadcast16(peek(rows, y)) - v
+                dy = broadcast(peek(rows, y)) - v
                 for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
                     dx = _line_columns(columns, x) - u
                     across = fma(negate(dx * ca), dx, log_opacity)

@@ -111,15 +111,17 @@ def draw(
         rows: likewise of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, numbers of
             the alpha curve, background (3,) float32, chunks in a slab).
-        work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live): the
-            workspace of render.py.
+        work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light,
+            paint, live): the workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
         statistics: (STATISTICS,) int64, out.
         clock: POSIX clock for the stages, or -1 to take no time.
     """
     geometry, dc, sh, bounds = store_arrays
     eps2d, antialiased, floor2, most_alpha, numbers, background, slab = options
-    keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = work
+    keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = (
+        work
+    )
     width, height = int(view[at.COLUMN1] - view[at.COLUMN0]), int(view[at.ROW1] - view[at.ROW0])
     stride = width + SLACK_COLUMNS
     live_stride = (width + 7) // 8 + 1

@@ -1,6 +1,5 @@
 """Elementary functions on lanes, and the arithmetic of pixel sets."""
 
-# ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
 from __future__ import annotations
 
 import math
@@ -13,7 +12,15 @@ from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels.bits import exponent_shift, split_exponent
 from nw_eval.splat.kernels.simd import call_llvm, constant, floor, fma, intrinsic, minimum
 
-EXP2 = (1.5 * 2.0**23, 1.0, 0.6931469776, 0.2402224209, 0.05550733743, 0.009671512645, 0.001326472712)
+EXP2 = (
+    1.5 * 2.0**23,
+    1.0,
+    0.6931469776,
+    0.2402224209,
+    0.05550733743,
+    0.009671512645,
+    0.001326472712,
+)
 """What `exp2` works with. First what makes a float32 round to a whole number, as there are no bits
 for a fraction at its size; then the series, constant term first: least maximum relative error
 (9.1e-8) for 2**f on [-1/2, 1/2] with 2**0 exact, by Lawson's iteration."""

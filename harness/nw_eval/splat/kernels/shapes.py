@@ -48,18 +48,6 @@ def _spread(builder: Any, vector: Any, lanes: list[int]) -> Any:
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), lane_list(lanes))
 
 
-@intrinsic
-def repeat4(_typing: Any, array: Any, index: Any) -> Any:
-    """Return array[index : index + 4] four times."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = address(context, builder, signature.args[0], args[0], args[1])
-        four = builder.load(_floats_at(builder, place, 4), align=4)
-        return _spread(builder, four, list(range(4)) * 4)
-
-    return Floats16(array, types.intp), generate
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shape:
     """What is done to a block of pixels; each member is an intrinsic.
@@ -80,48 +68,49 @@ class Shape:
     add: Any
 
 
-def _shape(rows: int) -> Shape:
-    width = PIXELS // rows
+def _row_places(builder: Any, place: Any, stride: Any, rows: int) -> list[Any]:
+    places = [place]
+    for _ in range(1, rows):
+        places.append(builder.add(places[-1], stride))
+    return places
 
-    def row_places(builder: Any, place: Any, stride: Any) -> list[Any]:
-        places = [place]
-        for _ in range(1, rows):
-            places.append(builder.add(places[-1], stride))
-        return places
+
+def _laying(count: int, lanes: list[int]) -> Any:
+    """Return the intrinsic that takes `count` floats of an array to lanes."""
 
     @intrinsic
-    def columns_of(_typing: Any, array: Any, x: Any) -> Any:
+    def lay(_typing: Any, array: Any, index: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             place = address(context, builder, signature.args[0], args[0], args[1])
-            values = builder.load(_floats_at(builder, place, width), align=4)
-            return _spread(builder, values, list(range(width)) * rows)
+            return _spread(builder, builder.load(_floats_at(builder, place, count), align=4), lanes)
 
         return Floats16(array, types.intp), generate
 
-    @intrinsic
-    def rows_of(_typing: Any, array: Any, y: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            place = address(context, builder, signature.args[0], args[0], args[1])
-            values = builder.load(_floats_at(builder, place, rows), align=4)
-            return _spread(builder, values, [lane // width for lane in range(PIXELS)])
+    return lay
 
-        return Floats16(array, types.intp), generate
 
+def _loading(rows: int) -> Any:
     @intrinsic
     def load(_typing: Any, light: Any, place: Any, stride: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             parts: list[Any] = []
-            for start in row_places(builder, args[1], args[2]):
+            for start in _row_places(builder, args[1], args[2], rows):
                 pointer = address(context, builder, signature.args[0], args[0], start)
-                parts.append(builder.load(_floats_at(builder, pointer, width), align=4))
+                parts.append(builder.load(_floats_at(builder, pointer, PIXELS // rows), align=4))
             return _joined(builder, parts)
 
         return Floats16(light, types.intp, types.intp), generate
 
+    return load
+
+
+def _storing(rows: int) -> Any:
+    width = PIXELS // rows
+
     @intrinsic
     def store(_typing: Any, light: Any, place: Any, stride: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            for row, start in enumerate(row_places(builder, args[1], args[2])):
+            for row, start in enumerate(_row_places(builder, args[1], args[2], rows)):
                 pointer = address(context, builder, signature.args[0], args[0], start)
                 part = _spread(builder, args[3], list(range(row * width, (row + 1) * width)))
                 builder.store(part, _floats_at(builder, pointer, width), align=4)
@@ -129,31 +118,47 @@ def _shape(rows: int) -> Shape:
 
         return types.void(light, types.intp, types.intp, Floats16), generate
 
+    return store
+
+
+def _adding(rows: int) -> Any:
+    width = PIXELS // rows
+
     @intrinsic
     def add(_typing: Any, paint: Any, place: Any, stride: Any, weight: Any, colour: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            channels = ir.Constant(I64, CHANNELS)
-            starts = row_places(
-                builder, builder.mul(args[1], channels), builder.mul(args[2], channels)
-            )
-            for first in range(0, PIXELS, 4):
-                start = builder.add(
-                    starts[first // width], ir.Constant(I64, CHANNELS * (first % width))
-                )
+            first, step = (builder.mul(value, ir.Constant(I64, CHANNELS)) for value in args[1:3])
+            starts = _row_places(builder, first, step, rows)
+            for pixel in range(0, PIXELS, CHANNELS):
+                column = ir.Constant(I64, CHANNELS * (pixel % width))
+                start = builder.add(starts[pixel // width], column)
                 place = address(context, builder, signature.args[0], args[0], start)
                 pointer = _floats_at(builder, place, PIXELS)
-                lanes = [first + lane // CHANNELS for lane in range(PIXELS)]
-                weight = _spread(builder, args[3], lanes)
+                lanes = [pixel + lane // CHANNELS for lane in range(PIXELS)]
                 there = builder.load(pointer, align=4)
-                builder.store(
-                    call_llvm(builder, "fmuladd", weight, args[4], there), pointer, align=4
-                )
+                share = _spread(builder, args[3], lanes)
+                value = call_llvm(builder, "fmuladd", share, args[4], there)
+                builder.store(value, pointer, align=4)
             return context.get_dummy_value()
 
         return types.void(paint, types.intp, types.intp, Floats16, Floats16), generate
 
-    return Shape(columns=columns_of, rows=rows_of, load=load, store=store, add=add)
+    return add
 
+
+def _shape(rows: int) -> Shape:
+    width = PIXELS // rows
+    return Shape(
+        columns=_laying(width, list(range(width)) * rows),
+        rows=_laying(rows, [lane // width for lane in range(PIXELS)]),
+        load=_loading(rows),
+        store=_storing(rows),
+        add=_adding(rows),
+    )
+
+
+repeat4 = _laying(CHANNELS, list(range(CHANNELS)) * (PIXELS // CHANNELS))
+"""(array, index): array[index : index + 4] four times."""
 
 SQUARE, FLAT, LINE = _shape(4), _shape(2), _shape(1)
 """4x4, 8x2 and 16x1 pixels."""

@@ -127,20 +127,10 @@ def call_llvm(builder: Any, name: str, *values: Any) -> Any:
 
 @intrinsic
 def broadcast(_typing: Any, value: Any) -> Any:
-    """Return a Float8 whose lanes all hold one float."""
-
-    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return broadcast_ir(builder, args[0])
-
-    return Float8(types.float32), generate
-
-
-@intrinsic
-def broadcast16(_typing: Any, value: Any) -> Any:
     """Return a Floats16 whose lanes all hold one float."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return broadcast_ir(builder, args[0], 16)
+        return broadcast_ir(builder, args[0], Floats16.lanes)
 
     return Floats16(types.float32), generate
 
