@@ -21,6 +21,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 for name in [name for name in os.environ if name.startswith("GITHUB_")]:
     del os.environ[name]
 
+# What a test runs does run, and is taken over neither from another test's run nor from the user's.
+# Tests of the cache of trials give it a size, and a folder of their own.
+os.environ["NW_EVAL_CACHE_GB"] = "0"
+
 # Whoever starts the tests in the background of a script has them ignore Ctrl-C, which some of them
 # are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -10,6 +10,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,13 +32,19 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     parts: list[bytes] = []
     listed: list[tuple[str, str, tuple[int, ...]]] = []
     for name, array in arrays.items():
-        if array.dtype.kind not in _NUMBERS:
-            raise TypeError(f"array {name!r} is of {array.dtype}")
-        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        kind = array.dtype
+        if kind.kind not in _NUMBERS:
+            raise TypeError(f"array {name!r} is of {kind}")
+        little = array if kind.str[0] != ">" else array.astype(kind.newbyteorder("<"))
         listed.append((name, little.dtype.str, little.shape))
         parts.append(little.tobytes())
+    return b"".join([_header(tuple(listed)), *parts])
+
+
+@lru_cache(maxsize=256)  # A snapshot has the same arrays as the one before.
+def _header(listed: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
     header = json.dumps(listed).encode()
-    return b"".join([len(header).to_bytes(4, "little"), header, *parts])
+    return len(header).to_bytes(4, "little") + header
 
 
 def unpack(data: bytes) -> dict[str, NDArray[Any]]:

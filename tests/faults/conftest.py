@@ -3,6 +3,7 @@
 import hashlib
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from nw_eval.protocol import STRICT
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.confined import start
 from nw_eval.rollout.spawn import draw_start
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
@@ -26,6 +28,30 @@ from nw_eval.suite.trials import expand
 SCENE = "flat/carpet_room"
 # Index of delta_yaw among the numbers of `parkour53`: its sign differs from trial to trial.
 DELTA_YAW = 6
+
+
+@pytest.fixture
+def workers():
+    """Return what gives the numbers of all worker processes of this one."""
+    return worker_numbers
+
+
+def worker_numbers():
+    nursery = start._nursery
+    forked = [] if nursery is None else children_of(nursery._process.pid)
+    return [child.pid for child in active_children() if not child.daemon] + forked
+
+
+def children_of(parent):
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == parent:
+            found.append(int(path.parent.name))
+    return found
 
 
 def chosen_by_sign(if_positive, otherwise):
@@ -215,6 +241,7 @@ class TinyRun:
     jobs: tuple
     header: JournalHeader
     policy: str
+    memory_limit: int | None = None
     ears: Ears = field(default_factory=Ears)
 
     def go(self, *, workers=2, resume=False):
@@ -225,7 +252,7 @@ class TinyRun:
                 journal=journal,
                 folder=self.folder,
                 policy=self.policy,
-                hire=LocalProcesses(self.jobs, self.folder),
+                hire=LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit),
                 workers=workers,
                 listener=self.ears,
             )
@@ -233,7 +260,8 @@ class TinyRun:
     @contextmanager
     def pool(self):
         """One worker, for those who want to see what comes out of it."""
-        with LocalProcesses(self.jobs, self.folder)(1, fresh=False) as workers:
+        hire = LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit)
+        with hire(1, fresh=False) as workers:
             yield workers
 
 
@@ -248,6 +276,7 @@ def tiny_run(tmp_path):
         trials=4,
         duration=0.2,
         time_limit=60.0,
+        memory_limit=None,
         record="none",
         deed=None,
         code=None,
@@ -275,7 +304,11 @@ def tiny_run(tmp_path):
         )
         folder = RunFolder(path=tmp_path / name)
         plan = Plan(
-            request=Request(time_limit=time_limit, allow_code=deed is not None or code is not None),
+            request=Request(
+                time_limit=time_limit,
+                memory_limit=memory_limit,
+                allow_code=deed is not None or code is not None,
+            ),
             suite=suite,
             bundle=bundle,
             found=(place,),
@@ -287,6 +320,12 @@ def tiny_run(tmp_path):
             policy_digest=bundle.digest,
             scene_digests={scene.name: scene.digest},
         )
-        return TinyRun(folder=folder, jobs=jobs, header=header, policy=bundle.name)
+        return TinyRun(
+            folder=folder,
+            jobs=jobs,
+            header=header,
+            policy=bundle.name,
+            memory_limit=plan.memory_limit,
+        )
 
     return make

@@ -1,6 +1,5 @@
 """A worker that dies costs its trial; a parent that dies leaves no worker behind."""
 
-import multiprocessing
 import os
 import signal
 import threading
@@ -13,27 +12,27 @@ from nw_eval.errors import TrialError
 from nw_eval.results.row import rows_digest
 
 
-def kill_the_first_busy_worker(folder, killed):
+def kill_the_first_busy_worker(folder, workers, killed):
     """Wait until a trial writes its log, then kill whoever writes it."""
     deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline and not killed:
         logs = list(folder.path.glob("mcap/**/*.partial"))
-        for child in multiprocessing.active_children():
+        for worker in workers():
             try:
-                opened = [fd.readlink() for fd in Path(f"/proc/{child.pid}/fd").iterdir()]
+                opened = [fd.readlink() for fd in Path(f"/proc/{worker}/fd").iterdir()]
             except OSError:
                 continue
             if any(log in opened for log in logs):
-                os.kill(child.pid, signal.SIGKILL)
-                killed.append(child.pid)
+                os.kill(worker, signal.SIGKILL)
+                killed.append(worker)
                 return
         time.sleep(0.005)
 
 
-def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run):
+def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run, workers):
     run = tiny_run("slow", name="disturbed", trials=4)
     killed = []
-    killer = threading.Thread(target=kill_the_first_busy_worker, args=(run.folder, killed))
+    killer = threading.Thread(target=kill_the_first_busy_worker, args=(run.folder, workers, killed))
     killer.start()
     outcome = run.go(workers=2)
     killer.join()
@@ -46,24 +45,26 @@ def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run):
     assert rows_digest(outcome.rows) == rows_digest(undisturbed.rows)
 
 
-def test_no_worker_outlives_a_run(tiny_run):
+def test_no_worker_outlives_a_run(tiny_run, workers):
     tiny_run("fine", trials=2).go(workers=2)
-    assert multiprocessing.active_children() == []
+    assert workers() == []
 
 
-def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, monkeypatch):
+def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, monkeypatch, workers):
     monkeypatch.setattr("nw_eval.engine.workers.local.worker.start", os.abort)
     run = tiny_run("fine", trials=2)
     with pytest.raises(TrialError, match="before they could take a trial") as caught:
         run.go(workers=2)
     assert "\n" not in str(caught.value)
-    assert multiprocessing.active_children() == []
+    assert workers() == []
     monkeypatch.undo()
     outcome = run.go(resume=True)
     assert [row.status for row in outcome.rows] == ["ok", "ok"]
 
 
-def test_a_worker_waits_for_the_next_jobs_and_is_replaced_if_it_did_not_live_to_see_them(tiny_run):
+def test_a_worker_waits_for_the_next_jobs_and_is_replaced_if_it_did_not_live_to_see_them(
+    tiny_run, workers
+):
     deed = "(self.folder / 'pids').open('a').write(f'{os.getpid()}\\n')"
     run = tiny_run("noter", deed=deed, trials=3)
     pids = []
@@ -76,7 +77,7 @@ def test_a_worker_waits_for_the_next_jobs_and_is_replaced_if_it_did_not_live_to_
             if len(pids) == 2:
                 os.kill(int(pids[1]), signal.SIGKILL)
     assert pids[0] == pids[1] != pids[2]
-    assert multiprocessing.active_children() == []
+    assert workers() == []
 
 
 @pytest.mark.parametrize("code", [0, 7])
@@ -119,13 +120,27 @@ def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
     assert [row.state_digest for row in forking.rows] == [row.state_digest for row in still.rows]
 
 
-def test_what_a_worker_started_ends_with_it(tiny_run):
-    deed = "(self.folder / 'pid').write_text(str(subprocess.Popen(['sleep', '600']).pid))"
+@pytest.mark.parametrize("session", [False, True], ids=["its session", "another session"])
+def test_what_a_worker_started_ends_with_it(tiny_run, session):
+    child = f"subprocess.Popen(['sleep', '600'], start_new_session={session})"
+    deed = f"(self.folder / 'pid').write_text(str({child}.pid))"
     run = tiny_run("parent", deed=deed, trials=1)
     outcome = run.go(workers=1)
     assert [row.status for row in outcome.rows] == ["ok"]
     [noted] = Path(run.jobs[0].policy).parent.glob("pid")
     assert is_gone(int(noted.read_text()))
+
+
+def test_what_a_worker_started_ends_too_if_the_worker_is_killed(tiny_run):
+    child = "str(subprocess.Popen(['sleep', '600']).pid)"
+    deed = f"(self.folder / 'pid').write_text({child}); os.kill(os.getpid(), 9)"
+    run = tiny_run("parent", deed=deed, trials=1)
+    with run.pool() as pool:
+        pool.submit(run.jobs)
+        [ended] = [each for each in pool.finished() if each is not None]
+        assert "SIGKILL" in ended.result.error_text
+        [noted] = Path(run.jobs[0].policy).parent.glob("pid")
+        assert is_gone(int(noted.read_text()))
 
 
 def is_gone(pid):

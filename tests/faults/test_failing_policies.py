@@ -4,7 +4,6 @@ One policy misbehaves in every trial in a way of its own, which it reads from a 
 """
 
 import json
-import multiprocessing
 
 import numpy as np
 import pytest
@@ -152,12 +151,14 @@ def by_way(outcome, ways):
     return {ways[row.trial_id]: row for row in outcome.rows}
 
 
-def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is(misbehave):
+def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is(
+    misbehave, workers
+):
     ways = [*EXCEPTIONS, "fine", "huge", "shaking", "flaky", "fickle", "killed"]
     run, by_trial = misbehave(ways, duration=0.5)
     outcome = run.go(workers=2)
     rows = by_way(outcome, by_trial)
-    assert multiprocessing.active_children() == []
+    assert workers() == []
 
     kinds = dict.fromkeys(EXCEPTIONS, "exception") | {"huge": "action", "shaking": "diverged"}
     for way, kind in kinds.items():

@@ -228,3 +228,19 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     worse = run("tiny.yaml", "--nw-baseline", "stand", "--nw-policy", other)
     worse.assert_outcomes(errors=2)
     worse.stdout.fnmatch_lines(["*no policy can be worse by max_drop 0.1*"])
+
+
+@pytest.mark.parametrize(("arguments", "cache"), [((), True), (("--nw-no-cache",), False)])
+def test_results_of_earlier_runs_are_taken_over_unless_it_is_told_not_to(
+    suite, run, monkeypatch, arguments, cache
+):
+    asked_for, real = [], api.run
+
+    def begin(*request, **options):
+        asked_for.append(options["cache"])
+        return real(*request, **options)
+
+    monkeypatch.setattr(api, "run", begin)
+    suite(gate="")
+    run("tiny.yaml", *arguments).assert_outcomes(passed=2)
+    assert asked_for == [cache]

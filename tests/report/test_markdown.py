@@ -186,23 +186,25 @@ def test_a_long_list_is_cut_and_says_how_many_more_there_are(
     assert "3 more are in trials.parquet." in text
 
 
-def test_stages_add_up_to_the_trials_wall_time(
+def test_stages_add_up_to_the_time_of_all_workers(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
-    own = {"setup_s": 0.08, "sense_s": 0.06}
+    own = {"setup_s": 0.08, "sense_s": 0.08}
     rows = [make_row("a", k, 4, **own) for k in range(10)]
     rows.append(make_row("a", 10, 4, cached=True, wall_s=99.0))
     text = render(rows, {"a": 11})
     _, *stages = section(text, "Where the time went")
-    # Ten trials of 2 s and 200 steps each: 0.08 + 0.06 + 1.0 + 0.1 + 0.5 + 0.2 s named, 0.06 left.
+    # Ten trials of 2 s and 200 steps each: 0.08 + 0.08 + 1.0 + 0.1 + 0.5 + 0.2 s named, 0.04 left.
+    # Two workers were there for 60 s.
     assert stages == [
-        ["setup", "0.8", "0.40", "4 %"],
-        ["sense", "0.6", "0.30", "3 %"],
-        ["render", "10.0", "5.00", "50 %"],
-        ["policy", "1.0", "0.50", "5 %"],
-        ["physics", "5.0", "2.50", "25 %"],
-        ["log", "2.0", "1.00", "10 %"],
-        ["other", "0.6", "0.30", "3 %"],
+        ["setup", "0.8", "0.40", "1 %"],
+        ["sense", "0.8", "0.40", "1 %"],
+        ["render", "10.0", "5.00", "8 %"],
+        ["policy", "1.0", "0.50", "1 %"],
+        ["physics", "5.0", "2.50", "4 %"],
+        ["log", "2.0", "1.00", "2 %"],
+        ["other", "0.4", "0.20", "0 %"],
+        ["waiting", "100.0", "50.00", "83 %"],
     ]
     assert "11.0 trials per minute on 2 workers; 40 s simulated, 2.0 times real time" in text
 

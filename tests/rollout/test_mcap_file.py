@@ -5,13 +5,17 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from nw_eval.rollout.library import Recent
+from nw_eval.rollout.mcap import file as file_module
+from nw_eval.rollout.mcap.content.body import odom_form
 from nw_eval.rollout.mcap.file import McapFile
+from nw_eval.rollout.mcap.sheet import Sheet, rounded_rows
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES
 
 
@@ -88,6 +92,40 @@ def test_whole_chunks_of_a_log_whose_writer_died_can_be_read(tmp_path):
                 seen += isinstance(record, Message)
     file.discard()
     assert 10 <= seen < 22
+
+
+def test_images_wait_as_they_are_until_they_would_fill_the_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_module, "_MOST_HELD", 250)
+    made = []
+    file = McapFile(tmp_path / "trial.mcap", images="decide")
+    for number in range(4):
+        file.add_image(
+            "/camera", number, lambda k=number: made.append(k) or Log(message=str(k)), holds=100
+        )
+    assert made == [2, 3], "the first two wait"
+    file.settle(keep_images=True)
+    file.close()
+    assert made == [2, 3, 0, 1]
+    with (tmp_path / "trial.mcap").open("rb") as stream:
+        read = [Log.FromString(m.data).message for _, _, m in make_reader(stream).iter_messages()]
+    assert read == ["0", "1", "2", "3"]
+
+
+def test_rows_of_sheets_stand_where_they_were_added(tmp_path):
+    path = tmp_path / "trial.mcap"
+    file = McapFile(path, images="drop")
+    sheets = [Sheet(topic, odom_form(), rounded_rows) for topic in ("/a", "/b")]
+    for number in range(2000):
+        file.add_rows(sheets, number, (np.full(7, number), np.full(7, -number)))
+        file.add("/log", number, Log(message=str(number)))
+    file.close()
+    with path.open("rb") as stream:
+        read = [(c.topic, m.log_time, m.data) for _, c, m in make_reader(stream).iter_messages()]
+    assert [topic for topic, _, _ in read] == ["/a", "/b", "/log"] * 2000
+    assert [time for _, time, _ in read] == [k for k in range(2000) for _ in range(3)]
+    last = PoseInFrame.FromString(read[-2][2])
+    assert (last.pose.position.x, last.pose.orientation.w) == (-1999.0, -1999.0)
+    assert last.timestamp.nanos == 1999
 
 
 def test_only_the_values_used_last_are_kept():

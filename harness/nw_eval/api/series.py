@@ -58,6 +58,7 @@ def bisect(
     starts: int | None = None,
     out: Path | None = None,
     workers: int | None = None,
+    cache: bool = True,
     listener: Listener | None = None,
     progress: Callable[[str, str], None] | None = None,
     **changes: Any,
@@ -79,9 +80,11 @@ def bisect(
         out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
             `reports/` that is named by the suite.
         workers: processes; one for each core if None.
+        cache: as for `run`.
         listener: hears of the progress of each run.
         progress: hears which checkpoint is judged, and its verdict.
-        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit...
+        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit,
+            memory_limit...
 
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
@@ -99,13 +102,14 @@ def bisect(
     for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
         _check_place(one)
     folder = out or _REPORTS / f"bisect-{read.name}"
-    bank = _bank_of(good, request, read.name, starts, workers, listener)
+    means = _Means(workers=workers, cache=cache, listener=listener)
+    bank = _bank_of(good, request, read.name, starts, means)
     runs: dict[int, RunReport] = {}
 
     def word(place: int) -> Decision:
         name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
         asked_for = _of(request, series[place], bank)
-        runs[place] = _judged(asked_for, folder / name, workers=workers, listener=listener)
+        runs[place] = _judged(asked_for, folder / name, means)
         finding = _finding(runs[place])
         if progress is not None:
             progress(series[place], finding)
@@ -117,6 +121,15 @@ def bisect(
     return BisectedSeries(
         bank=bank, checkpoints=series, runs=dict(sorted(runs.items())), found=found, folder=folder
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Means:
+    """How the trials of a series run."""
+
+    workers: int | None
+    cache: bool
+    listener: Listener | None
 
 
 class _InterruptedSeriesError(Exception):
@@ -155,12 +168,7 @@ def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
 
 
 def _bank_of(
-    good: str | Path,
-    request: Request,
-    suite: str,
-    starts: int | None,
-    workers: int | None,
-    listener: Listener | None,
+    good: str | Path, request: Request, suite: str, starts: int | None, means: _Means
 ) -> str:
     """Return the bank of the good checkpoint, saved first if there is none.
 
@@ -182,9 +190,11 @@ def _bank_of(
         note="the good end of a bisection",
         render=request.render,
         time_limit=request.time_limit,
+        memory_limit=request.memory_limit,
         allow_code=request.allow_code,
-        workers=workers,
-        listener=listener,
+        workers=means.workers,
+        cache=means.cache,
+        listener=means.listener,
     )
     if saved.action == "kept":
         raise IncomparableError(
@@ -194,9 +204,7 @@ def _bank_of(
     return str(saved.file)
 
 
-def _judged(
-    request: Request, folder: Path, *, workers: int | None, listener: Listener | None
-) -> RunReport:
+def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     """Return the judged run of a checkpoint, begun or gone on with."""
     from nw_eval.api.running.plans import plan_of
     from nw_eval.api.running.runs import judged, roll_out
@@ -215,11 +223,12 @@ def _judged(
     return judged(
         roll_out(
             plan,
-            workers=workers,
+            workers=means.workers,
             out=None if begun else folder,
             resume=folder if begun else None,
             in_process=False,
-            listener=listener,
+            cache=means.cache,
+            listener=means.listener,
         )
     )
 
@@ -229,7 +238,7 @@ def _finding(run: RunReport) -> Decision:
 
     Raises:
         IncomparableError: the bank's own policy moved on this machine.
-        TrialError: trials have no result.
+        TrialError: trials have no result, or another one than the cache says.
         _InterruptedSeriesError: a signal ended it.
     """
     from nw_eval.errors import IncomparableError, TrialError
@@ -243,8 +252,11 @@ def _finding(run: RunReport) -> Decision:
             fix="renew the bank of the good checkpoint",
         )
     if verdict.verdict == "INFRASTRUCTURE" or verdict.against is None:
+        is_wrong = run.info.cache is not None and run.info.cache.differing
         raise TrialError(
             f"{run.typed_folder}: {'; '.join(verdict.reasons)}",
-            fix="the same command goes on with what is missing",
+            fix=f"remove {run.typed_folder}, and give the same command again"
+            if is_wrong
+            else "the same command goes on with what is missing",
         )
     return verdict.against.word

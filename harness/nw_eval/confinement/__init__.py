@@ -10,16 +10,20 @@ libraries.py    what Python and its libraries read on their own
 limits.py       memory and time
 family.py       parents, children and the terminal
 environment.py  what children inherit
+nursery/        children that need not import anything
 """
 
 from nw_eval.confinement.environment import child_environment
 from nw_eval.confinement.family import interrupts_blocked, kill_group, without_script
 from nw_eval.confinement.fence import Fence, offered, raise_fence
 from nw_eval.confinement.limits import memory_to_open, memory_to_run
+from nw_eval.confinement.nursery import Child, Nursery
 from nw_eval.confinement.rules import Rules, confine
 
 __all__ = [
+    "Child",
     "Fence",
+    "Nursery",
     "Rules",
     "child_environment",
     "confine",

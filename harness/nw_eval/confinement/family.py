@@ -18,6 +18,15 @@ if TYPE_CHECKING:
 
 _DEATH_OF_PARENT = 1  # prctl
 
+_parent: int | None = None
+"""Who forked this process, where that is not who owns it."""
+
+
+def set_parent(process: int) -> None:
+    """Say which process forked this one, in place of the one that asked for it."""
+    global _parent  # noqa: PLW0603 - a process has one parent.
+    _parent = process
+
 
 def leave_terminal(output: int | None) -> None:
     """Make this process the first of a session of its own, and turn its output away.
@@ -54,7 +63,7 @@ def die_with_parent(*, has_children: bool) -> None:
         # lives as long as all of them.
         with suppress(OSError):
             kernel.prctl(_DEATH_OF_PARENT, signal.SIGKILL)
-            if os.getppid() != parent.pid:
+            if os.getppid() != (_parent or parent.pid) or connection.wait([parent.sentinel], 0):
                 os._exit(1)
             return
     threading.Thread(target=_wait_for, args=(parent.sentinel,), daemon=True).start()

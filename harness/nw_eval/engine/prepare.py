@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import UsageError
+from nw_eval.rollout.confined.start import has_kernels, renew
 from nw_eval.scenes.terrain.solids import HeightField, Triangles
 
 if TYPE_CHECKING:
@@ -39,15 +40,23 @@ def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
         )
 
 
-def open_backend(render: Backend, listener: Listener) -> None:
+def open_backend(render: Backend, listener: Listener, *, is_fenced: bool) -> None:
     """Compile the renderer once for all workers, or find out that it is missing.
+
+    Args:
+        render: the splat renderer.
+        listener: hears what took long.
+        is_fenced: whether workers are forked, with kernels if there are any.
 
     Raises:
         PrerequisiteError: the backend's packages or device are missing.
     """
+    if is_fenced and render == "cpu" and has_kernels():
+        return
     from nw_eval.splat.warmup import kernel_note, warmup
 
     seconds = warmup(render)
+    renew()
     note = kernel_note() if render == "cpu" else None
     if note is not None:
         listener.message(note)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from nw_eval.engine.cache.nothing import NothingKnown
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.machine.interrupts import Interrupts
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Callable, Sequence
 
+    from nw_eval.engine.cache.known import KnownTrials
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
@@ -53,6 +55,7 @@ def run_trials(
     workers: int | None = None,
     enough: Enough | None = None,
     listener: Listener | None = None,
+    known: KnownTrials | NothingKnown | None = None,
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
@@ -71,6 +74,7 @@ def run_trials(
         enough: asked after each round but the last, with the rows of all rounds so far in the order
             of their jobs, whether the rest need not run; None = all of them run, without rounds.
         listener: told of progress.
+        known: what of it need not be run, because an earlier run has its result; nothing if None.
 
     Raises:
         StoreError: the journal cannot be written, and what it holds stays; or it was removed.
@@ -87,6 +91,7 @@ def run_trials(
         listener=ears,
         hire=hire,
         workers=worker_count(workers, len(jobs)),
+        known=known or NothingKnown(),
     )
     ears.planned(total=len(jobs), finished=attempts.finished_of(jobs))
     wanted, stopped_after = list(jobs), None

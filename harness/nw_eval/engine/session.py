@@ -6,12 +6,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from nw_eval.engine.cache.opening import known_trials
+from nw_eval.engine.cache.store import limit_bytes
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
+from nw_eval.engine.workplace import workplace
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
@@ -21,15 +23,17 @@ from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
+from nw_eval.rollout.confined.access import why_off
 from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from nw_eval.engine.rounds import Enough
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
+    from nw_eval.rollout.job import TrialJob
 
     Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 
@@ -45,8 +49,10 @@ def carry_out(
     command: tuple[str, ...],
     listener: Listener | None,
     in_process: bool = False,
+    cluster: str | None = None,
     prelude: Prelude | None = None,
     enough: Enough | None = None,
+    cache: bool = True,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
@@ -61,58 +67,63 @@ def carry_out(
         command: what was typed.
         listener: hears of progress.
         in_process: whether trials run in this very process: see `engine.workers.in_process`.
+        cluster: the address of the Ray cluster on whose nodes trials run: see
+            `engine.workers.ray.connection`; None = in processes of this machine.
         prelude: called before the first trial, with the run's folder and run.json, of which it
             returns what it is to say from then on; `stopped_after` 0, or `interrupted`, ends the
             run there.
         enough: asked between rounds whether the rest need not run: see `run_trials`.
+        cache: whether results of earlier runs are taken over: see `engine.cache.known`.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
-        PrerequisiteError: the renderer is not installed.
+        PrerequisiteError: the renderer is not installed, or Ray.
+        UsageError: there is no such cluster, or it cannot be sent what the run needs; or
+            `NW_EVAL_CACHE_GB` is no size.
     """
     listener = listener or Silence()
-    workers = 1 if in_process else workers
-    if plan.renders:
-        open_backend(plan.render, listener)
-    folder = _folder(plan, out, resume)
-    listener.message(f"run folder: {folder.path}")
-    # Workers and rows need a path that means the same everywhere.
-    folder = RunFolder(path=folder.path.resolve())
-    info = run_info(plan, folder, workers=workers, in_process=in_process, command=command)
-    with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
-        if journal.dropped:
-            listener.message(journal.dropped)
-        of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
-        if resume is not None:
-            info = _with_earlier_sessions(info, folder)
-        began = perf_counter()
-        if prelude is not None:
-            info = prelude(folder, info)
-            write_run_info(folder.run_json, info)
-        if info.stopped_after != 0 and not info.interrupted:
-            _make_ready(plan, folder, listener)
-            jobs = plan_jobs(plan, folder)
-            outcome = run_trials(
-                jobs,
-                journal=journal,
-                folder=folder,
-                policy=plan.bundle.name,
-                arm=plan.arm,
-                hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
-                workers=workers,
-                enough=enough,
-                listener=listener,
+    limit_bytes()  # Before anything is written, if it is none.
+    with workplace(workers=workers, in_process=in_process, cluster=cluster) as place:
+        if plan.renders:
+            off = why_off(
+                allow_code=plan.request.allow_code, render=plan.render, in_process=in_process
             )
-            info = info.model_copy(
-                update={
-                    "interrupted": outcome.interrupted is not None,
-                    "stopped_after": outcome.stopped_after,
-                }
-            )
-        _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
-    return folder
+            open_backend(plan.render, listener, is_fenced=not off)
+        folder = _folder(plan, out, resume)
+        listener.message(f"run folder: {folder.path}")
+        # Workers and rows need a path that means the same everywhere.
+        folder = RunFolder(path=folder.path.resolve())
+        info = run_info(plan, folder, workers=place.workers, in_process=in_process, command=command)
+        with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
+            if journal.dropped:
+                listener.message(journal.dropped)
+            of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
+            if resume is not None:
+                info = _with_earlier_sessions(info, folder)
+            began = perf_counter()
+            if prelude is not None:
+                info = prelude(folder, info)
+                write_run_info(folder.run_json, info)
+            if info.stopped_after != 0 and not info.interrupted:
+                _make_ready(plan, folder, listener)
+                jobs = plan_jobs(plan, folder)
+                with place.hire(plan, jobs, folder, listener) as hire:
+                    info = _run(
+                        plan,
+                        folder,
+                        info,
+                        jobs,
+                        journal=journal,
+                        hire=hire,
+                        workers=place.workers,
+                        enough=enough,
+                        uncached=_uncached(cache=cache, in_process=in_process),
+                        listener=listener,
+                    )
+            _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
+        return folder
 
 
 def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
@@ -125,6 +136,7 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
             suite=plan.suite.name,
             policy=plan.bundle.name,
             digest=plan.suite.content_digest,
+            part=plan.request.shard or "",
         )
     folder = RunFolder(path=out)
     if has_begun(folder.journal):
@@ -169,7 +181,8 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
     if earlier.baseline and info.baseline and earlier.baseline.sha256 == info.baseline.sha256:
         # What the baseline showed on this machine holds until it has been looked at again.
         info = info.model_copy(update={"baseline": earlier.baseline})
-    info = info.model_copy(update={"started": earlier.started, "wall_s": earlier.wall_s})
+    since = {"started": earlier.started, "wall_s": earlier.wall_s, "cache": earlier.cache}
+    info = info.model_copy(update=since)
     write_run_info(folder.run_json, info)
     return info
 
@@ -188,10 +201,56 @@ def _make_ready(plan: Plan, folder: RunFolder, listener: Listener) -> None:
         build_splats(plan.scenes, listener)
 
 
-def _in_process(plan: Plan) -> Hire:
-    from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
+def _run(
+    plan: Plan,
+    folder: RunFolder,
+    info: RunInfo,
+    jobs: Sequence[TrialJob],
+    *,
+    journal: Journal,
+    hire: Hire,
+    workers: int | None,
+    enough: Enough | None,
+    uncached: str,
+    listener: Listener,
+) -> RunInfo:
+    """Run jobs, but for what the cache knows; return what run.json is to say afterwards."""
 
-    return InProcess(plan.bundle)
+    def seen() -> RunInfo:
+        return info.model_copy(update={"cache": known.info.after(info.cache)})
+
+    with known_trials(
+        plan,
+        folder,
+        off=uncached,
+        listener=listener,
+        doubted=lambda: write_run_info(folder.run_json, seen()),
+    ) as known:
+        outcome = run_trials(
+            jobs,
+            journal=journal,
+            folder=folder,
+            policy=plan.bundle.name,
+            arm=plan.arm,
+            hire=hire,
+            workers=workers,
+            enough=enough,
+            listener=listener,
+            known=known,
+        )
+    return seen().model_copy(
+        update={
+            "interrupted": outcome.interrupted is not None,
+            "stopped_after": outcome.stopped_after,
+        }
+    )
+
+
+def _uncached(*, cache: bool, in_process: bool) -> str:
+    """Return why a run is to do without the cache of trials; empty if it is not."""
+    if in_process:
+        return "in the calling process"  # For a debugger, which wants to see it run.
+    return "" if cache else "--no-cache"
 
 
 def _finish(

@@ -29,6 +29,7 @@ def update(suite: TestedSuite) -> None:
         policy=settings.policy,
         name=None if name == "none" else name,
         workers=settings.workers,
+        cache=settings.cache,
         checkpoint=settings.checkpoint,
         listener=Log(),
     )

@@ -37,6 +37,11 @@ def add_options(parser: pytest.Parser) -> None:
         action="store_true",
         help="save what the policy scores as the bank, and fail, so that somebody looks at it",
     )
+    group.addoption(
+        "--nw-no-cache",
+        action="store_true",
+        help="run every trial, also those whose results earlier runs have kept",
+    )
     parser.addini("nw_suites", "folders and globs of YAML files that are suites", "args", [])
     words = " or ".join(_WORDS)
     parser.addini("nw_inconclusive", f"what INCONCLUSIVE is: {words} (fail)", default="")
@@ -57,6 +62,7 @@ class Settings:
     workers: int | None
     inconclusive: Inconclusive
     update_baseline: bool
+    cache: bool
     suites: tuple[str, ...]
     started_in: Path
     arguments: tuple[str, ...]
@@ -89,6 +95,7 @@ class Settings:
             workers=_number("workers", values["workers"]),
             inconclusive=word,
             update_baseline=bool(config.getoption("nw_update_baseline")),
+            cache=not config.getoption("nw_no_cache"),
             suites=suites,
             started_in=config.invocation_params.dir,
             arguments=tuple(config.args),

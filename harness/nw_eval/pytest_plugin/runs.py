@@ -98,7 +98,14 @@ class Runs:
         from nw_eval import api
         from nw_eval.pytest_plugin.telling.progress import Log
 
-        return api.run(request, workers=self._workers, out=out, resume=resume, listener=Log())
+        return api.run(
+            request,
+            workers=self._workers,
+            out=out,
+            resume=resume,
+            cache=self._settings.cache,
+            listener=Log(),
+        )
 
     @property
     def _workers(self) -> int | None:

@@ -12,6 +12,7 @@ from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.tables import Table, all_tables
+from nw_eval.reporting.taken_over import taken_over
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
@@ -45,7 +46,7 @@ def print_summary(
         folder: the run's folder as a reader would type it.
     """
     print_tables(console, run, rows, verdict, folder)
-    print_verdict(console, run, verdict)
+    print_verdict(console, run, rows, verdict)
 
 
 def print_tables(
@@ -56,10 +57,12 @@ def print_tables(
         draw(console, table)
 
 
-def print_verdict(console: Console, run: RunInfo, verdict: Verdict) -> None:
-    """Print the verdict, what it speaks of, and why; arguments as of `print_summary`."""
+def print_verdict(console: Console, run: RunInfo, rows: Sequence[Row], verdict: Verdict) -> None:
+    """Print the verdict, what it speaks of and rests on; arguments as of `print_summary`."""
     console.print(headline(verdict, run), style=_COLOURS[verdict.verdict], markup=False)
     console.print(blind_spot(verdict, run), markup=False, highlight=False)
+    if taken_over(run, rows):
+        console.print(taken_over(run, rows), markup=False, highlight=False)
     for reason in verdict.reasons:
         console.print(f"* {_foldable(clean(reason))}", markup=False, highlight=False)
 

@@ -1,10 +1,11 @@
-"""Where a run's time went, from the wall times in its rows."""
+"""Where a run's time went: the wall times in its rows, and what workers were there for besides."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
 
@@ -15,23 +16,27 @@ class StageTime:
     name: str
     seconds: float
     ms_per_step: float  # Per control step.
-    share: float  # Of all trials' wall time.
+    share: float  # Of all workers' wall time.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Throughput:
-    """Stages in their order, those of a control step after `setup`, and the time they simulated."""
+    """Stages in their order, those of a control step after `setup`, and the time they simulated.
+
+    `waiting` is what workers spent outside of trials: they were started, or the others' trials of a
+    round went on, or the journal was written.
+    """
 
     stages: tuple[StageTime, ...]
     sim_s: float
     real_time_factor: float  # Simulated over wall time, of one worker.
 
 
-def throughput(rows: Sequence[Row]) -> Throughput:
+def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
     """Return the time of each stage. Rows from the cache took none and are left out."""
     run = [row for row in rows if not row.cached]
     steps = sum(row.steps for row in run)
-    wall = sum(row.wall_s for row in run)
+    trials = sum(row.wall_s for row in run)
     sim = sum(row.sim_s for row in run)
     named = {
         "setup": sum(row.setup_s for row in run),
@@ -42,7 +47,9 @@ def throughput(rows: Sequence[Row]) -> Throughput:
         "log": sum(row.log_s for row in run),
     }
     # Clocks that overlap by a rounding must not make a negative stage.
-    named["other"] = max(0.0, wall - sum(named.values()))
+    named["other"] = max(0.0, trials - sum(named.values()))
+    named["waiting"] = max(0.0, info.wall_s * min(info.workers, len(run)) - trials)
+    wall = trials + named["waiting"]
     return Throughput(
         stages=tuple(
             StageTime(
@@ -54,5 +61,5 @@ def throughput(rows: Sequence[Row]) -> Throughput:
             for name, seconds in named.items()
         ),
         sim_s=sim,
-        real_time_factor=sim / wall if wall else 0.0,
+        real_time_factor=sim / trials if trials else 0.0,
     )

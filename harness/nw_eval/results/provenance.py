@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
@@ -78,6 +78,57 @@ class BaselineInfo(_Saved):
     are any, the run is INVALID, and no trial of the candidate has run."""
 
 
+class ShardInfo(_Saved):
+    """Which part of a run a run is."""
+
+    index: int = Field(ge=1)
+    count: int = Field(ge=1)
+    plan: str  # Hex sha256 of the whole plan: see `engine.shards`.
+
+    @model_validator(mode="after")
+    def _in_range(self) -> Self:
+        if self.index > self.count:
+            raise ValueError(f"part {self.index} of {self.count}")
+        return self
+
+    def __str__(self) -> str:
+        return f"part {self.index} of {self.count}"
+
+
+class PartInfo(_Saved):
+    """A part of a run that was merged. Times are UTC in ISO 8601, wall_s is s."""
+
+    shard: ShardInfo
+    id: str
+    started: str
+    finished: str | None
+    wall_s: float = Field(ge=0.0)
+    workers: int
+    host: str
+    rows_digest: str
+
+
+class CacheInfo(_Saved):
+    """How a run used the cache of trials. Which results it took over, rows say: `Row.cached`."""
+
+    off: str = ""  # Why it was not used; empty if it was.
+    reexecuted: int = Field(default=0, ge=0)
+    """Trials that ran although the cache had their result, to be compared with it."""
+    differing: tuple[str, ...] = ()
+    """Sentences: which of these came out otherwise. Where there are any, the run is INFRASTRUCTURE:
+    what else was taken over may be as wrong."""
+
+    def after(self, earlier: CacheInfo | None) -> CacheInfo:
+        """Return what a run has to say whose last session says this, and those before `earlier`."""
+        if earlier is None:
+            return self
+        return CacheInfo(
+            off=self.off if earlier.off else "",
+            reexecuted=earlier.reexecuted + self.reexecuted,
+            differing=(*earlier.differing, *self.differing),
+        )
+
+
 class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
@@ -98,9 +149,12 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    shard: ShardInfo | None = None  # None: no part of another run.
+    parts: tuple[PartInfo, ...] = ()  # Of which it was merged; none where it was run whole.
     baseline: BaselineInfo | None = None  # None: nothing to compare with.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
+    cache: CacheInfo | None = None  # None: of an older nw-eval, which had none.
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
     command: tuple[str, ...] = ()
     code: CodeInfo
@@ -110,6 +164,7 @@ class RunInfo(_Saved):
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
+    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
 
     @property
     def planned(self) -> dict[str, int]:

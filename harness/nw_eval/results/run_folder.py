@@ -38,6 +38,11 @@ class RunFolder:
         return self.path / "trials.parquet"
 
     @property
+    def digests(self) -> Path:
+        """What the Merkle root of run.json is made of; see `evidence.digests`."""
+        return self.path / "digests.json"
+
+    @property
     def report_md(self) -> Path:
         """The report for people."""
         return self.path / "report.md"
@@ -67,20 +72,39 @@ class RunFolder:
         """The logs of trials: all that worker processes write."""
         return self.path / "mcap"
 
+    @property
+    def cached(self) -> Path:
+        """The logs of trials that were taken over from earlier runs, as `logs` has the others.
+
+        They are the cache's own files, which no worker process may write.
+        """
+        return self.path / "cached"
+
     def mcap(self, scene: str, trial_id: str) -> Path:
         """Path of a trial's log; `relative` gives what its row says.
 
         Raises:
             StoreError: the names lead out of the folder.
         """
+        return self._log(self.logs, scene, trial_id)
+
+    def cached_mcap(self, scene: str, trial_id: str) -> Path:
+        """Path of the log of a trial that was taken over, likewise.
+
+        Raises:
+            StoreError: the names lead out of the folder.
+        """
+        return self._log(self.cached, scene, trial_id)
+
+    def _log(self, logs: Path, scene: str, trial_id: str) -> Path:
         try:
-            inside(self.logs, f"{scene}/{trial_id}.mcap")
+            inside(logs, f"{scene}/{trial_id}.mcap")
         except OutsideError as error:
             raise StoreError(
                 f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
                 fix="rename the scene",
             ) from None
-        return self.logs / PurePosixPath(scene) / f"{trial_id}.mcap"
+        return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def bank(self, name: str) -> Path:
         """Path of the copy of the bank that the run is compared with.
@@ -101,7 +125,13 @@ class RunFolder:
 
 
 def create_run_folder(
-    root: Path, *, suite: str, policy: str, digest: str, now: datetime | None = None
+    root: Path,
+    *,
+    suite: str,
+    policy: str,
+    digest: str,
+    part: str = "",
+    now: datetime | None = None,
 ) -> RunFolder:
     """Make the folder of a new run.
 
@@ -110,6 +140,7 @@ def create_run_folder(
         suite: the suite's name.
         policy: the policy's name; what a file name cannot hold is replaced.
         digest: hex; its first eight digits end the name.
+        part: which part of a run it is, such as `1/3`, and then ends the name; empty for a whole.
         now: an aware time, by default the present.
 
     Raises:
@@ -117,6 +148,8 @@ def create_run_folder(
     """
     time = (now or datetime.now(tz=UTC)).astimezone(UTC)
     name = f"{_slug(suite)}-{_slug(policy)}-{time:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+    if part:
+        name = f"{name}-{part.replace('/', 'of')}"
     for attempt in range(1, 100):
         path = root / (name if attempt == 1 else f"{name}-{attempt}")
         try:

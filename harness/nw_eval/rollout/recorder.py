@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.topics import ELEMENTS
-from nw_eval.rollout.mcap.trial_log import camera_frame
 from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
@@ -21,6 +20,7 @@ from nw_eval.sensors.body.command import velocity_command
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
+    from nw_eval.robots.spec import CameraMount
     from nw_eval.rollout.clock import StageClock
     from nw_eval.rollout.episode import Decision, Step
     from nw_eval.rollout.mcap.trial_log import TrialLog
@@ -81,6 +81,8 @@ class Recorder(Observer):
             mesh=self._trial.scene.mesh(),
             start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.progress.waypoints,
+            bodies=self._episode.world.bodies,
+            cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
             metadata={
                 TRIAL: trial_metadata(job),
                 PROVENANCE: provenance(),
@@ -156,18 +158,11 @@ class Recorder(Observer):
 
     def _write_body(self, *, is_last: bool = False) -> None:
         world = self._episode.world
-        frames = world.body_transforms()
-        for mount in self._mounts:
-            frames[camera_frame(mount)] = _pose(world.camera_pose(mount))
         self._log.body(
             world.time,
-            frames=frames,
-            trunk=self._trial.robot.bodies[0],
+            poses=world.body_poses,
             joints=(world.joint_positions, world.joint_velocities, world.torques),
-            twist=(
-                world.trunk_rotation.T @ world.trunk_linear_velocity,
-                world.trunk_angular_velocity,
-            ),
+            velocity=world.trunk_velocity,
         )
         step = self._episode.step
         if is_last or step % PATH_PERIOD == 0:
@@ -175,9 +170,9 @@ class Recorder(Observer):
             self._log.path(world.time, world.trunk_position, is_shown=is_shown)
 
 
-def _pose(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return position (3,) and quaternion wxyz of a transform (4, 4)."""
-    quat = np.empty(4)
-    rotation = np.ascontiguousarray(T[:3, :3]).ravel()
-    mujoco.mju_mat2Quat(quat, rotation)
-    return T[:3, 3], quat
+def _pose(camera: CameraMount) -> NDArray[np.float64]:
+    """Return position and quaternion wxyz of a camera in the trunk, (7,)."""
+    pose = np.empty(7)
+    pose[:3] = camera.position
+    mujoco.mju_mat2Quat(pose[3:], np.array(camera.R_trunk_camera, np.float64).ravel())
+    return pose

@@ -49,7 +49,7 @@ def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
 
 def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
     with clock("log"):
-        log = TrialLog(trial.job.mcap, record=trial.job.record, joints=trial.robot.joints)
+        log = TrialLog(trial.job.mcap, record=trial.job.record)
         recorder = Recorder(trial, log, clock)
     try:
         with clock("log"):

@@ -101,7 +101,7 @@ class Sampled:
         arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
         if self._samples:
-            arrays["samples"] = np.stack([sample for _, sample in self._samples])
+            arrays["samples"] = np.array([sample for _, sample in self._samples])
         return pack(arrays)
 
     def restore(self, state: bytes) -> None:

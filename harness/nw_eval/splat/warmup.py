@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import numpy as np
 
+from nw_eval.machine_code.mark import is_compiled, mark_compiled
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
 from nw_eval.words import Backend
+
+_KERNELS = Path(__file__).parent / "kernels"
 
 
 def warmup(backend: Backend = "cpu") -> float:
@@ -35,7 +39,14 @@ def warmup(backend: Backend = "cpu") -> float:
     )
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     open_renderer(memory_store(gaussians), backend).render(camera)
+    if backend == "cpu":
+        mark_compiled(_KERNELS)
     return time.perf_counter() - started
+
+
+def is_warm() -> bool:
+    """Return whether `warmup` finds the CPU's kernels compiled, by this version of them."""
+    return is_compiled(_KERNELS)
 
 
 def kernel_note() -> str | None:

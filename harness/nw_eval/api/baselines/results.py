@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import TrialError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines.here import Here
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 
 def new_results(
-    place: Here, *, workers: int | None, listener: Listener | None
+    place: Here, *, workers: int | None, cache: bool, listener: Listener | None
 ) -> tuple[RunInfo, tuple[Row, ...]]:
     """Run what has no result yet.
 
     Raises:
         KeyboardInterrupt: it was interrupted, and its results stay.
         StoreError: results cannot be written; those that were written stay.
+        TrialError: one is not what the cache of trials says.
     """
     from nw_eval.engine import session
     from nw_eval.results.ended import read_trials
@@ -39,8 +40,11 @@ def new_results(
         resume=work.path if is_begun else None,
         command=tuple(sys.argv),
         listener=listener,
+        cache=cache,
     )
     run = read_run_info(folder.run_json)
+    if run.cache is not None and run.cache.differing:
+        raise TrialError(run.cache.differing[0], fix=f"remove {work.path}, and save again")
     rows = read_trials(folder, run, place.plan.trials).rows
     if run.interrupted and len(rows) < len(place.plan.trials):
         if listener is not None:
@@ -54,16 +58,16 @@ def finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]
     """Return what a run of a suite has.
 
     Raises:
-        UsageError: it is no run, or none of this suite.
+        UsageError: it is no run, or none of this suite, or a part of one.
         StoreError: it is damaged.
     """
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.api.running.saved_run import check_whole, saved_suite, saved_trials
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
-    run = read_run_info(opened.run_json)
+    run = check_whole(read_run_info(opened.run_json))
     if (name := run.suite.get("name")) != suite:
         raise UsageError(
             f"{folder} is a run of suite {name!r}, not {suite!r}", fix="name its suite"

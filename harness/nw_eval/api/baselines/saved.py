@@ -43,6 +43,7 @@ def save_baseline(
     renew: bool = False,
     root: Path | None = None,
     workers: int | None = None,
+    cache: bool = True,
     listener: Listener | None = None,
     **changes: Any,
 ) -> SavedBaseline:
@@ -61,13 +62,16 @@ def save_baseline(
         renew: whether a bank that is there is replaced, with the panels of all machines.
         root: the folder of banks; `reports/baselines` if None.
         workers: processes; one for each core if None.
+        cache: as for `run`.
         listener: hears of progress.
-        changes: of `Request`: checkpoint, render, time_limit, allow_code.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit,
+            allow_code.
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
         KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
-        TrialError: a trial came to no result; no bank was written.
+        TrialError: a trial came to no result, or to another one than the cache says; no bank was
+            written.
         StoreError: results cannot be written, or the bank that is there is damaged.
         IncomparableError: the run makes no bank.
     """
@@ -94,7 +98,9 @@ def save_baseline(
         starts = starts or (earlier.manifest.starts if earlier else STARTS)
         if earlier is not None and not renew and place.is_in(earlier, starts):
             return SavedBaseline(file=file, action="unchanged", bank=earlier)
-        run, rows = new_results(place.with_starts(starts), workers=workers, listener=listener)
+        run, rows = new_results(
+            place.with_starts(starts), workers=workers, cache=cache, listener=listener
+        )
     assert run is not None, "results are of a run, new or finished"
     found = bank_of_run(
         rows,

@@ -38,7 +38,7 @@ def summary(judged: RunReport, *, folded: bool = False) -> str:
     print_tables(console, judged.info, judged.rows, judged.verdict, judged.typed_folder)
     if folded:
         stream.write(f"{END_GROUP}\n")
-    print_verdict(console, judged.info, judged.verdict)
+    print_verdict(console, judged.info, judged.rows, judged.verdict)
     if judged.typed_page is not None:
         both = "" if judged.html is None else f" and {judged.html.name}"
         console.print(f"report: {judged.typed_page}{both}", highlight=False, soft_wrap=True)

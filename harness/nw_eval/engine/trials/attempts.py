@@ -14,6 +14,8 @@ from nw_eval.rollout.result import policy_fault
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from nw_eval.engine.cache.known import KnownTrials
+    from nw_eval.engine.cache.nothing import NothingKnown
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.machine.interrupts import Interrupts
     from nw_eval.engine.workers.protocol import Finished, Hire, Workers
@@ -35,6 +37,7 @@ class Attempts:
         listener: told of progress.
         hire: gets workers.
         workers: how many.
+        known: what need not be run, because an earlier run has its result.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class Attempts:
         listener: Listener,
         hire: Hire,
         workers: int,
+        known: KnownTrials | NothingKnown,
     ) -> None:
         self.presence = Presence(journal.path)
         self._journal = journal
@@ -56,6 +60,7 @@ class Attempts:
         self._listener = listener
         self._hire = hire
         self._count = workers
+        self._known = known
         self._staff: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
@@ -82,13 +87,23 @@ class Attempts:
     def settle(self, jobs: Sequence[TrialJob], interrupts: Interrupts) -> None:
         """Run jobs that have no result until none deserves another attempt, or a signal came.
 
+        What the cache knows is written down as soon as what it was compared with has agreed.
+
         Args:
             jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
         """
+        todo = [job for job in jobs if job.trial.id not in self._finished]
+        # An error deserves to be run again, whatever the cache knows.
+        new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
+        self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts)
+        if interrupts.requested is None:
+            self._take_over(at_last=True)
+            self._run(self._known.unconfirmed(), interrupts)
+
+    def _run(self, todo: Sequence[TrialJob], interrupts: Interrupts) -> None:
         # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
         # process.
-        todo = [job for job in jobs if job.trial.id not in self._finished]
         again = [job for job in todo if self._awaits_repeat(job)]
         first = [job for job in todo if not self._awaits_repeat(job)]
         if first and interrupts.requested is None:
@@ -100,6 +115,12 @@ class Attempts:
             repeated = [_with_evidence(job) for job in again]
             with self._hire(min(self._count, len(again)), fresh=True) as workers:
                 again = self._work(workers, repeated, interrupts, fresh=True)
+
+    def _take_over(self, *, at_last: bool = False) -> None:
+        """Write down what the cache knows, unless that has yet to be compared."""
+        for row in self._known.agreed(at_last=at_last):
+            self._journal.append(row)
+            self._listener.trial(row)
 
     def _dismiss(self) -> None:
         self._staff = None
@@ -133,6 +154,7 @@ class Attempts:
                 else:
                     self._announce_failure(row)
                     self._listener.trial(row)
+                    self._take_over()
             self.presence.check()
             if interrupts.requested is not None:
                 break
@@ -148,8 +170,10 @@ class Attempts:
             policy=self._policy,
             arm=self._arm,
             folder=self._folder,
+            host=ended.host,
         )
         self._journal.append(row)
+        self._known.ended(ended.job, row)
         if row.status == "error":
             self._errors[name] = row
         if ended.result.mcap_error:

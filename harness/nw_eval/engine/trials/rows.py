@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import platform
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.row import Row
 from nw_eval.rollout.result import policy_fault
 
@@ -23,6 +25,7 @@ def make_row(
     policy: str,
     folder: RunFolder,
     arm: Arm = "candidate",
+    host: str = "",
 ) -> Row:
     """Return the row of one attempt at a trial.
 
@@ -33,6 +36,7 @@ def make_row(
         policy: the policy's name.
         folder: of the run, which the row's log path starts from.
         arm: whether the policy is the one that is judged.
+        host: the machine that it ran on; empty = this one.
     """
     trial = job.trial
     is_ok = result.status == "ok"
@@ -77,9 +81,34 @@ def make_row(
         action_digest=result.action_digest,
         checkpoint_digest=job.checkpoint_digest,
         scene_digest=trial.scene_digest,
-        host=platform.node(),
+        host=host or platform.node(),
         mcap_path=folder.relative(job.mcap) if has_log and job.mcap is not None else "",
         mcap_bytes=result.mcap_bytes,
+        mcap_sha256=log_sha256(job.mcap) if has_log and job.mcap is not None else "",
         error_type=result.error_type or "",
         error_text=result.error_text,
+    )
+
+
+def taken_over(row: Row, job: TrialJob, *, policy: str, folder: RunFolder, arm: Arm) -> Row:
+    """Return the row that an earlier run has of a trial as this run has it: by its own names.
+
+    Args:
+        row: of the earlier run. Its times stay, which are none of this run's.
+        job: what need not be run.
+        policy: the policy's name.
+        folder: of the run, which the row's log path starts from.
+        arm: whether the policy is the one that is judged.
+    """
+    trial = job.trial
+    return replace(
+        row,
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        tier=trial.tier,
+        policy=policy,
+        arm=arm,
+        cached=True,
+        mcap_path=folder.relative(folder.cached_mcap(trial.scene, trial.id)),
     )

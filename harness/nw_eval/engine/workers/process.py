@@ -14,15 +14,19 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from multiprocessing import get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
+from nw_eval.amounts import in_words
 from nw_eval.clean import clean
-from nw_eval.confinement import interrupts_blocked, kill_group, without_script
+from nw_eval.confinement import Rules, kill_group
+from nw_eval.engine.machine.descendants import descendants, kill, left_by
+from nw_eval.engine.machine.resident import Resident
+from nw_eval.rollout.confined.start import start_process
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 
@@ -46,24 +50,35 @@ class WorkerProcess:
     """A process that runs one job after the other.
 
     Args:
-        start: called once in the process.
+        start: called once in the process, with `output`; it confines it.
         run: called there with each job.
+        rules: by which it will be confined.
+        output: what it prints to; remains the caller's.
+        memory_limit: bytes that it may hold with its children while it runs one.
 
     Raises:
         OSError: no process can be started.
     """
 
     def __init__(
-        self, *, start: Callable[[], None], run: Callable[[TrialJob], TrialResult]
+        self,
+        *,
+        start: Callable[[Connection], None],
+        run: Callable[[TrialJob], TrialResult],
+        rules: Rules,
+        output: Connection,
+        memory_limit: int | None = None,
     ) -> None:
-        context = get_context("spawn")
-        theirs, self._jobs = context.Pipe(duplex=False)
-        self._results, back = context.Pipe(duplex=False)
-        # Its processes are ours to end: a daemon could have none of its own, which policies may.
-        self._process = context.Process(target=_serve, args=(start, run, theirs, back))
+        theirs, self._jobs = Pipe(duplex=False)
+        self._results, back = Pipe(duplex=False)
         try:
-            with interrupts_blocked(), without_script():
-                self._process.start()
+            self._process = start_process(
+                _serve,
+                (start, run),
+                (theirs, back, output),
+                rules=rules,
+                is_one_of_many=True,
+            )
         except BaseException:
             self._jobs.close()
             self._results.close()
@@ -71,6 +86,10 @@ class WorkerProcess:
         finally:
             theirs.close()
             back.close()
+        assert self._process.pid is not None, "it has been started"
+        self._pid = self._process.pid
+        self._memory_limit = memory_limit
+        self._memory = Resident(self._pid)
         self.job: TrialJob | None = None
         self.jobs_done = 0
         self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
@@ -105,6 +124,7 @@ class WorkerProcess:
         if not self._is_taken and _TAKEN + b"\n" in self._heard:
             self._is_taken = True
             self._deadline = monotonic() + self.job.time_limit
+            self._memory.restrain(self._memory_limit)
         *lines, _ = self._heard.split(b"\n")
         if len(lines) > 1:
             self._heard = b""
@@ -114,21 +134,34 @@ class WorkerProcess:
             self._process.join(_LAST_MOMENTS)
             code = self._process.exitcode
         if code is None and is_open and monotonic() <= self._deadline:
-            return None
+            return self._overgrown()
         if not self._is_taken:
             raise UnstartedError
         if code is None and is_open:
             return _hung(self.job)
         return _dead(code)
 
+    def _overgrown(self) -> TrialResult | None:
+        """Return what the job comes to if the process, which runs it, holds too much memory."""
+        if self._memory_limit is None or not self._is_taken:
+            return None
+        held = self._memory.beyond(self._memory_limit)
+        return None if held is None else _too_large(held, self._memory_limit)
+
     def kill(self) -> None:
         """End the process and all that it started, without waiting; to be called once."""
-        kill_group(self._process.pid)
-        self._process.kill()
+        has_ended = self._process.exitcode is not None
+        others = left_by(self._pid) if has_ended else descendants(self._pid)
+        if not has_ended:  # Else its number may be another's by now.
+            kill_group(self._pid)
+            self._process.kill()
+        kill(others)
 
     def close(self) -> None:
         """Wait for a killed process, and close its pipes."""
         self._process.join(_LAST_MOMENTS)
+        if self._process.exitcode is not None:
+            self._process.close()
         self._jobs.close()
         self._results.close()
 
@@ -163,6 +196,12 @@ def _hung(job: TrialJob) -> TrialResult:
     )
 
 
+def _too_large(held: int, limit: int) -> TrialResult:
+    return _crashed(
+        f"the worker and its children held {in_words(held)}, --memory-limit is {in_words(limit)}"
+    )
+
+
 def _dead(code: int | None) -> TrialResult:
     if code is None:
         return _crashed("the worker process closed its pipe, or said more than a result holds")
@@ -183,15 +222,16 @@ def _crashed(text: str, *, end_reason: str = "") -> TrialResult:
 
 
 def _serve(
-    start: Callable[[], None],
+    start: Callable[[Connection], None],
     run: Callable[[TrialJob], TrialResult],
     jobs: Connection,
     results: Connection,
+    output: Connection,
 ) -> NoReturn:
     """Run jobs until the pipe ends: the main function of the process."""
     own = os.getpid()
     try:
-        start()
+        start(output)
         while True:
             job: TrialJob = jobs.recv()
             _say(results, _TAKEN)

@@ -10,6 +10,7 @@ from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.baseline.holding.known import known_rows
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.part import of_part
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.results.bank.against import Against
 from nw_eval.results.provenance import RunInfo
@@ -20,8 +21,9 @@ from nw_eval.suite.model import Gate
 def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
     """Judge the rows of a run by the bar, and against a bank if there is one.
 
+    Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
     Where the bank's own policy did other than the bank says on the machine of the run, the verdict
-    is INVALID: nothing is charged to the candidate.
+    is INVALID: nothing is charged to the candidate. A part of a run is not judged (`gate.part`).
 
     Args:
         rows: of the run's plan.
@@ -32,6 +34,17 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Raises:
         IncomparableError, StoreError: as `compare`.
     """
+    if run.shard is not None:
+        return of_part(rows, run, gate)
+    verdict = _of_rows(rows, run, gate, against)
+    if run.cache is None or not run.cache.differing:
+        return verdict
+    reasons = (*run.cache.differing, *verdict.reasons)
+    return replace(verdict, verdict="INFRASTRUCTURE", reasons=reasons)
+
+
+def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+    """Return the verdict on the rows as they are."""
     if against is None:
         return judge(rows, gate, run.planned)
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None

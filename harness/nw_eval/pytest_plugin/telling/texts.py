@@ -51,7 +51,7 @@ def _text(judged: RunReport, tables: Sequence[Table], rows: Sequence[Row]) -> st
 
     stream = StringIO()
     console = Console(file=stream, width=_WIDTH, force_terminal=False, no_color=True)
-    print_verdict(console, judged.info, judged.verdict)
+    print_verdict(console, judged.info, judged.rows, judged.verdict)
     ordered = sorted(rows, key=lambda row: row.trial_id)
     for table in (*tables, errors_table(ordered), worst_table(ordered, judged.typed_folder, 3)):
         if table.rows:

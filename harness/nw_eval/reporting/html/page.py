@@ -62,7 +62,7 @@ def render_html(
         outcomes=_outcomes(rows),
         worst=worst_cards(rows, clips, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
-        spent=throughput(rows),
+        spent=throughput(rows, run),
         trials=trial_lines(rows, folder),
         scenes=sorted({row.scene for row in rows}),
     )

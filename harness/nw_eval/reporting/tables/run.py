@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
+from nw_eval.reporting.taken_over import taken_over
 from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -14,10 +15,10 @@ from nw_eval.suite.digest import digest_of
 
 def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
     """Return where the time went."""
-    spent = throughput(rows)
+    spent = throughput(rows, run)
     # A run that was resumed knows the time of its last part only.
     wall = max(run.wall_s, sum(row.wall_s for row in rows if not row.cached) / run.workers)
-    rate = 60.0 * len(rows) / wall if wall > 0 else 0.0
+    rate = 60.0 * sum(not row.cached for row in rows) / wall if wall > 0 else 0.0
     return Table(
         title="Where the time went",
         columns=("stage", "seconds", "ms per control step", "share"),
@@ -29,11 +30,12 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
                 f"{100 * stage.share:.0f} %",
             )
             for stage in spent.stages
-            if rows  # Where nothing ran no time went anywhere.
+            if not all(row.cached for row in rows)  # Where nothing ran no time went anywhere.
         ),
         numbers=frozenset({"seconds", "ms per control step", "share"}),
         note=f"{rate:.1f} trials per minute on {plural(run.workers, 'worker')}; "
-        f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker.",
+        f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker."
+        f" {taken_over(run, rows)}".rstrip(),
     )
 
 
@@ -52,6 +54,8 @@ def provenance_table(run: RunInfo) -> Table:
         "baseline": ""
         if run.baseline is None
         else f"{run.baseline.name}, {run.baseline.sha256[:12]}",
+        "part": "" if run.shard is None else f"{run.shard}, of plan {run.shard.plan[:12]}",
+        "merged of": _parts(run),
         "renderer": run.renderer or "none",
         "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
@@ -59,12 +63,21 @@ def provenance_table(run: RunInfo) -> Table:
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
         "rows": run.rows_digest[:12],
+        "Merkle root": run.merkle_root,
     }
     return Table(
         title="Provenance",
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def _parts(run: RunInfo) -> str:
+    """Return of which parts a run was merged, and where they ran; nothing if it was run whole."""
+    if not run.parts:
+        return ""
+    hosts = ", ".join(sorted({part.host for part in run.parts}))
+    return f"{plural(len(run.parts), 'part')}, run on {hosts}"
 
 
 def _saved(run: RunInfo) -> str:

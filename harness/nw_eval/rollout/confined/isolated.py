@@ -9,18 +9,11 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Callable, Mapping
-from multiprocessing import get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
-from nw_eval.confinement import (
-    Rules,
-    child_environment,
-    confine,
-    interrupts_blocked,
-    kill_group,
-    without_script,
-)
+from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.errors import (
     IncomparableError,
     NwEvalError,
@@ -31,9 +24,7 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
-
-if TYPE_CHECKING:
-    from multiprocessing.context import SpawnProcess
+from nw_eval.rollout.confined.start import Started, start_process
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -82,32 +73,88 @@ def call_isolated(
         NwEvalError: what the function raised, of the same class.
         PolicyError: the process died, took more than it may, or did not come back in time.
     """
-    context = get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_answer, args=(sender, rules, renders, function, dict(arguments)), daemon=True
-    )
-    try:
-        with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
-            process.start()
-        sender.close()
-        answer = _received(receiver, process, subject, time_limit)
-    finally:
-        receiver.close()
-        if process.pid is not None:
-            kill_group(process.pid)
-            process.kill()
-            process.join()
-    if "error" in answer:
-        kind = _KINDS.get(str(answer.get("kind")))
-        lines = str(answer["error"]).splitlines()[:_LINES] or [""]
-        # What was not raised on purpose does not say what it is about.
-        raise PolicyError(f"{subject}: {lines[0]}") if kind is None else kind(lines)
-    return answer["value"]
+    with IsolatedCall(
+        function, subject=subject, rules=rules, renders=renders, arguments=arguments
+    ) as call:
+        return call.answer(time_limit)
+
+
+class IsolatedCall:
+    """A call that a fresh, confined process is at; a context manager that ends it.
+
+    Args:
+        function: as for `call_isolated`, and likewise `subject`, `rules` and `renders`.
+        subject: see there.
+        rules: see there.
+        renders: see there.
+        arguments: of the function, plain values.
+        is_one_of_many: whether more such calls will follow.
+
+    Attributes:
+        receiver: what to wait for: it is ready when there is an answer, or never will be one.
+
+    Raises:
+        OSError: no process can be started.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        /,
+        *,
+        subject: str,
+        rules: Rules,
+        renders: bool,
+        arguments: Mapping[str, Any],
+        is_one_of_many: bool = False,
+    ) -> None:
+        self.receiver, sender = Pipe(duplex=False)
+        self._subject = subject
+        try:
+            with sender:
+                self._process = start_process(
+                    _answer,
+                    (rules, renders, function, dict(arguments)),
+                    (sender,),
+                    rules=rules,
+                    is_one_of_many=is_one_of_many,
+                )
+        except BaseException:
+            self.receiver.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def answer(self, time_limit: float) -> Any:
+        """Wait for what the function returns, at most `time_limit` s; to be called once.
+
+        Raises:
+            NwEvalError, PolicyError: as `call_isolated`.
+        """
+        answer = _received(self.receiver, self._process, self._subject, time_limit)
+        if "error" in answer:
+            kind = _KINDS.get(str(answer.get("kind")))
+            lines = str(answer["error"]).splitlines()[:_LINES] or [""]
+            # What was not raised on purpose does not say what it is about.
+            raise PolicyError(f"{self._subject}: {lines[0]}") if kind is None else kind(lines)
+        return answer["value"]
+
+    def close(self) -> None:
+        """End the process and all that it started; to be called once."""
+        self.receiver.close()
+        if self._process.exitcode is None:
+            kill_group(self._process.pid)
+            self._process.kill()
+        self._process.join()
+        self._process.close()
 
 
 def _received(
-    receiver: Connection, process: SpawnProcess, subject: str, time_limit: float
+    receiver: Connection, process: Started, subject: str, time_limit: float
 ) -> dict[str, Any]:
     """Return what a process says.
 
@@ -122,7 +169,6 @@ def _received(
     try:
         answer = json.loads(receiver.recv_bytes(_ANSWER))
     except EOFError:
-        kill_group(process.pid)
         process.join()
         raise _died(subject, process.exitcode) from None
     except (OSError, ValueError, RecursionError):
@@ -148,11 +194,11 @@ def _died(subject: str, code: int | None) -> PolicyError:
 
 
 def _answer(
-    sender: Connection,
     rules: Rules,
     renders: bool,
     function: Callable[..., Any],
     arguments: Mapping[str, Any],
+    sender: Connection,
 ) -> None:
     try:
         if renders:

@@ -13,6 +13,7 @@ from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.confined.access import opening_rules
 from nw_eval.rollout.confined.isolated import call_isolated
+from nw_eval.rollout.confined.start import prepare_for
 from nw_eval.sensors import check_card
 
 
@@ -41,6 +42,7 @@ def vet_bundle(
         # There is nothing of a stranger's to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code)
         return bundle
+    prepare_for(bundle.card)
     call_isolated(
         _check,
         subject=bundle.where,

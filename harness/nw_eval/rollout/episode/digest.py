@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from hashlib import sha256
 from typing import Any
 
@@ -46,6 +47,11 @@ def observation_digest(observation: Mapping[str, NDArray[Any]]) -> bytes:
     total = sha256()
     for name in sorted(observation):
         array = np.ascontiguousarray(observation[name])
-        total.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        total.update(array.tobytes())
+        total.update(_title(name, array.dtype, array.shape))
+        total.update(array.data)
     return total.digest()
+
+
+@lru_cache(maxsize=256)  # They are the same in every control step.
+def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    return f"{name} {kind.str} {shape}".encode()

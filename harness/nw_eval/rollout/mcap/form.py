@@ -9,7 +9,6 @@ longest form that the wire format allows (https://protobuf.dev/programming-guide
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -54,25 +53,36 @@ class Form:
         blanks = np.array([blank_double(number) for number in range(count)], "<f8")
         return cls(message, [blank.tobytes() for blank in blanks])
 
-    def filled(self, time_ns: int, numbers: NDArray[Any]) -> bytes:
-        """Return the message at a time, with numbers of the blanks' own type."""
-        self._bytes[self._times] = _long_time(time_ns)
-        self._bytes[self._numbers] = np.frombuffer(numbers.tobytes(), np.uint8)
-        return self._bytes.tobytes()
+    def filled(self, times: NDArray[np.int64], numbers: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return the message many times, each (N) a row of bytes.
+
+        Args:
+            times: of each, ns, (N).
+            numbers: of each, (N, ...), of the blanks' own type.
+        """
+        count = len(times)
+        found = np.tile(self._bytes, (count, 1))
+        found[:, self._times] = _long_times(times)[:, np.newaxis]
+        found[:, self._numbers] = np.frombuffer(numbers.tobytes(), np.uint8).reshape(count, -1)
+        return found
 
 
-@lru_cache(maxsize=1)  # All messages of a control step have one time.
-def _long_time(time_ns: int) -> NDArray[np.uint8]:
-    """Return a protobuf time of the length of `BLANK_TIME`'s."""
-    seconds, nanos = divmod(time_ns, _SECOND)
-    data = b"\x08" + _long_varint(seconds, 3) + b"\x10" + _long_varint(nanos, 5)
-    return np.frombuffer(data, np.uint8)
+def _long_times(times: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return protobuf times (N, 10), all of the length of `BLANK_TIME`'s."""
+    seconds, nanos = np.divmod(times, _SECOND)
+    found = np.empty((len(times), len(_TIME)), np.uint8)
+    found[:, 0], found[:, 4] = _TIME[0], _TIME[4]
+    _put_long_varints(found[:, 1:4], seconds)
+    _put_long_varints(found[:, 5:10], nanos)
+    return found
 
 
-def _long_varint(value: int, size: int) -> bytes:
-    """Return a varint of `size` bytes, seven bits in each, whose leading zeros are written out."""
-    more = [value >> 7 * k & 0x7F | 0x80 for k in range(size - 1)]
-    return bytes([*more, value >> 7 * (size - 1)])
+def _put_long_varints(places: NDArray[np.uint8], values: NDArray[np.int64]) -> None:
+    """Write varints of a fixed length: seven bits a byte, leading zeros written out."""
+    last = places.shape[1] - 1
+    for number in range(last + 1):
+        more = 0x80 if number < last else 0
+        places[:, number] = values >> 7 * number & 0x7F | more
 
 
 def _only_place(data: bytes, blank: bytes) -> int:

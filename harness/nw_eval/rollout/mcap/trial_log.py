@@ -18,13 +18,16 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.mcap.content.body import (
-    BodyPoses,
+    Poses,
     command_form,
+    joint_rows,
     joints_form,
     odom_form,
-    rounded,
+    odom_rows,
+    transform_rows,
     transforms_form,
     twist_form,
+    twist_rows,
 )
 from nw_eval.rollout.mcap.content.clouds import (
     path_cloud,
@@ -42,9 +45,10 @@ from nw_eval.rollout.mcap.content.entities import (
 from nw_eval.rollout.mcap.content.images import Form as PixelForm
 from nw_eval.rollout.mcap.content.images import calibration_message, image_message
 from nw_eval.rollout.mcap.content.numbers import observation_form, observation_message
+from nw_eval.rollout.mcap.content.policy_step import policy_step
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.form import Form
 from nw_eval.rollout.mcap.messages import Event, PolicyStep
+from nw_eval.rollout.mcap.sheet import Sheet, rounded_rows, single_rows
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
@@ -76,12 +80,12 @@ class TrialLog:
     `discard`.
     """
 
-    def __init__(self, path: Path | None, *, record: Record, joints: Sequence[str]) -> None:
+    def __init__(self, path: Path | None, *, record: Record) -> None:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
-        self._joints = tuple(joints)
-        self._forms: dict[str, Form] = {}  # by topic
+        self._sheets: dict[str, Sheet] = {}  # by topic, or by an observation's name
+        self._body: tuple[Sheet, ...] = ()  # of the robot's own topics
         self._place: tuple[np.ndarray, np.ndarray] | None = None  # start (3,) and trail (K, 3)
         self._walked: list[list[float]] = []
         self._file: McapFile | None = None
@@ -127,6 +131,8 @@ class TrialLog:
         mesh: TriangleMesh,
         start: Sequence[float],
         trail: np.ndarray,
+        bodies: Sequence[int],
+        cameras: Mapping[str, np.ndarray],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
     ) -> None:
@@ -137,6 +143,9 @@ class TrialLog:
             mesh: of the place.
             start: ground under the robot, (3,) m.
             trail: waypoints, (K, 3) m.
+            bodies: numbers of the robot's bodies, trunk first, among those of `body`.
+            cameras: those that have a frame, by name: position and quaternion wxyz in the trunk,
+                (7,).
             metadata: records of texts by name.
             attachments: name and text of each.
         """
@@ -152,38 +161,36 @@ class TrialLog:
         for body, cloud in robot_clouds(robot).items():
             self._out.add(f"/points/robot/{body}", 0, cloud)
         self._waypoints(0, 0)
+        self._body = _body_sheets(robot, bodies, cameras)
 
     @_costs_only_the_log
     def body(
         self,
         time: float,
         *,
-        frames: BodyPoses,
-        trunk: str,
+        poses: Poses,
         joints: tuple[np.ndarray, np.ndarray, np.ndarray],
-        twist: tuple[np.ndarray, np.ndarray],
+        velocity: np.ndarray,
     ) -> None:
-        """Write where the robot is and how it moves.
+        """Write where the robot is and how it moves; all arrays must be the log's own.
 
         Args:
             time: simulated, s.
-            frames: position (3,) m and quaternion wxyz in the world, by name.
-            trunk: the name of the trunk's frame.
+            poses: of all bodies of the model.
             joints: angles (12) rad, velocities (12) rad/s, torques (12) N m.
-            twist: of the trunk in its own frame: velocity (3,) m/s, angular velocity (3,) rad/s.
+            velocity: of the trunk: in the world, m/s, and angular in its own frame, rad/s, (6,).
         """
-        when = nanoseconds(time)
-        poses = [part for pose in frames.values() for part in pose]
-        self._fill("/tf", when, rounded(*poses), lambda: transforms_form(tuple(frames)))
-        row = rounded(np.stack(joints, axis=1))
-        self._fill("/robot/joints", when, row, lambda: joints_form(self._joints))
-        self._fill("/robot/odom", when, rounded(*frames[trunk]), odom_form)
-        self._fill("/robot/twist", when, rounded(*twist), lambda: twist_form(trunk))
+        notes = (poses, joints, poses, (poses, velocity))
+        self._out.add_rows(self._body, nanoseconds(time), notes)
 
     @_costs_only_the_log
     def command(self, time: float, numbers: Sequence[float]) -> None:
         """Write what is asked for: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
-        self._fill("/robot/command", nanoseconds(time), rounded(numbers), command_form)
+        sheet = self._sheets.get("/robot/command")
+        if sheet is None:
+            sheet = Sheet("/robot/command", command_form(), rounded_rows)
+            self._sheets[sheet.topic] = sheet
+        self._out.add_rows((sheet,), nanoseconds(time), (numbers,))
 
     @_costs_only_the_log
     def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
@@ -206,17 +213,14 @@ class TrialLog:
         targets: np.ndarray,
     ) -> None:
         """Write one call of the policy: raw, applied (12) and joint targets (12) rad."""
-        when = nanoseconds(time)
-        message = PolicyStep(
-            timestamp=stamp(when),
+        data = policy_step(
+            nanoseconds(time),
             step=step,
             observation_digest=observation_digest,
-            action=action.tolist(),
-            applied=applied.tolist(),
-            targets=targets.tolist(),
             state_digest=state_digest,
+            numbers=(action, applied, targets),
         )
-        self._out.add("/nw/policy", when, message)
+        self._out.add_bytes("/nw/policy", nanoseconds(time), PolicyStep, data)
 
     @_costs_only_the_log
     def state(self, time: float, message: Any) -> None:
@@ -230,9 +234,11 @@ class TrialLog:
         self, time: float, name: str, array: np.ndarray, *, terms: Sequence[tuple[str, int]]
     ) -> None:
         """Write an observation of the policy's, with name and size of its parts."""
-        topic, values = f"/observation/{name}", array.astype("<f4", copy=False)
-        make = partial(observation_form, array.shape, terms)
-        self._fill(topic, nanoseconds(time), values, make)
+        sheet = self._sheets.get(name)
+        if sheet is None:
+            form = observation_form(array.shape, terms)
+            sheet = self._sheets[name] = Sheet(f"/observation/{name}", form, single_rows)
+        self._out.add_rows((sheet,), nanoseconds(time), (array.copy(),))
 
     @_costs_only_the_log
     def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:
@@ -265,11 +271,11 @@ class TrialLog:
     ) -> None:
         """Write a picture that is there; see `images.Form` for its shape and type.
 
-        It is compressed at once: a trial's raw frames may not fit the memory.
+        Whether it is kept is known at the trial's end, and only then is it compressed.
         """
-        when = nanoseconds(time)
-        message = image_message(when, camera_frame(mount), image, form)
-        self._out.add_image(topic, when, lambda: message)
+        when, own = nanoseconds(time), image.copy()
+        make = partial(image_message, when, camera_frame(mount), own, form)
+        self._out.add_image(topic, when, make, holds=own.nbytes)
 
     @_costs_only_the_log
     def later_picture(
@@ -322,12 +328,20 @@ class TrialLog:
         self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
         self._out.add("/points/waypoints", when, waypoints_cloud(when, trail, reached=reached))
 
-    def _fill(self, topic: str, when: int, numbers: np.ndarray, make: Callable[[], Form]) -> None:
-        """Write a message of the form that the topic's first one had."""
-        form = self._forms.get(topic)
-        if form is None:
-            form = self._forms[topic] = make()
-        self._out.add_bytes(topic, when, form.kind, form.filled(when, numbers))
+
+def _body_sheets(
+    robot: RobotSpec, bodies: Sequence[int], cameras: Mapping[str, np.ndarray]
+) -> tuple[Sheet, ...]:
+    """Return the sheets of the robot's own topics."""
+    names = (*robot.bodies, *map(camera_frame, cameras))
+    mounted, trunk = tuple(cameras.values()), bodies[0]
+    transforms = partial(transform_rows, bodies=bodies, cameras=mounted)
+    return (
+        Sheet("/tf", transforms_form(names), transforms),
+        Sheet("/robot/joints", joints_form(robot.joints), joint_rows),
+        Sheet("/robot/odom", odom_form(), partial(odom_rows, trunk=trunk)),
+        Sheet("/robot/twist", twist_form(robot.bodies[0]), partial(twist_rows, trunk=trunk)),
+    )
 
 
 def camera_frame(camera: str) -> str:

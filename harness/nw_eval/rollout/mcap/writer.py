@@ -9,10 +9,11 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import IO, Any
 
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -33,14 +34,19 @@ from mcap.records import (
     SummaryOffset,
 )
 from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
 
 # Small chunks leave much to recover of a log whose process was killed.
 CHUNK_BYTES = 512 * 1024
+
+# Level 3, the default, takes 1.4 times as long for 0.96 of the size.
+_LEVEL = 1
 
 _MAGIC = b"\x89MCAP0\r\n"
 # Opcode, length; channel, sequence, log time, publish time. The data follow.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _AFTER_LENGTH = _MESSAGE.size - 9
+_TIMES = _MESSAGE.size - 16  # where the two times begin
 _INDEX = struct.Struct("<BQHI")  # opcode, length; channel, bytes of the pairs that follow
 _FOOTER = struct.Struct("<BQQQ")  # what the summary's checksum covers of the footer
 
@@ -50,7 +56,7 @@ class McapWriter:
 
     def __init__(self, stream: IO[bytes], *, library: str) -> None:
         self._stream = stream
-        self._compressor = zstandard.ZstdCompressor()
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         self._counts: dict[int, int] = {}
@@ -85,9 +91,30 @@ class McapWriter:
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
         """Append a message; times must not decrease."""
-        self._index[channel] += (time_ns, self._size)
         length = _AFTER_LENGTH + len(data)
-        self._add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns) + data)
+        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns)
+        self.record(channel, time_ns, head + data)
+
+    def records(
+        self, channel: int, times: NDArray[np.int64], messages: NDArray[np.uint8]
+    ) -> Iterator[tuple[int, bytes]]:
+        """Return time and record of many messages of one length (N, length), for `record`."""
+        count, length = messages.shape
+        found = np.empty((count, _MESSAGE.size + length), np.uint8)
+        head = _MESSAGE.pack(Opcode.MESSAGE, _AFTER_LENGTH + length, channel, 0, 0, 0)
+        found[:, : _MESSAGE.size] = np.frombuffer(head, np.uint8)
+        stamps = times.astype("<u8").view(np.uint8).reshape(count, 8)
+        found[:, _TIMES : _TIMES + 8] = stamps
+        found[:, _TIMES + 8 : _MESSAGE.size] = stamps
+        found[:, _MESSAGE.size :] = messages
+        data, size = found.tobytes(), _MESSAGE.size + length
+        pieces = (data[at : at + size] for at in range(0, len(data), size))
+        return zip(times.tolist(), pieces, strict=True)
+
+    def record(self, channel: int, time_ns: int, record: bytes) -> None:
+        """Append a message as `records` has it; times must not decrease."""
+        self._index[channel] += (time_ns, self._size)
+        self._add(record)
         if self._size > CHUNK_BYTES:
             self._end_chunk()
 

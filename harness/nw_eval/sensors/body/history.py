@@ -100,7 +100,7 @@ class HistoryStack:
 
     def state(self) -> Arrays:
         """Return the earlier frames."""
-        return {"frames": np.stack(self._frames)} if self._frames else {}
+        return {"frames": np.array(self._frames)} if self._frames else {}
 
     def restore(self, state: Arrays) -> None:
         """Go back to earlier frames.

@@ -35,6 +35,7 @@ class Body:
         robot: as given.
         model: compiled model. Read it; changing it makes trials incomparable.
         data: state of the simulation, for sensors that need more than the properties here.
+        bodies: numbers of `robot.bodies` in the model.
     """
 
     def __init__(self, robot: RobotSpec, model: MjModel, data: MjData) -> None:
@@ -42,7 +43,7 @@ class Body:
         self.model: MjModel = model
         self.data: MjData = data
         self._trunk = int(model.body("trunk").id)
-        self._bodies = {name: int(model.body(name).id) for name in robot.bodies}
+        self.bodies = tuple(int(model.body(name).id) for name in robot.bodies)
 
     @property
     def trunk_position(self) -> Array:
@@ -58,6 +59,11 @@ class Body:
     def trunk_rotation(self) -> Array:
         """R_world_trunk, (3, 3)."""
         return self.data.xmat[self._trunk].reshape(3, 3).copy()
+
+    @property
+    def trunk_velocity(self) -> Array:
+        """`trunk_linear_velocity` and `trunk_angular_velocity`, (6,)."""
+        return self.data.qvel[:6].copy()
 
     @property
     def trunk_linear_velocity(self) -> Array:
@@ -117,10 +123,7 @@ class Body:
         T_world_trunk[:3, 3] = self.trunk_position
         return T_world_trunk @ mount.T_trunk_camera
 
-    def body_transforms(self) -> dict[str, tuple[Array, Array]]:
-        """Return position (3,) and quaternion (4,) in the world of every body of the robot."""
-        data = self.data
-        return {
-            name: (data.xpos[body].copy(), data.xquat[body].copy())
-            for name, body in self._bodies.items()
-        }
+    @property
+    def body_poses(self) -> tuple[Array, Array]:
+        """Positions (N, 3) and quaternions (N, 4) in the world of all bodies of the model."""
+        return self.data.xpos.copy(), self.data.xquat.copy()

@@ -35,8 +35,10 @@ def run_baseline(
     run: RunInfo,
     *,
     workers: int | None,
+    cluster: str | None,
     command: tuple[str, ...],
     listener: Listener,
+    cache: bool,
 ) -> RunInfo:
     """Run the bank's policy until it is known what the bank is worth here.
 
@@ -46,8 +48,10 @@ def run_baseline(
         folder: of the candidate's run.
         run: its run.json.
         workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
+        cache: whether results of earlier runs are taken over.
 
     Returns:
         The candidate's run.json: with what was found, and with no rounds to be run where the bank
@@ -56,7 +60,7 @@ def run_baseline(
     Raises:
         IncomparableError: the bank's policy is not here, or the bank has too few starts for a class
             of machine on which bits are others.
-        TrialError: a trial of the bank's policy came to no result.
+        TrialError: a trial of the bank's policy came to no result, or not to what the cache says.
     """
     from nw_eval.api.running.plans import baseline_plan
     from nw_eval.engine import session
@@ -67,14 +71,21 @@ def run_baseline(
     session.carry_out(
         baseline_plan(plan, against, _bundle(plan, against, run)),
         workers=workers,
+        cluster=cluster,
         out=None if is_begun else nested.path,
         resume=nested.path if is_begun else None,
         command=command,
         listener=listener,
         prelude=watching.begin,
         enough=watching.enough,
+        cache=cache,
     )
     own = read_run_info(nested.run_json)
+    if own.cache is not None and own.cache.differing:
+        raise TrialError(
+            f"the baseline's policy {own.policy.name}: {own.cache.differing[0]}",
+            fix="start a new run",
+        )
     if own.interrupted:
         return run.model_copy(update={"interrupted": True})
     return _with_finding(run, own, _rows(nested, own, folder), against, plan)

@@ -28,8 +28,10 @@ class Contest:
         plan: the candidate's.
         against: the bank.
         workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
+        cache: whether results of earlier runs are taken over.
     """
 
     def __init__(
@@ -38,14 +40,18 @@ class Contest:
         against: Against,
         *,
         workers: int | None,
+        cluster: str | None,
         command: tuple[str, ...],
         listener: Listener,
+        cache: bool,
     ) -> None:
         self._plan = plan
         self._against = against
         self._workers = workers
+        self._cluster = cluster
         self._command = command
         self._listener = listener
+        self._cache = cache
         self._run: RunInfo | None = None
 
     def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
@@ -79,8 +85,10 @@ class Contest:
                 folder,
                 run,
                 workers=self._workers,
+                cluster=self._cluster,
                 command=self._command,
                 listener=self._listener,
+                cache=self._cache,
             )
         self._run = run
         return run

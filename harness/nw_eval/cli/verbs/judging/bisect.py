@@ -43,6 +43,8 @@ class BisectSeries:
     when absent."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes; the number of cores when absent."""
+    no_cache: bool = False
+    """Run every trial, and keep no result for later runs."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -64,6 +66,7 @@ class BisectSeries:
                 allow_code=self.allow_code,
                 out=self.out,
                 workers=self.workers,
+                cache=not self.no_cache,
                 listener=progress,
                 progress=lambda name, word: progress.message(f"{name}: {word}"),
             )

@@ -1,0 +1,54 @@
+"""The cache of trials as lines of text."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from nw_eval.clean import clean
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api import CacheCleanup, CacheUse
+
+_SHOWN = 20
+"""Policies that are listed."""
+
+
+def cache_page(use: CacheUse) -> str:
+    """Return how full the cache is, and of what."""
+    limit = f"of at most {_size(use.limit)}" if use.limit else "NW_EVAL_CACHE_GB=0 keeps nothing"
+    lines = [
+        f"folder     {use.folder}",
+        f"size       {_size(use.bytes)}, {limit}",
+        f"trials     {use.entries:,}",
+    ]
+    if use.oldest is not None:
+        since = datetime.fromtimestamp(use.oldest, UTC)
+        lines.append(f"last used  {since:%Y-%m-%d %H:%M} UTC or later, each of them")
+    if use.damaged:
+        lines.append(f"unusable   {use.damaged:,}; `nw-eval cache verify` removes them")
+    for name, count in use.policies[:_SHOWN]:
+        lines.append(f"  {count:>8,} {clean(name, at_most=60)}")
+    if more := use.policies[_SHOWN:]:
+        lines.append(f"  {sum(count for _, count in more):>8,} of {len(more)} more policies")
+    return "\n".join(lines)
+
+
+def removed_line(removed: CacheCleanup) -> str:
+    """Return what was removed, and what is left."""
+    return (
+        f"{plural(removed.removed, 'trial')} removed ({_size(removed.bytes)}), "
+        f"{removed.left:,} left ({_size(removed.left_bytes)}) in {removed.folder}"
+    )
+
+
+def verified_line(checked: CacheCleanup) -> str:
+    """Return how many entries were read, and how many were damaged."""
+    damaged = f"{checked.removed:,} damaged and removed" if checked.removed else "none damaged"
+    return f"{plural(checked.looked_at, 'trial')} read, {damaged}; nothing was run"
+
+
+def _size(count: int) -> str:
+    """Return bytes as GB or MB."""
+    return f"{count / 1e9:.2f} GB" if count >= 10**8 else f"{count / 1e6:.1f} MB"

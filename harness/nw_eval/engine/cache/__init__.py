@@ -1,0 +1,1 @@
+"""Results of trials that have run before, kept in the user's cache folder."""

@@ -1,0 +1,157 @@
+"""Starts confined processes: forked from the nursery where there is a fence, else from nothing.
+
+What has no fence may start processes of its own and use what does not survive a fork, such as CUDA.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from contextlib import suppress
+from multiprocessing import Pipe, get_context
+from typing import TYPE_CHECKING, Any, Protocol
+
+from nw_eval.confinement import (
+    Nursery,
+    Rules,
+    child_environment,
+    interrupts_blocked,
+    without_script,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from multiprocessing.connection import Connection
+
+    from nw_eval.cards import Card
+
+_PRELOAD = "nw_eval.rollout.confined.preload"
+_LIBRARY = {"onnx": "onnxruntime"}
+_NONE = frozenset({"remote", "zero"})
+"""Adapters that need no library for their networks; those that are not named need torch."""
+
+_WARM = b"warm"
+
+_OURS = ("NW_EVAL_", "PYTEST_")
+"""Variables of which no library that the nursery has imported has read any."""
+
+_lock = threading.Lock()
+_nursery: Nursery | None = None
+_born_in: dict[str, str] = {}
+"""The environment as it was for the nursery, which libraries read once (`engine.machine.cpu`)."""
+
+
+class Started(Protocol):
+    """A process that was started here."""
+
+    @property
+    def pid(self) -> int | None:
+        """Its number."""
+        ...
+
+    @property
+    def sentinel(self) -> int:
+        """What is ready when it has ended."""
+        ...
+
+    @property
+    def exitcode(self) -> int | None:
+        """How it ended; negative = signal; None while it runs."""
+        ...
+
+    def kill(self) -> None:
+        """End it, without waiting."""
+        ...
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until it has ended, or so many seconds."""
+        ...
+
+    def close(self) -> None:
+        """Forget it."""
+        ...
+
+
+def prepare() -> None:
+    """Let the nursery be started, and import what every trial needs, while others plan them."""
+    with suppress(OSError):  # Processes are started one by one, then.
+        _ = _open_nursery()
+
+
+def prepare_for(card: Card) -> None:
+    """Let a nursery that there is import what a policy's checkpoint is opened with."""
+    nursery = _nursery
+    if nursery is not None and card.adapter not in _NONE:
+        nursery.learn(_LIBRARY.get(card.adapter, "torch"))
+
+
+def has_kernels() -> bool:
+    """Return whether processes to come have the CPU renderer's kernels; waits for the nursery."""
+    receiver, sender = Pipe(duplex=False)
+    with receiver, suppress(OSError, EOFError):
+        with sender:
+            child = _open_nursery().fork(_tell_warmth, (), (sender,))
+        warmth = receiver.recv_bytes()
+        child.join()
+        return child.exitcode == 0 and warmth == _WARM
+    return False
+
+
+def _tell_warmth(sender: Connection) -> None:
+    from nw_eval.rollout.confined.preload import WARM
+
+    sender.send_bytes(_WARM if WARM else b"")
+
+
+def renew() -> None:
+    """Forget the nursery: kernels have been compiled that it does not have."""
+    global _nursery  # noqa: PLW0603 - one a process is the point.
+    with _lock:
+        _nursery = None
+
+
+def start_process(
+    function: Callable[..., None],
+    arguments: Sequence[Any],
+    connections: Sequence[Connection],
+    *,
+    rules: Rules,
+    is_one_of_many: bool,
+) -> Started:
+    """Return a new process that calls a function.
+
+    Args:
+        function: of a module, which confines its process first of all.
+        arguments: for it; what `pickle` takes.
+        connections: more arguments for it, after the others.
+        rules: by which it will confine itself.
+        is_one_of_many: whether a nursery is worth it if there is none. One that is not may have no
+            processes of its own.
+
+    Raises:
+        OSError: no process can be started.
+    """
+    if not rules.off and (is_one_of_many or _nursery is not None):
+        with suppress(OSError):
+            return _open_nursery().fork(function, arguments, connections)
+    process = get_context("spawn").Process(
+        target=function, args=(*arguments, *connections), daemon=not is_one_of_many
+    )
+    with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
+        process.start()
+    return process
+
+
+def _open_nursery() -> Nursery:
+    """Return the nursery of this process, a new one if what libraries read is another by now.
+
+    Raises:
+        OSError: there can be none.
+    """
+    global _nursery, _born_in
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(_OURS)}
+    with _lock:
+        if _nursery is None or not _nursery.is_alive or _born_in != environment:
+            _nursery, _born_in = Nursery(), environment
+            _nursery.learn(_PRELOAD)
+        return _nursery

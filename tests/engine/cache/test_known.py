@@ -1,0 +1,285 @@
+"""A run takes over what is known, but for a few trials, and only if these agree."""
+
+from dataclasses import replace
+from random import Random
+
+import pytest
+from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
+
+from nw_eval.engine.cache.known import KnownTrials
+from nw_eval.engine.machine import interrupts
+from nw_eval.engine.rounds import run_trials
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.row import rows_digest
+from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.result import TrialResult
+
+HERE = conditions_of()
+FELL = replace(DONE, outcome="fell", waypoints_reached=0, waypoint_times=())
+CRASHED = TrialResult(status="error", error_type="crashed", error_text="it died")
+RAISED = replace(CRASHED, error_type="policy_error", end_reason="exception")
+
+
+@pytest.fixture
+def go(store, tmp_path):
+    """Return what runs trials into a folder with what is known, and tells all of it."""
+
+    def run(
+        name,
+        *,
+        trials=4,
+        results=None,
+        rounds=None,
+        resume=False,
+        seed=0,
+        hold=True,
+        conditions=HERE,
+        **names,
+    ):
+        folder = RunFolder(path=tmp_path / name)
+        office, told, shown = Office(results), [], []
+
+        class Ears:
+            message = told.append
+
+            def planned(self, **_):
+                pass
+
+            def trial(self, row):
+                shown.append(row.trial_id)
+
+        known = KnownTrials(
+            store,
+            conditions,
+            still_hold=lambda: hold,
+            folder=folder,
+            policy=names.get("policy", "p"),
+            arm="candidate",
+            say=told.append,
+            doubted=lambda: told.append("doubted"),
+            chance=Random(seed),
+        )
+        header = JournalHeader(suite_digest="s", policy_digest="p", scene_digests={})
+        opened = Journal.resume if resume else Journal.create
+        with opened(folder.journal, header) as journal:
+            outcome = run_trials(
+                jobs_of(folder, trials=trials, scenes=names.get("scenes", ("flat/a",))),
+                journal=journal,
+                folder=folder,
+                policy=names.get("policy", "p"),
+                hire=office,
+                workers=1,
+                enough=None if rounds is None else lambda rows: len(rows) >= rounds,
+                listener=Ears(),
+                known=known,
+            )
+        assert sorted(shown) == sorted(set(shown))
+        outcome.__dict__.update(office=office, told=told, info=known.info, folder=folder)
+        return outcome
+
+    return run
+
+
+def hits(outcome):
+    return [row.seed_index for row in outcome.rows if row.cached]
+
+
+def test_a_run_that_is_repeated_runs_one_trial_and_has_the_same_results(go):
+    first, again = go("first"), go("again")
+    assert len(first.office.started) == 4
+    assert len(again.office.started) == 1
+    assert rows_digest(again.rows) == rows_digest(first.rows)
+    assert len(hits(again)) == 3
+    assert again.info.reexecuted == 1
+    assert not again.told
+
+
+def test_what_is_taken_over_has_its_log_in_the_run_and_the_times_of_its_own_run(go):
+    go("first")
+    again = go("again")
+    for row in again.rows:
+        log = again.folder.path / row.mcap_path
+        assert log.read_text() == f"the log of {row.trial_id}"
+        assert log.stat().st_nlink == (2 if row.cached else 1)
+        assert log.is_relative_to(again.folder.cached if row.cached else again.folder.logs)
+        assert row.wall_s == 2.0
+
+
+def test_more_trials_run_only_those_that_are_new(go):
+    go("first")
+    more = go("more", trials=10)
+    assert len(more.office.started) == 6 + 1
+    assert sorted(hits(more) + [int(name[-3:]) for name in more.office.started]) == [*range(10)]
+
+
+def test_results_are_found_under_other_names_of_suite_policy_and_scene(go):
+    go("first", scenes=("flat/a",))
+    again = go("again", scenes=("flat/renamed",), policy="renamed")
+    assert len(again.office.started) == 1
+    for row in again.rows:
+        assert (row.scene, row.policy) == ("flat/renamed", "renamed")
+        assert row.trial_id == f"flat-renamed-{row.seed_index:03d}"
+        assert (
+            row.mcap_path
+            == f"{'cached' if row.cached else 'mcap'}/flat/renamed/{row.trial_id}.mcap"
+        )
+
+
+def test_other_conditions_know_nothing(go):
+    go("first")
+    assert len(go("again", conditions=conditions_of(policy="other")).office.started) == 4
+
+
+def test_which_trials_run_again_is_chance(go):
+    go("first", trials=6)
+    drawn = {go(f"again{seed}", trials=6, seed=seed).office.started[0] for seed in range(12)}
+    assert len(drawn) > 3
+
+
+def test_two_of_a_hundred_run_again(go):
+    go("first", trials=100)
+    for seed in range(3):
+        again = go(f"again{seed}", trials=100, seed=seed)
+        assert len(again.office.started) == again.info.reexecuted == 2
+        assert len(hits(again)) == 98
+
+
+def test_in_rounds_some_of_each_may_run_again_and_one_of_the_first_does(go):
+    go("first", trials=100)
+    again = go("again", trials=100, rounds=90, seed=3)
+    assert again.stopped_after == 90
+    assert again.office.started[0] == "flat-a-000"
+    places = [int(name[-3:]) for name in again.office.started]
+    assert len(places) == len({*places}) == again.info.reexecuted
+    assert 1 < len(places) < 8
+
+
+def test_early_stop_and_rows_are_those_of_a_run_without_the_cache(go):
+    first = go("first", trials=5, rounds=3)
+    again = go("again", trials=5, rounds=3)
+    assert (first.stopped_after, again.stopped_after) == (3, 3)
+    assert rows_digest(first.rows) == rows_digest(again.rows)
+
+
+def test_a_result_that_differs_voids_all_and_nothing_is_taken_over(go):
+    go("first", trials=5)
+    wrong = {f"flat-a-{i:03d}": [FELL] for i in range(5)}
+    again = go("again", trials=5, results=wrong)
+    assert len(again.office.started) == 5
+    assert hits(again) == []
+    assert [path for path in again.folder.cached.rglob("*") if path.is_file()] == []
+    assert {row.outcome for row in again.rows} == {"fell"}
+    [sentence] = again.info.differing
+    assert f"trial {again.office.started[0]} came out otherwise" in sentence
+    assert "fell after 50 steps" in sentence
+    assert "in the cache completed" in sentence
+    assert again.told == [f"{sentence}; 5 entries of the cache voided", "doubted"]
+    later = go("later", trials=5, results=wrong)  # The true ones were kept in their place.
+    assert len(later.office.started) == 1
+    assert later.info.differing == ()
+
+
+def test_what_differs_in_a_later_round_ends_the_use_of_the_cache(go):
+    go("first", trials=100)
+    # The first round agrees; then whatever runs comes out otherwise.
+    wrong = {f"flat-a-{i:03d}": [FELL] for i in range(1, 100)}
+    again = go("again", trials=100, rounds=100, results=wrong, seed=3)
+    assert again.info.differing
+    bad = [int(name[-3:]) for name in again.office.started]
+    assert bad[1:] == [*range(bad[1], 100)]
+    assert len(again.rows) == 100
+
+
+def test_an_errors_trial_is_compared_when_it_has_run_again(go):
+    go("first")
+    crash = {f"flat-a-{i:03d}": [CRASHED, DONE] for i in range(4)}
+    again = go("again", results=crash)
+    assert len(again.office.started) == 2
+    assert again.info.reexecuted == 1
+    assert len(hits(again)) == 3
+
+
+def test_where_nothing_could_be_compared_everything_runs(go):
+    go("first")
+    crash = {f"flat-a-{i:03d}": [CRASHED, CRASHED] for i in range(4)}
+    again = go("again", results=crash)
+    assert len(again.errors) == 4
+    assert hits(again) == []
+
+
+def test_a_trial_that_ended_in_an_error_runs_when_its_run_goes_on(go):
+    go("first")
+    broken = {f"flat-a-{i:03d}": [CRASHED, CRASHED] for i in range(4)}
+    go("again", results=broken)
+    resumed = go("again", resume=True)
+    assert len(resumed.office.started) == 4
+    assert resumed.info.reexecuted == 4
+
+
+def test_a_run_that_goes_on_takes_over_what_it_lacks(go):
+    go("all", trials=8)
+    go("part", trials=3, conditions=conditions_of(policy="elsewhere"))
+    resumed = go("part", trials=8, resume=True)
+    assert len(resumed.office.started) == 1
+    assert len(resumed.rows) == 8
+
+
+def test_errors_and_policies_that_failed_and_second_attempts_are_not_kept(go):
+    results = {"flat-a-000": [CRASHED] * 2, "flat-a-001": [RAISED] * 2,
+               "flat-a-002": [CRASHED, DONE]}  # fmt: skip
+    first = go("first", results=results)
+    outcomes = {row.seed_index: (row.outcome, row.attempt) for row in first.rows}
+    assert outcomes == {0: ("crashed", 2), 1: ("policy_failed", 2), 2: ("completed", 2),
+                        3: ("completed", 1)}  # fmt: skip
+    again = go("again")
+    assert {*again.office.started} == {f"flat-a-{i:03d}" for i in range(4)}
+    assert again.info.reexecuted == 1
+
+
+def test_nothing_is_kept_once_the_policy_on_disk_is_another(go):
+    go("first", hold=False)
+    assert len(go("again").office.started) == 4
+
+
+def test_a_log_that_is_damaged_is_run_again_and_mended(go, store):
+    go("first")
+    for kept in list(store):
+        (kept.path / "log.mcap").unlink()
+        (kept.path / "log.mcap").write_text("foreign")
+    assert len(go("again").office.started) == 4
+    assert len(go("later").office.started) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_one_sentence_and_no_failure(go, store):
+    store.folder.write_text("no folder")
+    first = go("first")
+    assert len(first.rows) == 4
+    [message] = first.told
+    assert message.startswith(f"results are not kept for later runs: {store.folder} cannot be")
+
+
+def test_an_interrupted_run_takes_over_nothing_that_was_not_compared(go, monkeypatch):
+    go("first")
+    real = interrupts.Interrupts.__enter__
+
+    def heard(self):
+        real(self)
+        self.requested = interrupts.signal.SIGINT
+        return self
+
+    monkeypatch.setattr(interrupts.Interrupts, "__enter__", heard)
+    cut = go("again")
+    assert (cut.rows, len(cut.missing)) == ((), 4)
+    monkeypatch.undo()
+    resumed = go("again", resume=True)
+    assert len(resumed.office.started) == 1
+    assert len(resumed.rows) == 4
+
+
+def test_a_row_that_was_tampered_with_and_sealed_again_contradicts_its_trial(go, store, tmp_path):
+    go("first")
+    folder = RunFolder(path=tmp_path / "forged")
+    for job in jobs_of(folder, trials=4):
+        forged = replace(row_of(job, folder), seed=job.trial.seed + 1)
+        store.put(HERE, HERE.key(job), forged, job.mcap)
+    assert len(go("again").office.started) == 4
