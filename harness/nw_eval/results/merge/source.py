@@ -38,5 +38,6 @@ class Source:
                 workers=info.workers,
                 host=info.machine.host,
                 rows_digest=info.rows_digest,
+                cache=info.cache,
             ),
         )

@@ -20,7 +20,13 @@ from nw_eval.results.merge.logs import take_logs
 from nw_eval.results.merge.rows import Held
 from nw_eval.results.merge.source import Source
 from nw_eval.results.planned import PlannedTrial
-from nw_eval.results.provenance import PartInfo, RunInfo, read_run_info, write_run_info
+from nw_eval.results.provenance import (
+    CacheInfo,
+    PartInfo,
+    RunInfo,
+    read_run_info,
+    write_run_info,
+)
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 
@@ -67,10 +73,19 @@ def merged_info(
             },
             "shard": None,
             "parts": tuple(parts),
+            "cache": _taken_over(parts),
             "workers": max(part.workers for part in parts),
             "command": command,
         }
     )
+
+
+def _taken_over(parts: Iterable[PartInfo]) -> CacheInfo | None:
+    """Return how parts used the cache of trials, together."""
+    known: CacheInfo | None = None
+    for part in parts:
+        known = known if part.cache is None else part.cache.after(known)
+    return known
 
 
 def _place(info: RunInfo) -> tuple[int, str, str]:
