@@ -35,7 +35,6 @@ _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_BACKEND_LOG_LEVEL": "error",
-    "RAY_raylet_start_wait_time_s": "120",  # A machine that is busy needs more than 30.
     # A minute after the head is lost Ray would end this process, with exit code 1. `Joined.check`
     # is earlier, and says what it was.
     "RAY_gcs_rpc_server_reconnect_timeout_s": "3600",
