@@ -10,7 +10,7 @@ from nw_eval.results.run_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class MergeSource:
     """A folder that is merged, as it was read."""
 
     folder: RunFolder
