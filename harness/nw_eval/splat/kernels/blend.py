@@ -39,7 +39,7 @@ from nw_eval.splat.kernels.project import (
     V,
 )
 from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, Shape, repeat4
+from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, LaneShape, repeat4
 from nw_eval.splat.kernels.simd import (
     broadcast,
     ceil,
@@ -68,7 +68,7 @@ CURVE = np.array([THRESHOLD, FINISHED, *EXP2], dtype=np.float32)
 """Numbers that `blend` keeps in registers; `math8.exp2` says why they are none of its constants."""
 
 
-def _drawing(shape: Shape) -> Any:
+def _drawing(shape: LaneShape) -> Any:
     load, store_light, add = shape.load, shape.store, shape.add
 
     @inlined

@@ -49,7 +49,7 @@ def _spread(builder: Any, vector: Any, lanes: list[int]) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape:
+class LaneShape:
     """What is done to a block of pixels; each member is an intrinsic.
 
     Attributes:
@@ -146,9 +146,9 @@ def _adding(rows: int) -> Any:
     return add
 
 
-def _shape(rows: int) -> Shape:
+def _shape(rows: int) -> LaneShape:
     width = PIXELS // rows
-    return Shape(
+    return LaneShape(
         columns=_laying(width, list(range(width)) * rows),
         rows=_laying(rows, [lane // width for lane in range(PIXELS)]),
         load=_loading(rows),
