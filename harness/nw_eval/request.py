@@ -2,13 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from nw_eval.amounts import bytes_of
 from nw_eval.errors import UsageError
 from nw_eval.words import Backend, Collision, PanelKind, Record
+
+_T = TypeVar("_T")
+_SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    """One of several equal parts of a run, each of which is run by a command of its own."""
+
+    index: int
+    """Which, from 1."""
+    count: int
+    """How many there are."""
+
+    @classmethod
+    def of(cls, words: str) -> Shard:
+        """Return the shard that `1/3` names.
+
+        Raises:
+            UsageError: the words name none.
+        """
+        found = _SHARD.fullmatch(words)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise UsageError(f"--shard {words!r}", fix="give I/N, such as 1/3, with I from 1 to N")
+        return cls(index=int(found[1]), count=int(found[2]))
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+    def share(self, ordered: Sequence[_T]) -> tuple[_T, ...]:
+        """Return every N-th thing, from the I-th: of any stretch of them all parts have as many.
+
+        Or one more or less; each thing is in one part, whatever comes behind it.
+        """
+        return tuple(ordered[self.index - 1 :: self.count])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +80,9 @@ class Request:
     """Camera images in MCAP for which trials; the suite's own choice when absent."""
     time_limit: float | None = None
     """Seconds of wall time after which a trial counts as hung; a generous default when absent."""
+    memory_limit: str | None = None
+    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB: a
+    trial that takes more ends as crashed. No limit of its own when absent."""
     render: Backend | None = None
     """The splat renderer; cpu when absent. There is no silent fallback."""
     collision: Collision | None = None
@@ -50,6 +90,8 @@ class Request:
     The suite's own choice when absent, which is terrain where it makes none."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
+    shard: str | None = None
+    """I/N: only part I of N of the trials, which `nw-eval merge` puts together and judges."""
 
     @classmethod
     def of(cls, request: Request | str | Path | None, **changes: Any) -> Request:
@@ -79,7 +121,30 @@ class Request:
             )
         if checked.time_limit is not None and not checked.time_limit > 0.0:
             raise _unusable("time_limit", values, "give seconds, more than 0")
+        _ = checked.part  # It raises.
+        _ = checked.memory_bytes  # Likewise.
         return checked
+
+    @property
+    def part(self) -> Shard | None:
+        """The part that `shard` names; None: all of it.
+
+        Raises:
+            UsageError: it names none.
+        """
+        return None if self.shard is None else Shard.of(self.shard)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """The memory limit in bytes.
+
+        Raises:
+            UsageError: it is no amount.
+        """
+        try:
+            return None if self.memory_limit is None else bytes_of(self.memory_limit)
+        except ValueError as error:
+            raise _unusable("memory_limit", vars(self), str(error)) from None
 
     def over(self, earlier: Request) -> Request:
         """Return an earlier request with all that this one asks for in its place.

@@ -22,6 +22,9 @@ Record = Literal["all", "failures", "none"]
 Backend = Literal["cpu", "cuda"]
 """What draws splats."""
 
+Engine = Literal["local", "ray"]
+"""Where trials run: in processes of this machine, or on the nodes of a Ray cluster."""
+
 Collision = Literal["terrain", "triangles"]
 """How scan meshes collide: as height fields and boxes, fast, or by their own triangles."""
 

@@ -379,3 +379,44 @@ def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_ban
         mine = [row.success for row in judged.rows if row.perturbation == scene.perturbation]
         assert (scene.candidate, scene.trials) == (np.mean(mine), len(mine))
     assert icy.baseline < usual.baseline
+
+
+def parts_of(number, **changes):
+    """Run so many parts of two rounds against the bank."""
+    words = [f"{index}/{number}" for index in range(1, number + 1)]
+    return [against(f"part-{word[0]}", shard=word, trials=2, **changes) for word in words]
+
+
+def test_parts_run_all_rounds_and_are_judged_against_their_bank_once_they_are_merged(project):
+    ears = Ears()
+    parts = parts_of(2, ears=ears)
+    assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 2), ("RAN", 2)]
+    assert not [line for line in ears.lines if "enough" in line]
+    assert "part 2 of 2: 2 trials of all 2 rounds; `nw-eval merge` judges the whole" in ears.lines
+    BANK.unlink()  # Every part has a copy, and so has the merged run.
+    merged = api.merge(["part-2", "part-1"], out="merged")
+    plain = {row.trial_id: row for row in read_journal(project / "plain" / "journal.jsonl").rows}
+    assert [row.digest for row in merged.rows] == [plain[r.trial_id].digest for r in merged.rows]
+    assert (merged.info.drawn_from, merged.info.stopped_after) == (4, None)
+    again = api.judge("merged")
+    assert merged.verdict.verdict == again.verdict.verdict
+    assert merged.verdict.against == again.verdict.against
+    assert merged.verdict.against.word == "PASS"
+
+
+def test_parts_of_the_baselines_own_policy_have_nothing_to_run_and_pass_together():
+    parts = parts_of(2, policy="go1-parkour")
+    assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 0), ("RAN", 0)]
+    merged = api.merge(["part-1", "part-2"], out="merged")
+    assert (merged.verdict.verdict, len(merged.rows)) == ("PASS", 0)
+
+
+@pytest.mark.nightly
+def test_a_part_sees_for_itself_what_the_bank_is_on_its_machine():
+    forged(elsewhere)
+    parts = parts_of(2)
+    for part in parts:
+        assert part.info.baseline.checked == "bits"
+        assert read_run_info(part.folder / "baseline" / "run.json").shard is None
+    merged = api.merge([part.folder for part in parts], out="merged")
+    assert (merged.verdict.against.word, merged.info.baseline.checked) == ("PASS", "bits")

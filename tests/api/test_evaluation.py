@@ -99,6 +99,12 @@ def test_an_object_needs_a_card_and_a_policy_by_name_has_one(suite):
         nw_eval.evaluate("stand", suite=suite, card=CARD)
 
 
+@pytest.mark.parametrize("limit", [{"time_limit": 9.0}, {"memory_limit": "2GB"}])
+def test_a_limit_is_refused_where_nobody_could_hold_an_object_to_it(suite, limit):
+    with pytest.raises(UsageError, match="with a policy that is an object: nobody could end"):
+        nw_eval.evaluate(Counting(), suite=suite, card=CARD, **limit)
+
+
 def test_a_policy_by_name_is_evaluated_as_run_does_it(suite, tmp_path):
     one = nw_eval.evaluate("stand", suite=suite, robot="go1", workers=1, out=tmp_path / "a")
     two = nw_eval.run(suite, robot="go1", workers=1, out=tmp_path / "b")

@@ -141,7 +141,12 @@ def test_a_renderer_that_is_not_installed_is_told_before_anything_runs(suite, tm
 
 
 @pytest.mark.parametrize(
-    ("option", "said"), [({"workers": 2}, "--workers 2"), ({"time_limit": 9.0}, "--time-limit 9")]
+    ("option", "said"),
+    [
+        ({"workers": 2}, "--workers 2"),
+        ({"time_limit": 9.0}, "--time-limit 9"),
+        ({"memory_limit": "2GB"}, "--memory-limit 2GB"),
+    ],
 )
 def test_what_one_process_cannot_do_is_refused(suite, tmp_path, option, said):
     with pytest.raises(UsageError, match=f"{said} with --in-process"):

@@ -146,6 +146,23 @@ def test_a_run_goes_on_with_its_own_renderer_and_limit(project, jobs):
         api.run(None, resume=project / "run", render="cpu")
 
 
+@pytest.mark.usefixtures("jobs")
+def test_workers_get_the_memory_limit_that_was_given_last(project, monkeypatch):
+    limits = []
+    hire = session.LocalProcesses
+
+    def hired(*words, memory_limit):
+        limits.append(memory_limit)
+        return hire(*words, memory_limit=memory_limit)
+
+    monkeypatch.setattr(session, "LocalProcesses", hired)
+    begin(suite=suite(), out=project / "run", memory_limit="3GB")
+    begin(suite=None, resume=project / "run")
+    begin(suite=None, resume=project / "run", memory_limit="1.5 GiB")
+    begin(suite=None, resume=project / "run")
+    assert limits == [3 * 10**9, 3 * 10**9, 3 * 2**29, 3 * 2**29]
+
+
 def test_run_json_keeps_what_was_asked_for_and_is_read_back_as_it_was_written(project, jobs):
     wanted = Request(
         suite=str(suite()), policy="stand", trials=2, scenes=("flat/*",), seed=6, time_limit=7.0
@@ -237,6 +254,8 @@ def test_no_globs_are_not_all_scenes():
         ({"collision": "mesh"}, "--collision 'mesh'"),
         ({"scenes": "flat/*"}, r"--scenes 'flat/\*'"),
         ({"time_limit": 0.0}, r"--time-limit 0\.0"),
+        ({"memory_limit": "2"}, r"--memory-limit '2': give a number and its unit"),
+        ({"memory_limit": 2}, "--memory-limit 2"),
     ],
 )
 def test_what_no_field_takes_is_refused_by_its_option(changes, option):
@@ -249,7 +268,7 @@ def test_what_no_field_takes_is_refused_by_its_option(changes, option):
 def test_the_same_words_after_run_and_check_are_the_same_request():
     words = "hurdles --robot go2 -p stand --checkpoint w.onnx -n 3 --seed 6 --record none"
     words += " --baseline shipped --baseline-policy stand --panel pinned"
-    words += " --time-limit 7 --render cuda --collision triangles --allow-code"
+    words += " --time-limit 7 --memory-limit 2GB --render cuda --collision triangles --allow-code"
     arguments = [*words.split(), "--scenes", "gaps/*", "flat/*"]
     run, check = (parse([verb, *arguments], description="") for verb in ("run", "check"))
     assert run.request == check.request

@@ -45,6 +45,10 @@ NOT_RUN = MappingProxyType(
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/report/trackers track runs"
         ),
+        "nw-eval run hurdles --engine ray": "starts a cluster; tests/engine/ray runs on some",
+        "nw-eval run hurdles --policy ./my-policy --engine ray --address auto": (
+            "on a cluster; tests/engine/ray does"
+        ),
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",

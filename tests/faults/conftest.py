@@ -241,6 +241,7 @@ class TinyRun:
     jobs: tuple
     header: JournalHeader
     policy: str
+    memory_limit: int | None = None
     ears: Ears = field(default_factory=Ears)
 
     def go(self, *, workers=2, resume=False):
@@ -251,7 +252,7 @@ class TinyRun:
                 journal=journal,
                 folder=self.folder,
                 policy=self.policy,
-                hire=LocalProcesses(self.jobs, self.folder),
+                hire=LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit),
                 workers=workers,
                 listener=self.ears,
             )
@@ -259,7 +260,8 @@ class TinyRun:
     @contextmanager
     def pool(self):
         """One worker, for those who want to see what comes out of it."""
-        with LocalProcesses(self.jobs, self.folder)(1, fresh=False) as workers:
+        hire = LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit)
+        with hire(1, fresh=False) as workers:
             yield workers
 
 
@@ -274,6 +276,7 @@ def tiny_run(tmp_path):
         trials=4,
         duration=0.2,
         time_limit=60.0,
+        memory_limit=None,
         record="none",
         deed=None,
         code=None,
@@ -301,7 +304,11 @@ def tiny_run(tmp_path):
         )
         folder = RunFolder(path=tmp_path / name)
         plan = Plan(
-            request=Request(time_limit=time_limit, allow_code=deed is not None or code is not None),
+            request=Request(
+                time_limit=time_limit,
+                memory_limit=memory_limit,
+                allow_code=deed is not None or code is not None,
+            ),
             suite=suite,
             bundle=bundle,
             found=(place,),
@@ -313,6 +320,12 @@ def tiny_run(tmp_path):
             policy_digest=bundle.digest,
             scene_digests={scene.name: scene.digest},
         )
-        return TinyRun(folder=folder, jobs=jobs, header=header, policy=bundle.name)
+        return TinyRun(
+            folder=folder,
+            jobs=jobs,
+            header=header,
+            policy=bundle.name,
+            memory_limit=plan.memory_limit,
+        )
 
     return make

@@ -22,7 +22,7 @@ import nw_eval
 from nw_eval.cli import main
 from nw_eval.results.journal import read_journal
 
-ROOMS = [(room,) for room in ("api", "engine", "results", "report", "gate")]
+ROOMS = [(room,) for room in ("api", "engine", "results", "reporting", "gate")]
 PACKAGE = f"{Path(nw_eval.__file__).parent}{os.sep}"
 
 ERRORS = {
@@ -95,15 +95,20 @@ def record(verb, folder, seen):
 
 def raise_at(verb, folder, wanted, error):
     """Run a verb with the first call from one site raising."""
+    sys.argv = arguments(verb, folder)
+    raising(wanted, error)
+    main()
+
+
+def raising(wanted, error):
+    """Let the first call from one site raise, from now on."""
 
     def listen(frame, event, _):
         if event == "call" and site(frame) == wanted:
             sys.setprofile(None)
             raise error
 
-    sys.argv = arguments(verb, folder)
     sys.setprofile(listen)
-    main()
 
 
 def rows(folder):

@@ -120,13 +120,27 @@ def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
     assert [row.state_digest for row in forking.rows] == [row.state_digest for row in still.rows]
 
 
-def test_what_a_worker_started_ends_with_it(tiny_run):
-    deed = "(self.folder / 'pid').write_text(str(subprocess.Popen(['sleep', '600']).pid))"
+@pytest.mark.parametrize("session", [False, True], ids=["its session", "another session"])
+def test_what_a_worker_started_ends_with_it(tiny_run, session):
+    child = f"subprocess.Popen(['sleep', '600'], start_new_session={session})"
+    deed = f"(self.folder / 'pid').write_text(str({child}.pid))"
     run = tiny_run("parent", deed=deed, trials=1)
     outcome = run.go(workers=1)
     assert [row.status for row in outcome.rows] == ["ok"]
     [noted] = Path(run.jobs[0].policy).parent.glob("pid")
     assert is_gone(int(noted.read_text()))
+
+
+def test_what_a_worker_started_ends_too_if_the_worker_is_killed(tiny_run):
+    child = "str(subprocess.Popen(['sleep', '600']).pid)"
+    deed = f"(self.folder / 'pid').write_text({child}); os.kill(os.getpid(), 9)"
+    run = tiny_run("parent", deed=deed, trials=1)
+    with run.pool() as pool:
+        pool.submit(run.jobs)
+        [ended] = [each for each in pool.finished() if each is not None]
+        assert "SIGKILL" in ended.result.error_text
+        [noted] = Path(run.jobs[0].policy).parent.glob("pid")
+        assert is_gone(int(noted.read_text()))
 
 
 def is_gone(pid):

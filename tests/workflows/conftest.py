@@ -23,6 +23,32 @@ def load(text: str) -> Any:
     return YAML(typ="safe", pure=True).load(text)
 
 
+def split(expression: str, sign: str) -> list[str]:
+    """Split an expression at a sign, but not within parentheses."""
+    parts, depth = [""], 0
+    for piece in re.split(rf"({re.escape(sign)}|[()])", expression):
+        depth += {"(": 1, ")": -1}.get(piece, 0)
+        if piece == sign and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += piece
+    return [part.strip() for part in parts]
+
+
+def outputs_of(text: str) -> dict[str, str]:
+    """Read outputs as a runner does: `name=value` lines, and values between delimiters."""
+    found: dict[str, str] = {}
+    lines = iter(text.splitlines())
+    for line in lines:
+        if "<<" in line.split("=")[0]:
+            name, delimiter = line.split("<<", 1)
+            found[name] = "\n".join(iter(lines.__next__, delimiter))
+        else:
+            name, _, value = line.partition("=")
+            found[name] = value
+    return found
+
+
 @dataclass
 class Composite:
     """The shell steps of an action; `uses` steps are remembered with their inputs, not run."""
@@ -75,9 +101,7 @@ class Composite:
             check=False,
         )
         self.log += done.stdout + done.stderr
-        lines = output.read_text().splitlines()
-        values = {lines[k].split("<<")[0]: lines[k + 1] for k in range(0, len(lines), 3)}
-        self.outputs[step.get("id", "")] = values
+        self.outputs[step.get("id", "")] = outputs_of(output.read_text())
         self.codes[step.get("name", "")] = done.returncode
         return done.returncode
 
@@ -87,9 +111,13 @@ class Composite:
 
     def value(self, expression: str) -> Any:
         """Return the value of an expression; there are few kinds of them."""
-        parts = [part.strip() for part in expression.split("&&")]
-        if len(parts) > 1:
-            return all(self.value(part) for part in parts)
+        for sign, decides in (("||", bool), ("&&", lambda value: not value)):
+            parts = split(expression, sign)
+            if len(parts) > 1:  # The value is that of the part that decides, or of the last.
+                values = (self.value(part) for part in parts)
+                return next((value for value in values if decides(value)), self.value(parts[-1]))
+        if expression.startswith("(") and expression.endswith(")"):
+            return self.value(expression[1:-1].strip())
         if compared := re.fullmatch(r"(\S+) (==|!=) '([^']*)'", expression):
             same = self.value(compared[1]) == compared[3]
             return same if compared[2] == "==" else not same

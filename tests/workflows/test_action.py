@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -63,6 +64,56 @@ def test_an_error_before_a_verdict_keeps_nothing_and_says_its_code(
     assert "::error title=nw-eval::no suite 'nosuch'" in action.log
     assert [each["uses"] for each in action.used] == ["actions/setup-python"]
     assert not (tmp_path / "temp" / "nw-eval" / "comment.md").exists()
+
+
+SHARED = {"suite": "tiny.yaml", "policy": "stand", "rounds": "2", "cache": "false"}
+
+
+def run_part(composite: Any, workspace: Path, job: dict[str, Any]) -> None:
+    """Run a job of a matrix, and put the folder that it keeps where a later job has it."""
+    name = f"part-{job['index']}"
+    inputs = {**SHARED, "shard": job["shard"], "artifact": name, "comment": "true"}
+    action = composite("nw-eval", inputs)
+    outputs = action.run(leave_out="Install")
+    assert (outputs["verdict"], outputs["exit-code"], outputs["trials"]) == ("RAN", "0", "1")
+    # A part is kept, and there is nothing of it to comment on.
+    _, part = action.used
+    assert part["name"] == name
+    assert action.codes == {"Run and judge": 0}
+    (workspace / "parts").mkdir(exist_ok=True)
+    (workspace / part["path"]).rename(workspace / "parts" / name)
+
+
+def test_jobs_that_share_a_suite_are_planned_and_one_that_is_missing_is_no_pass(
+    composite: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "workspace" / "tiny.yaml").write_text(SUITE)
+    planned = composite("nw-eval", {**SHARED, "shards": "2"})
+    first, second = json.loads(planned.run(leave_out="Install")["matrix"])["include"]
+    assert (first["shard"], first["trials"]) == ("1/2", 1)
+    assert (second["shard"], second["trials"]) == ("2/2", 1)
+    assert [each["uses"] for each in planned.used] == ["actions/setup-python"]
+    run_part(composite, tmp_path / "workspace", first)
+    merging = composite("nw-eval", {**SHARED, "parts": "parts"})
+    outputs = merging.run(leave_out="Install")
+    assert (outputs["verdict"], outputs["exit-code"]) == ("", "4")
+    assert merging.codes == {"Merge and judge": 4}
+    assert "there is no part 2 of 2 (1 trial, first flat-carpet_room-0" in merging.log
+    assert [each["uses"] for each in merging.used] == ["actions/setup-python"]
+
+
+@pytest.mark.nightly
+def test_jobs_that_share_a_suite_come_to_one_verdict(composite: Any, tmp_path: Path) -> None:
+    (tmp_path / "workspace" / "tiny.yaml").write_text(SUITE)
+    planned = composite("nw-eval", {**SHARED, "shards": "2"})
+    for job in json.loads(planned.run(leave_out="Install")["matrix"])["include"]:
+        run_part(composite, tmp_path / "workspace", job)
+    merging = composite("nw-eval", {**SHARED, "parts": "parts"})
+    outputs = merging.run(leave_out="Install")
+    assert (outputs["verdict"], outputs["trials"]) == ("REGRESSED", "2"), merging.log
+    assert outputs["report-path"] == "reports/merged"
+    assert merging.codes == {"Merge and judge": 1}
+    assert [each.get("name") for each in merging.used] == [None, "nw-eval", "nw-eval-comment"]
 
 
 @pytest.mark.nightly

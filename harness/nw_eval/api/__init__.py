@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
@@ -45,26 +46,39 @@ from nw_eval.api.publishing.surfaces import (
     publish,
     publish_error,
 )
-from nw_eval.api.replays import foxglove_layout, replay, rerun_layout, rerun_recording
+from nw_eval.api.replays import (
+    foxglove_layout,
+    replay,
+    rerun_layout,
+    rerun_recording,
+    take_over,
+)
 from nw_eval.api.running.agreements import agree
 from nw_eval.api.running.comparisons import compare
 from nw_eval.api.running.evaluation import ActingPolicy, evaluate
 from nw_eval.api.running.indexes import RunIndex, index_runs
+from nw_eval.api.running.merges import merge
 from nw_eval.api.running.plans import check, plan
 from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
+from nw_eval.api.running.shard_plans import ShardPlan, plan_shards
 from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
+from nw_eval.api.verifying.result import VerifiedRun
+from nw_eval.api.verifying.verify import verify
 from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
     "BisectedSeries",
+    "BlamePlan",
+    "BlamedTrial",
+    "Blames",
     "CacheCleanup",
     "CacheUse",
     "CardDraft",
@@ -81,14 +95,17 @@ __all__ = [
     "RunReport",
     "SavedBaseline",
     "ServedPolicy",
+    "ShardPlan",
     "ShownBaseline",
     "ShownSuite",
     "Surfaces",
     "TrialPlan",
+    "VerifiedRun",
     "WarmUp",
     "WrittenSplat",
     "agree",
     "bisect",
+    "blame",
     "cache_info",
     "check",
     "check_baseline",
@@ -109,7 +126,9 @@ __all__ = [
     "list_scenes",
     "list_sensors",
     "list_suites",
+    "merge",
     "plan",
+    "plan_shards",
     "plan_trials",
     "prune_cache",
     "publish",
@@ -133,6 +152,8 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "take_over",
+    "verify",
     "verify_cache",
     "warmup",
 ]

@@ -21,9 +21,13 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
         The file.
 
     Raises:
+        UsageError: the run is a part of one, and has no verdict.
         StoreError: the ledger is damaged, or cannot be written.
     """
+    from nw_eval.api.running.saved_run import check_whole
     from nw_eval.gate.ledger.file import append_verdict
+
+    check_whole(judged.info)
 
     append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, bank=judged.bank)
     return Path(ledger)

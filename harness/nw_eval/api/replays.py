@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nw_eval.rollout.replaying.report import ReplayReport
+    from nw_eval.rollout.replaying.takeover.report import TakeoverReport
     from nw_eval.viewing.recording.written import WrittenRecording
 
 
@@ -17,6 +18,7 @@ def replay(
     checkpoint: Path | None = None,
     start: float = 0.0,
     picture: Path | None = None,
+    video: Path | None = None,
     allow_code: bool = False,
 ) -> ReplayReport:
     """Run a recorded trial again, in a process of its own, and compare its end bit for bit.
@@ -27,17 +29,21 @@ def replay(
         checkpoint: weights that were used instead of the card's.
         start: seconds; greater than 0 begins with the last recorded state at or before it.
         picture: where to draw the trial's contact sheet, a PNG; None = nowhere.
+        video: where to film what is run, an MP4; None = nowhere.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        UsageError: there is no such file, `start` is no time, or the scene has changed.
-        StoreError: the log cannot be read, or the picture not written.
+        UsageError: there is no such file, `start` is no time, `video` ends otherwise, or the scene
+            has changed.
+        PrerequisiteError: the extra `video` is not installed, and one is asked for.
+        StoreError: the log cannot be read, or picture or video not written.
         PolicyError: the policy is missing or not the recorded one.
         SceneError: the scene is missing.
     """
     from nw_eval.rollout.replaying.apart import replay_apart
 
     _check_file(log)
+    _check_video(video)
     return replay_apart(
         log,
         policy=policy,
@@ -45,6 +51,57 @@ def replay(
         start=start,
         allow_code=allow_code,
         picture=picture,
+        video=video,
+    )
+
+
+def take_over(
+    log: Path,
+    *,
+    start: float,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    out: Path | None = None,
+    video: Path | None = None,
+    allow_code: bool = False,
+) -> TakeoverReport:
+    """Run a recorded trial in which another policy takes over, in a process of its own.
+
+    Until then the trial goes its recorded way, to the bit, and the other policy looks on: what it
+    remembers is what it would, had it driven so from the start. The first policy's checkpoint is
+    not needed.
+
+    Args:
+        log: the trial's MCAP file.
+        start: seconds from the trial's beginning at which it takes over.
+        policy: the bundle that does; the recorded one if None.
+        checkpoint: weights in place of those that its card names.
+        out: where the log of the new trial goes, which `replay` takes too; None = nowhere.
+        video: where to film all of it, an MP4; None = nowhere.
+        allow_code: whether Python code that the card names may be imported.
+
+    Raises:
+        UsageError: there is no such file, `start` is no time in the trial, `video` ends otherwise,
+            or the scene has changed.
+        PrerequisiteError: the extra `video` is not installed, and one is asked for.
+        StoreError: the log cannot be read, does not lead that far, or goes another way here; log or
+            video cannot be written.
+        PolicyError: the policy is missing, or does not fit the robot.
+        SceneError: the scene is missing.
+        TrialError: the policy fails while it looks on.
+    """
+    from nw_eval.rollout.replaying.takeover.apart import take_over_apart
+
+    _check_file(log)
+    _check_video(video)
+    return take_over_apart(
+        log,
+        start=start,
+        policy=policy,
+        checkpoint=checkpoint,
+        allow_code=allow_code,
+        out=out,
+        video=video,
     )
 
 
@@ -108,6 +165,18 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
 
     _check_file(log)
     return write_recording(log, out)
+
+
+def _check_video(video: Path | None) -> None:
+    """Refuse a video that cannot be made, before anything runs."""
+    from nw_eval.errors import UsageError
+    from nw_eval.rollout.replaying.film.encoder import video_library
+
+    if video is None:
+        return
+    if video.suffix != ".mp4":
+        raise UsageError(f"--video {video} is no .mp4", fix="give it that ending")
+    video_library()
 
 
 def _check_file(log: Path) -> None:

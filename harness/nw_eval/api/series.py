@@ -83,7 +83,8 @@ def bisect(
         cache: as for `run`.
         listener: hears of the progress of each run.
         progress: hears which checkpoint is judged, and its verdict.
-        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit...
+        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit,
+            memory_limit...
 
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
@@ -189,6 +190,7 @@ def _bank_of(
         note="the good end of a bisection",
         render=request.render,
         time_limit=request.time_limit,
+        memory_limit=request.memory_limit,
         allow_code=request.allow_code,
         workers=means.workers,
         cache=means.cache,

@@ -86,14 +86,14 @@ FILES: tuple[StrangersFile, ...] = (
     ),
     StrangersFile(
         kind="log of a trial (MCAP)",
-        read_by="mcap, zstandard; its trial runs again, and a report reads walks and pictures, in "
-        "confined processes",
+        read_by="mcap, zstandard; its trial runs again, a report reads walks and pictures, and "
+        "`verify` compares messages, in confined processes",
         where="both",
         may="name a built-in scene or a folder, and a policy's card, which is then a stranger's",
         refused="code, servers and renderers that its reader did not name",
     ),
     StrangersFile(
-        kind="rows: journal, Parquet, run.json",
+        kind="rows: journal, Parquet, run.json, digests.json",
         read_by="json, pyarrow, pydantic",
         where="the main process",
         may="be judged",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from nw_eval.engine.machine.cores import worker_count
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.provenance import ShardInfo
     from nw_eval.suite import Suite
 
 # Wall seconds for one simulated second of a trial that lasts its whole duration, on one core of the
@@ -40,6 +42,8 @@ class Forecast:
     """With what was asked of it otherwise; it has a digest of its panel and one of all it says."""
     policy: Bundle
     scenes: tuple[SceneForecast, ...]
+    shard: ShardInfo | None = None
+    """Which part of a run it is, in trials and minutes too; None: all of it."""
     workers: int
     baseline: str | None = None
     """The name of the bank that it would be compared with, in rounds, of which it may end early."""
@@ -59,17 +63,18 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         plan: what would be run.
         workers: processes; one for each core if None.
     """
-    trials = 0 if plan.is_baseline else len(plan.trials)
+    trials = Counter(trial.scene for trial in plan.trials if not plan.is_baseline)
     return Forecast(
         suite=plan.suite,
         policy=plan.bundle,
         scenes=tuple(
-            SceneForecast(name=scene.name, digest=scene.digest, trials=trials // len(plan.scenes))
+            SceneForecast(name=scene.name, digest=scene.digest, trials=trials[scene.name])
             for scene in plan.scenes
         ),
-        workers=worker_count(workers, trials),
+        shard=plan.shard,
+        workers=worker_count(workers, trials.total()),
         baseline=None if plan.against is None else plan.against.info.name,
-        minutes=minutes_of(trials, plan, workers=workers),
+        minutes=minutes_of(trials.total(), plan, workers=workers),
     )
 
 

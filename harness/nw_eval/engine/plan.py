@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
     from nw_eval.results.bank.against import Against
+    from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
@@ -36,7 +37,9 @@ class Plan:
     suite: Suite  # with what was asked of it otherwise; against a bank `trials` is the most rounds
     bundle: Bundle
     found: tuple[FoundScene, ...]
-    trials: tuple[Trial, ...]
+    trials: tuple[Trial, ...]  # that are to be run here: of a shard, its own
+    shard: ShardInfo | None = None
+    """Which part of a run it is; None: all of it."""
     against: Against | None = None
     is_baseline: bool = False
     """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
@@ -74,6 +77,11 @@ class Plan:
         """Wall seconds after which a trial counts as hung."""
         limit = self.request.time_limit
         return default_time_limit(self.suite.episode.duration) if limit is None else limit
+
+    @property
+    def memory_limit(self) -> int | None:
+        """Bytes that a worker may hold with its children; None = as many as there are."""
+        return self.request.memory_bytes
 
 
 def default_time_limit(duration: float) -> float:

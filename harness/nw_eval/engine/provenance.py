@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from nw_eval.results.machine import (
 )
 from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
+from nw_eval.words import Backend
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
@@ -63,16 +65,22 @@ def run_info(
         scenes=_scene_infos(plan),
         panel=plan.panel,
         drawn_from=plan.drawn_from,
+        shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         stopped_after=0 if plan.is_baseline else None,
         workers=default_workers() if workers is None else workers,
-        renderer=_renderer(plan),
-        fence=_fence(plan, in_process=in_process),
+        renderer=_renderer(plan.render),
+        fence=fence_of(
+            plan.bundle.card.adapter,
+            allow_code=plan.request.allow_code,
+            render=plan.render,
+            in_process=in_process,
+        ),
         command=command,
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),
-        engine=_engine(plan),
+        engine=engine_of(plan.render),
     )
 
 
@@ -82,16 +90,20 @@ def journal_header(plan: Plan) -> JournalHeader:
         suite_digest=plan.suite.digest,
         policy_digest=plan.bundle.digest,
         scene_digests={scene.name: scene.digest for scene in plan.scenes},
-        engine=_engine(plan),
+        engine=engine_of(plan.render),
     )
 
 
-def _engine(plan: Plan) -> dict[str, str]:
-    """Return what makes bits differ between runs of the same trials."""
+def engine_of(render: Backend) -> dict[str, str]:
+    """Return what makes bits differ between runs of the same trials.
+
+    Args:
+        render: the splat renderer.
+    """
     versions = library_versions()
     return {
         **{name: versions[name] for name in _CHANGING_BITS if name in versions},
-        "renderer": _renderer(plan),
+        "renderer": _renderer(render),
         "cpu": cpu_kind(),
         "code": rows_code_digest()[:16],
     }
@@ -110,22 +122,26 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
+    trials = Counter(trial.scene for trial in plan.trials)
     return {
-        scene.name: SceneInfo(
-            digest=scene.digest,
-            task=scene.task,
-            trials=sum(trial.scene == scene.name for trial in plan.trials),
-        )
+        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=trials[scene.name])
         for scene in plan.scenes
     }
 
 
-def _renderer(plan: Plan) -> str:
-    return f"{plan.render} gsplat-1.5"
+def _renderer(render: Backend) -> str:
+    return f"{render} gsplat-1.5"
 
 
-def _fence(plan: Plan, *, in_process: bool) -> str:
-    """Return what stands round the workers of a run."""
-    off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
-    network = "all" if plan.bundle.card.adapter == "remote" else "none"
+def fence_of(adapter: str, *, allow_code: bool, render: Backend, in_process: bool = False) -> str:
+    """Return what stands round the workers of a run on this machine.
+
+    Args:
+        adapter: of the policy's card.
+        allow_code: whether Python code that the card names may be imported.
+        render: the splat renderer.
+        in_process: whether there are none.
+    """
+    off = why_off(allow_code=allow_code, render=render, in_process=in_process)
+    network = "all" if adapter == "remote" else "none"
     return str(Fence(off=off) if off else offered(network=network))

@@ -13,7 +13,7 @@ from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
+from nw_eval.engine.workplace import workplace
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
@@ -49,6 +49,7 @@ def carry_out(
     command: tuple[str, ...],
     listener: Listener | None,
     in_process: bool = False,
+    cluster: str | None = None,
     prelude: Prelude | None = None,
     enough: Enough | None = None,
     cache: bool = True,
@@ -66,6 +67,8 @@ def carry_out(
         command: what was typed.
         listener: hears of progress.
         in_process: whether trials run in this very process: see `engine.workers.in_process`.
+        cluster: the address of the Ray cluster on whose nodes trials run: see
+            `engine.workers.ray.connection`; None = in processes of this machine.
         prelude: called before the first trial, with the run's folder and run.json, of which it
             returns what it is to say from then on; `stopped_after` 0, or `interrupted`, ends the
             run there.
@@ -76,47 +79,51 @@ def carry_out(
         IncomparableError: the run to resume was made under something else.
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
-        PrerequisiteError: the renderer is not installed.
-        UsageError: `NW_EVAL_CACHE_GB` is no size.
+        PrerequisiteError: the renderer is not installed, or Ray.
+        UsageError: there is no such cluster, or it cannot be sent what the run needs; or
+            `NW_EVAL_CACHE_GB` is no size.
     """
     listener = listener or Silence()
-    workers = 1 if in_process else workers
     limit_bytes()  # Before anything is written, if it is none.
-    if plan.renders:
-        off = why_off(allow_code=plan.request.allow_code, render=plan.render, in_process=in_process)
-        open_backend(plan.render, listener, is_fenced=not off)
-    folder = _folder(plan, out, resume)
-    listener.message(f"run folder: {folder.path}")
-    # Workers and rows need a path that means the same everywhere.
-    folder = RunFolder(path=folder.path.resolve())
-    info = run_info(plan, folder, workers=workers, in_process=in_process, command=command)
-    with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
-        if journal.dropped:
-            listener.message(journal.dropped)
-        of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
-        if resume is not None:
-            info = _with_earlier_sessions(info, folder)
-        began = perf_counter()
-        if prelude is not None:
-            info = prelude(folder, info)
-            write_run_info(folder.run_json, info)
-        if info.stopped_after != 0 and not info.interrupted:
-            _make_ready(plan, folder, listener)
-            jobs = plan_jobs(plan, folder)
-            info = _run(
-                plan,
-                folder,
-                info,
-                jobs,
-                journal=journal,
-                hire=_in_process(plan) if in_process else LocalProcesses(jobs, folder),
-                workers=workers,
-                enough=enough,
-                uncached=_uncached(cache=cache, in_process=in_process),
-                listener=listener,
+    with workplace(workers=workers, in_process=in_process, cluster=cluster) as place:
+        if plan.renders:
+            off = why_off(
+                allow_code=plan.request.allow_code, render=plan.render, in_process=in_process
             )
-        _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
-    return folder
+            open_backend(plan.render, listener, is_fenced=not off)
+        folder = _folder(plan, out, resume)
+        listener.message(f"run folder: {folder.path}")
+        # Workers and rows need a path that means the same everywhere.
+        folder = RunFolder(path=folder.path.resolve())
+        info = run_info(plan, folder, workers=place.workers, in_process=in_process, command=command)
+        with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
+            if journal.dropped:
+                listener.message(journal.dropped)
+            of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
+            if resume is not None:
+                info = _with_earlier_sessions(info, folder)
+            began = perf_counter()
+            if prelude is not None:
+                info = prelude(folder, info)
+                write_run_info(folder.run_json, info)
+            if info.stopped_after != 0 and not info.interrupted:
+                _make_ready(plan, folder, listener)
+                jobs = plan_jobs(plan, folder)
+                with place.hire(plan, jobs, folder, listener) as hire:
+                    info = _run(
+                        plan,
+                        folder,
+                        info,
+                        jobs,
+                        journal=journal,
+                        hire=hire,
+                        workers=place.workers,
+                        enough=enough,
+                        uncached=_uncached(cache=cache, in_process=in_process),
+                        listener=listener,
+                    )
+            _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
+        return folder
 
 
 def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
@@ -129,6 +136,7 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
             suite=plan.suite.name,
             policy=plan.bundle.name,
             digest=plan.suite.content_digest,
+            part=plan.request.shard or "",
         )
     folder = RunFolder(path=out)
     if has_begun(folder.journal):
@@ -243,12 +251,6 @@ def _uncached(*, cache: bool, in_process: bool) -> str:
     if in_process:
         return "in the calling process"  # For a debugger, which wants to see it run.
     return "" if cache else "--no-cache"
-
-
-def _in_process(plan: Plan) -> Hire:
-    from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
-
-    return InProcess(plan.bundle)
 
 
 def _finish(

@@ -107,8 +107,20 @@ def read_yaml(path: Path) -> YamlFile:
         YamlProblems: the file is missing, unreadable, no YAML, no mapping, or has duplicate keys.
     """
     file = str(path)
+    return parse_yaml(_text(path, partial(_fault, file)), file=file)
+
+
+def parse_yaml(text: str, *, file: str) -> YamlFile:
+    """Read one YAML mapping of a text with the place of every value.
+
+    Args:
+        text: of a file, or of a part of one.
+        file: what errors call it.
+
+    Raises:
+        YamlProblems: it is no YAML, no mapping, or has duplicate keys.
+    """
     fail = partial(_fault, file)
-    text = _text(path, fail)
     if (place := _too_deep(text)) is not None:
         raise fail(f"over {_OPEN_LIMIT} brackets are open here", "nest less", *place)
     try:

@@ -29,8 +29,8 @@ _SAME_OFFSETS = (
 
 
 def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
-    """Return the sentences that apply to this run; none for one without results."""
-    if verdict.effect is None:
+    """Return the sentences that apply to this run; none for one without results, or a part."""
+    if verdict.effect is None or run.shard is not None:
         return ()
     sentences = [_bounds(verdict), _FRESH if run.panel == "fresh" else _PINNED]
     if verdict.against is not None:

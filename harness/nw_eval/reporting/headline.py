@@ -17,7 +17,8 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
 
 def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return what the headline is joined of, the verdict's word first."""
-    parts = [verdict.verdict, *_against(verdict.against)]
+    part = [] if run.shard is None else [str(run.shard)]
+    parts = [verdict.verdict, *part, *_against(verdict.against)]
     if verdict.effect is not None:
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
         parts.append(
@@ -34,6 +35,8 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
+    if run.shard is not None:
+        return "A part of a run speaks for nothing but its own trials."
     if verdict.effect is None and verdict.against is not None and verdict.against.basis == "same":
         return "Checkpoint and card are those of the baseline, so no trial had to run."
     if verdict.effect is None:

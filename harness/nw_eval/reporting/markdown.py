@@ -72,7 +72,8 @@ def render_page(
 
 
 def _whose(run: RunInfo, verdict: Verdict) -> str:
-    return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.name}"
+    part = "" if run.shard is None else f", {run.shard}"
+    return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.name}{part}"
 
 
 def write_report(path: Path, text: str) -> None:

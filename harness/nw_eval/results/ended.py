@@ -13,6 +13,7 @@ from hashlib import file_digest
 
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
+from nw_eval.results.evidence.digests import digests_of, write_digests
 from nw_eval.results.journal import last_sum, read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
 from nw_eval.results.provenance import RunInfo, write_run_info
@@ -31,14 +32,23 @@ class RunRows:
 
 
 def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunInfo:
-    """Write the rows that are judged to trials.parquet, and return what run.json is to say.
+    """Write the rows that are judged, and their digests; return what run.json is to say.
 
     Raises:
-        StoreError: the file cannot be written.
+        StoreError: a file cannot be written.
     """
+    kept = list(rows)
+    digests = digests_of(info, kept)
+    write_digests(folder.digests, digests)
+    ended = _write_table(folder, info, kept)
+    sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
+    return ended.model_copy(update=sums)
+
+
+def _write_table(folder: RunFolder, info: RunInfo, kept: Sequence[Row]) -> RunInfo:
+    """Write trials.parquet alone: what a run was when it ended is not said anew."""
     from nw_eval.results.parquet import write_rows
 
-    kept = list(rows)
     ended = info.model_copy(update={"rows_digest": rows_digest(kept)})
     metadata = {
         "run_id": ended.id,
@@ -50,8 +60,7 @@ def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunIn
         "rows_digest": ended.rows_digest,
     }
     write_rows(folder.trials, kept, metadata)
-    sums = {"trials_sha256": _sha256(folder), "journal_sum": last_sum(folder.journal)}
-    return ended.model_copy(update=sums)
+    return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 
 def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> RunRows:
@@ -107,7 +116,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         return []
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        again = write_trials(folder, info, rows)
+        again = _write_table(folder, info, rows)
         if again != info:  # Another version of Arrow writes the same rows as other bytes.
             write_run_info(folder.run_json, again)
     except StoreError as error:

@@ -14,14 +14,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
 
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.files.cache import sync_folder
+from nw_eval.files.cache import atomic_path, sync_folder
 from nw_eval.results.row import Row, from_dicts, to_dict
 from nw_eval.results.seal import seal, sum_of, unseal
 
@@ -162,9 +163,7 @@ class Journal:
     def _write(self, record: Mapping[str, Any]) -> None:
         if self._handle.closed:
             raise StoreError(f"journal {self.path} is closed", fix="append within its `with` block")
-        text = json.dumps(record, separators=(",", ":"), allow_nan=False)
-        sealed, last_sum = seal(text, self._last_sum)
-        line = sealed.encode()
+        line, last_sum = _line(record, self._last_sum)
         before = self._handle.tell()
         try:
             written = 0
@@ -216,6 +215,27 @@ class Journal:
             ) from None
 
 
+def write_journal(path: Path, header: JournalHeader, rows: Iterable[Row]) -> None:
+    """Write the journal of a run that has ended elsewhere: all of it, or nothing.
+
+    Args:
+        path: where to.
+        header: its first line.
+        rows: one of each trial, in the order of the lines.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    records = chain(
+        [{"journal": _VERSION, **asdict(header)}], ({"row": to_dict(row)} for row in rows)
+    )
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        before = ""
+        for record in records:
+            line, before = _line(record, before)
+            stream.write(line)
+
+
 def has_begun(path: Path) -> bool:
     """Say whether a journal has its first line, without which it holds nothing to go on with.
 
@@ -257,6 +277,13 @@ def last_sum(path: Path) -> str:
     except OSError:
         return ""
     return sum_of(lines[-1]) if lines else ""
+
+
+def _line(record: Mapping[str, Any], before: str) -> tuple[bytes, str]:
+    """Return a record's line, and its sum, which covers that of the line before."""
+    text = json.dumps(record, separators=(",", ":"), allow_nan=False)
+    sealed, value = seal(text, before)
+    return sealed.encode(), value
 
 
 def _read(path: Path, stream: IO[bytes]) -> JournalContents:

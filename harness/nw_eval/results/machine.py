@@ -19,7 +19,7 @@ LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "embreex", "pya
 
 
 JUDGING = frozenset(
-    {"__init__", "clean", "errors", "plural", "request", "words"}
+    {"__init__", "amounts", "clean", "errors", "plural", "request", "words"}
     | {"api", "cli", "gate", "onboarding", "pytest_plugin", "reporting", "results", "stats"}
     | {"viewing"}
 )

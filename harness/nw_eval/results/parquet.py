@@ -12,7 +12,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.row import COLUMNS, Row, from_dict, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, Row, from_dicts, rows_digest, to_dict
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -83,12 +83,12 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
         needed = [name for name, column in COLUMNS.items() if not column.added]
         if missing := [name for name in needed if name not in held]:
             raise StoreError(f"{path} lacks the columns {', '.join(missing)}", fix="run again")
-        rows = [from_dict(plain) for plain in _plain(table)]
+        rows = from_dicts(_plain(table))
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
         reason = clean(error, at_most=200) or type(error).__name__
         raise StoreError(f"{path} is damaged: {reason}", fix=_REBUILD) from None
-    if metadata.get("rows_digest", rows_digest(rows)) != rows_digest(rows):
+    if metadata.get("rows_digest", actual := rows_digest(rows)) != actual:
         raise StoreError(f"{path}: its rows are not those of its rows_digest", fix=_REBUILD)
     return rows, metadata
 

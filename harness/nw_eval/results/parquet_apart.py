@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from nw_eval.results.row import Row, from_dict, to_dict
+from nw_eval.results.row import Row, from_dicts, to_dict
 from nw_eval.results.tables.apart import answer, values_apart
 
 _FIX = "restore the run's folder from a copy, or run again"
@@ -18,7 +18,7 @@ def read_rows_apart(path: Path) -> list[Row]:
     Raises:
         StoreError: as there; or reading took too long, or ended its process.
     """
-    return [from_dict(values) for values in values_apart(__name__, path, fix=_FIX)]
+    return from_dicts(values_apart(__name__, path, fix=_FIX))
 
 
 def _rows(path: Path) -> Iterable[dict[str, Any]]:

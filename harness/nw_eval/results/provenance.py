@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
@@ -99,6 +99,37 @@ class CacheInfo(_Saved):
         )
 
 
+class ShardInfo(_Saved):
+    """Which part of a run a run is."""
+
+    index: int = Field(ge=1)
+    count: int = Field(ge=1)
+    plan: str  # Hex sha256 of the whole plan: see `engine.shards`.
+
+    @model_validator(mode="after")
+    def _in_range(self) -> Self:
+        if self.index > self.count:
+            raise ValueError(f"part {self.index} of {self.count}")
+        return self
+
+    def __str__(self) -> str:
+        return f"part {self.index} of {self.count}"
+
+
+class PartInfo(_Saved):
+    """A part of a run that was merged. Times are UTC in ISO 8601, wall_s is s."""
+
+    shard: ShardInfo
+    id: str
+    started: str
+    finished: str | None
+    wall_s: float = Field(ge=0.0)
+    workers: int
+    host: str
+    rows_digest: str
+    cache: CacheInfo | None = None
+
+
 class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
@@ -119,6 +150,8 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    shard: ShardInfo | None = None  # None: no part of another run.
+    parts: tuple[PartInfo, ...] = ()  # Of which it was merged; none where it was run whole.
     baseline: BaselineInfo | None = None  # None: nothing to compare with.
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
@@ -132,6 +165,7 @@ class RunInfo(_Saved):
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
+    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
 
     @property
     def planned(self) -> dict[str, int]:

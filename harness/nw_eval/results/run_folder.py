@@ -38,6 +38,11 @@ class RunFolder:
         return self.path / "trials.parquet"
 
     @property
+    def digests(self) -> Path:
+        """What the Merkle root of run.json is made of; see `evidence.digests`."""
+        return self.path / "digests.json"
+
+    @property
     def report_md(self) -> Path:
         """The report for people."""
         return self.path / "report.md"
@@ -120,7 +125,13 @@ class RunFolder:
 
 
 def create_run_folder(
-    root: Path, *, suite: str, policy: str, digest: str, now: datetime | None = None
+    root: Path,
+    *,
+    suite: str,
+    policy: str,
+    digest: str,
+    part: str = "",
+    now: datetime | None = None,
 ) -> RunFolder:
     """Make the folder of a new run.
 
@@ -129,6 +140,7 @@ def create_run_folder(
         suite: the suite's name.
         policy: the policy's name; what a file name cannot hold is replaced.
         digest: hex; its first eight digits end the name.
+        part: which part of a run it is, such as `1/3`, and then ends the name; empty for a whole.
         now: an aware time, by default the present.
 
     Raises:
@@ -136,6 +148,8 @@ def create_run_folder(
     """
     time = (now or datetime.now(tz=UTC)).astimezone(UTC)
     name = f"{_slug(suite)}-{_slug(policy)}-{time:%Y%m%dT%H%M%SZ}-{digest[:8]}"
+    if part:
+        name = f"{name}-{part.replace('/', 'of')}"
     for attempt in range(1, 100):
         path = root / (name if attempt == 1 else f"{name}-{attempt}")
         try:

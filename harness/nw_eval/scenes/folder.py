@@ -248,6 +248,20 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     )
 
 
+def folder_files(folder: Path) -> dict[str, Path]:
+    """Return the files that the scene of a folder is made of, by their names in it.
+
+    Raises:
+        SceneError: `scene.yaml` is missing or wrong, or a file would lie outside the folder.
+    """
+    file, text = _read(folder / SCENE_FILE, _SceneFile)
+    files = {SCENE_FILE: folder / SCENE_FILE}
+    files[text.collision] = _beside(folder, file, "collision", text.collision)
+    if text.splat is not None:
+        files[text.splat] = _beside(folder, file, "splat", text.splat)
+    return files
+
+
 def json_schema(file: Literal["scene", "collision"]) -> dict[str, Any]:
     """Return the JSON Schema of `scene.yaml`, or of a collision file of boxes."""
     model = _SceneFile if file == "scene" else _Collision

@@ -58,16 +58,16 @@ def finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]
     """Return what a run of a suite has.
 
     Raises:
-        UsageError: it is no run, or none of this suite.
+        UsageError: it is no run, or none of this suite, or a part of one.
         StoreError: it is damaged.
     """
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.api.running.saved_run import check_whole, saved_suite, saved_trials
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
-    run = read_run_info(opened.run_json)
+    run = check_whole(read_run_info(opened.run_json))
     if (name := run.suite.get("name")) != suite:
         raise UsageError(
             f"{folder} is a run of suite {name!r}, not {suite!r}", fix="name its suite"

@@ -64,7 +64,8 @@ def save_baseline(
         workers: processes; one for each core if None.
         cache: as for `run`.
         listener: hears of progress.
-        changes: of `Request`: checkpoint, render, time_limit, allow_code.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit,
+            allow_code.
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.

@@ -64,7 +64,7 @@ def evaluate(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.running.plans import plan_of
-    from nw_eval.api.running.runs import judged, roll_out, run
+    from nw_eval.api.running.runs import check_limits, judged, roll_out, run
     from nw_eval.errors import UsageError
     from nw_eval.request import Request
     from nw_eval.suite import draft_suite
@@ -84,6 +84,7 @@ def evaluate(
         )
     bundle = _bundle(policy, suite, card, version)
     request = Request.of(suite, policy=bundle.name, **changes)
+    check_limits(request, "a policy that is an object")
     folder = roll_out(
         plan_of(request, draft_suite(suite), bundle=bundle),
         workers=1,

@@ -79,6 +79,7 @@ def plan_of(
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
+    from nw_eval.engine.shards import shard_of
     from nw_eval.suite import expand, override
 
     suite = None if draft.suite is None else override(draft.suite, request)
@@ -97,12 +98,16 @@ def plan_of(
     against = wanted_bank(request, suite) if against is None else against
     policy = policy_info(bundle)
     suite = _on_panel(request, suite, policy, against)
+    trials, shard = shard_of(
+        expand(suite, opened, _drawn(request, suite, opened, policy, against)), request.part
+    )
     resolved = Plan(
         request=request.from_anywhere(),
         suite=suite,
         bundle=bundle,
         found=chosen,
-        trials=expand(suite, opened, _drawn(request, suite, opened, policy, against)),
+        trials=trials,
+        shard=shard,
         against=against,
         arm=arm,
     )
@@ -126,7 +131,12 @@ def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
 
     check_splats(bundle.card, plan.scenes)
     request = replace(
-        plan.request, policy=bundle.reference, checkpoint=None, panel="pinned", record="none"
+        plan.request,
+        policy=bundle.reference,
+        checkpoint=None,
+        panel="pinned",
+        record="none",
+        shard=None,
     )
     suite = override(plan.suite, Request(seed=against.bank.manifest.key.seed, record="none"))
     drawn = _drawn(request, suite, plan.scenes, policy_info(bundle), against)
@@ -136,6 +146,7 @@ def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
         suite=suite,
         bundle=bundle,
         trials=expand(suite, plan.scenes, drawn),
+        shard=None,  # Each machine sees for itself what the bank is to it.
         is_baseline=False,
         arm="baseline",
     )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.gate.verdict import Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.results.bank.against import Against
+    from nw_eval.results.ended import RunRows
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -87,7 +88,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     from nw_eval.results.run_folder import RunFolder
 
     judged = as_begun(run)
-    return _written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
+    return written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
 
 
 def as_begun(run: str | Path) -> RunReport:
@@ -95,7 +96,7 @@ def as_begun(run: str | Path) -> RunReport:
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
     Where the bank that it was begun against is gone or does not hold for it the verdict is INVALID,
-    and what the bar alone would say is among the reasons.
+    and what the bar alone would say is among the reasons. A part of a run is not judged: RAN.
 
     Raises:
         UsageError: it is no run's folder.
@@ -136,21 +137,22 @@ def judge(
         out: where to write the report, as in `report`; nowhere if None.
 
     Raises:
-        UsageError: it is no run's folder, there is no such bank, or a drop is none.
+        UsageError: it is no run's folder or that of a part of a run, there is no such bank, or a
+            drop is none.
         IncomparableError: the bank does not hold for the run, or has too few starts for it.
         StoreError: its rows or the bank are damaged, or the report cannot be written.
     """
     from nw_eval.api.running.against.banks import judging_bank
-    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.api.running.saved_run import check_whole, saved_suite
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite.override import override_gate
 
     folder = open_run_folder(Path(run))
-    info = read_run_info(folder.run_json)
+    info = check_whole(read_run_info(folder.run_json))
     suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)
     judged = _judged(folder, info, suite, lambda: judging_bank(folder, info, suite, baseline))
-    return judged if out is None else _written(judged, out)
+    return judged if out is None else written(judged, out)
 
 
 def _judged(
@@ -160,14 +162,25 @@ def _judged(
     from concurrent.futures import ThreadPoolExecutor
 
     from nw_eval.api.running.saved_run import saved_trials
-    from nw_eval.gate.baseline.combine import judge_run
     from nw_eval.results.ended import read_trials
 
     # A process of its own reads the bank, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(bank)
         found = read_trials(folder, info, saved_trials(info, suite))
-    against = opened.result()
+    return judged_rows(folder, info, suite, opened.result(), found)
+
+
+def judged_rows(
+    folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None, found: RunRows
+) -> RunReport:
+    """Return the verdict on rows that are read already, with what there is to remark on them.
+
+    Raises:
+        IncomparableError, StoreError: as `judge`.
+    """
+    from nw_eval.gate.baseline.combine import judge_run
+
     verdict = judge_run(found.rows, info, suite.gate, against)
     verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
     return RunReport(
@@ -180,8 +193,12 @@ def _judged(
     )
 
 
-def _written(judged: RunReport, out: Path) -> RunReport:
-    """Write the pages of a judged run: one in Markdown, and beside it the other in HTML."""
+def written(judged: RunReport, out: Path) -> RunReport:
+    """Write the pages of a judged run: one in Markdown, and beside it the other in HTML.
+
+    Raises:
+        StoreError: they cannot be written.
+    """
     from nw_eval.api.running.evidence.gather import gather_evidence
     from nw_eval.reporting.html import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report

@@ -5,18 +5,21 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from nw_eval.api.running.plans import check_workers, plan
 from nw_eval.api.running.reports import RunReport, report
-from nw_eval.errors import UsageError
+from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
+from nw_eval.plural import plural
 from nw_eval.request import Request
 from nw_eval.rollout.confined.start import prepare
+from nw_eval.words import Engine
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
+    from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
 
 
@@ -28,6 +31,8 @@ def run(
     resume: Path | None = None,
     in_process: bool = False,
     cache: bool = True,
+    engine: Engine = "local",
+    address: str | None = None,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -46,11 +51,13 @@ def run(
             notebook: nothing confines the policy, and nothing ends it if it hangs.
         cache: take over results that earlier runs have of the same trials, all but a few, which are
             run again and compared; trials in this very process always run.
+        engine: where trials run; rows are the same, and a run that is resumed may use another.
+        address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
         changes: fields of `Request` by name.
 
     Raises:
-        UsageError, SuiteError, SceneError, PolicyError: nothing was run.
+        UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
@@ -60,9 +67,10 @@ def run(
     if resume is not None and out is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     request = Request.of(request, **changes)
+    cluster = _cluster(engine, address)
     if in_process:
-        _check_in_process(request, workers)
-    elif not request.allow_code:
+        _check_in_process(request, workers, cluster)
+    elif cluster is None and not request.allow_code:
         prepare()  # It takes as long as planning does.
     return judged(
         roll_out(
@@ -72,6 +80,7 @@ def run(
             resume=resume,
             in_process=in_process,
             cache=cache,
+            cluster=cluster,
             listener=listener,
         )
     )
@@ -86,8 +95,11 @@ def roll_out(
     in_process: bool,
     listener: Listener | None,
     cache: bool = True,
+    cluster: str | None = None,
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
+
+    A part of a run has all rounds: whether some are enough shows in the whole alone.
 
     Args:
         plan: what is to be run.
@@ -97,6 +109,7 @@ def roll_out(
         in_process: whether trials run in this very process.
         listener: hears of progress.
         cache: whether results of earlier runs are taken over.
+        cluster: the address of a Ray cluster; None = this machine.
 
     Raises:
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
@@ -107,11 +120,19 @@ def roll_out(
 
     ears, command = listener or Silence(), tuple(sys.argv)
     contest = None
+    if plan.shard is not None:
+        ears.message(_part(plan, plan.shard))
     if plan.against is not None:
         contest = Contest(
-            plan, plan.against, workers=workers, command=command, listener=ears, cache=cache
+            plan,
+            plan.against,
+            workers=workers,
+            cluster=cluster,
+            command=command,
+            listener=ears,
+            cache=cache,
         )
-    elif plan.suite.gate.max_drop is not None:
+    elif plan.suite.gate.max_drop is not None and plan.shard is None:
         ears.message(_without_baseline(plan))
     return session.carry_out(
         plan,
@@ -121,8 +142,10 @@ def roll_out(
         command=command,
         listener=ears,
         in_process=in_process,
+        cluster=cluster,
         prelude=None if contest is None else contest.begin,
-        enough=None if contest is None else contest.enough,
+        # What is enough shows in whole rounds only, of which a part has none.
+        enough=None if contest is None or plan.shard is not None else contest.enough,
         cache=cache,
     )
 
@@ -138,20 +161,62 @@ def _without_baseline(plan: Plan) -> str:
     )
 
 
-def _check_in_process(request: Request, workers: int | None) -> None:
+def _part(plan: Plan, shard: ShardInfo) -> str:
+    """Return which part of a run is run here."""
+    trials = plural(len(plan.trials), "trial")
+    rounds = plural(plan.suite.trials, "round")
+    return f"{shard}: {trials} of all {rounds}; `nw-eval merge` judges the whole"
+
+
+def _cluster(engine: Engine, address: str | None) -> str | None:
+    """Return the address of the cluster that trials run on; None = none.
+
+    Raises:
+        UsageError: an address of nothing, or no such engine.
+    """
+    if engine not in get_args(Engine):
+        raise UsageError(f"--engine {engine!r}", fix=nearest(str(engine), get_args(Engine)))
+    if engine == "ray":
+        return address or "local"
+    if address is not None:
+        raise UsageError(f"--address {address} is of no use here", fix="add --engine ray")
+    return None
+
+
+def _check_in_process(request: Request, workers: int | None, cluster: str | None) -> None:
     """Refuse what one process cannot do.
 
     Raises:
         UsageError: more workers than one, or a limit that nobody could hold a trial to.
     """
+    if cluster is not None:
+        raise UsageError(
+            "--in-process with --engine ray: trials run here or there", fix="drop one of them"
+        )
     if workers not in {None, 1}:
         raise UsageError(
             f"--workers {workers} with --in-process: it runs one trial after another",
             fix="drop one of them",
         )
-    if request.time_limit is not None:
+    check_limits(request, "--in-process")
+
+
+def check_limits(request: Request, door: str) -> None:
+    """Refuse limits to trials that run in this very process.
+
+    Args:
+        request: what is asked for.
+        door: why they do, in words.
+
+    Raises:
+        UsageError: there is a limit that nobody could hold a trial to.
+    """
+    time, memory = request.time_limit, request.memory_limit
+    limits = [] if time is None else [f"--time-limit {time:g}"]
+    limits += [] if memory is None else [f"--memory-limit {memory}"]
+    if limits:
         raise UsageError(
-            f"--time-limit {request.time_limit:g} with --in-process: nobody could end the trial",
+            f"{' and '.join(limits)} with {door}: nobody could end the trial",
             fix="drop one of them",
         )
 

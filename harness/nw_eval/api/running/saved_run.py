@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.request import Shard
 from nw_eval.suite.trials import MAX_TRIALS
 
 if TYPE_CHECKING:
@@ -52,6 +53,12 @@ def continued(run: Path, request: Request) -> Plan:
     if info.request is None:
         raise IncomparableError(
             f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
+            fix="start a new run without --resume",
+        )
+    if request.shard is not None and request.shard != info.request.shard:
+        was = "all of its trials" if info.shard is None else str(info.shard)
+        raise IncomparableError(
+            f"cannot resume {run} as --shard {request.shard}: it was begun as {was}",
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
@@ -109,15 +116,41 @@ def saved_scenes(info: RunInfo) -> list[SceneLike]:
 def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return the trials that a run planned, from its suite and the digests of its scenes.
 
-    Against a bank the run says how many starts it drew them from; where a part of its rounds was
-    enough, those of the others were not wanted.
+    Those of a shard are its part alone. Where a part of the rounds was enough, trials of the others
+    were not wanted.
+
+    Raises:
+        StoreError: run.json contradicts itself about them.
+    """
+    from nw_eval.engine.shards import shard_of
+    from nw_eval.suite.trials import wanted
+
+    trials = whole_plan(info, suite)
+    if info.shard is not None:
+        shard = Shard(index=info.shard.index, count=info.shard.count)
+        try:
+            trials, known = shard_of(trials, shard)
+        except UsageError as error:
+            raise _damaged(info, str(error)) from None
+        if known != info.shard:
+            raise _damaged(info, f"the plan that it is {info.shard} of is another one")
+    trials = wanted(trials, info.stopped_after)
+    planned: dict[str, Any] = {name: count for name, count in info.planned.items() if count}
+    if Counter(trial.scene for trial in trials) != planned:
+        raise _damaged(info, "the numbers of trials of its scenes are not those of its suite")
+    return trials
+
+
+def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
+    """Return all trials of the run that a run is, or is a part of, in the order of its suite.
+
+    Against a bank the run says how many starts it drew them from.
 
     Raises:
         StoreError: run.json contradicts itself about them.
     """
     from nw_eval.gate.baseline.draw import draw_starts
     from nw_eval.suite import expand
-    from nw_eval.suite.trials import wanted
 
     scenes = saved_scenes(info)
     starts = None
@@ -129,13 +162,23 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
             strata, info.drawn_from, candidate=info.policy, suite_digest=suite.digest
         )
     try:
-        trials = wanted(expand(suite, scenes, starts), info.stopped_after)
+        return expand(suite, scenes, starts)
     except UsageError as error:
         raise _damaged(info, str(error)) from None
-    planned: dict[str, Any] = {name: count for name, count in info.planned.items() if count}
-    if Counter(trial.scene for trial in trials) != planned:
-        raise _damaged(info, "the numbers of trials of its scenes are not those of its suite")
-    return trials
+
+
+def check_whole(info: RunInfo) -> RunInfo:
+    """Return the run.json of a run that may be judged, or serve as a measure.
+
+    Raises:
+        UsageError: it is of a part of a run.
+    """
+    if info.shard is not None:
+        raise UsageError(
+            f"run {info.id} is {info.shard}: of the whole run it says nothing",
+            fix="put all parts together with `nw-eval merge RUN... --out FOLDER`",
+        )
+    return info
 
 
 def _damaged(info: RunInfo, fault: str) -> StoreError:

@@ -67,7 +67,8 @@ def plan_trials(
         workers: processes to reckon minutes with; one for each core if None.
 
     Raises:
-        UsageError: there is neither a bank nor a run, or no policy can drop by `detect`.
+        UsageError: there is neither a bank nor a run, the run is a part of one, or no policy can
+            drop by `detect`.
         SuiteError, PolicyError: as `plan`.
         StoreError: the bank or the run is damaged, or the picture cannot be written.
         IncomparableError: the bank or the run has other scenes than the suite.
@@ -160,14 +161,14 @@ def _only_bank(suite: str) -> Path:
 def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
     from nw_eval.api.baselines.saved import STARTS
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.api.running.saved_run import check_whole, saved_suite, saved_trials
     from nw_eval.gate.baseline.foresee import outset_of_rows
     from nw_eval.results.ended import read_trials
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
-    info = read_run_info(opened.run_json)
+    info = check_whole(read_run_info(opened.run_json))
     rows = read_trials(opened, info, saved_trials(info, saved_suite(info))).rows
     source = f"run {info.id} of {info.policy.name}"
     scenes = {name: scene.digest for name, scene in info.scenes.items()}

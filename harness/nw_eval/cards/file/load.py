@@ -13,7 +13,14 @@ from nw_eval.cards.file.inputs import input_problems
 from nw_eval.cards.file.joints import joint_problems
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.files.yaml_file import Location, YamlFile, YamlProblems, read_yaml, validation_problems
+from nw_eval.files.yaml_file import (
+    Location,
+    YamlFile,
+    YamlProblems,
+    parse_yaml,
+    read_yaml,
+    validation_problems,
+)
 
 CARD_FILE = "policy.yaml"
 
@@ -38,6 +45,22 @@ def load_card(path: Path) -> Card:
     """
     try:
         return _card(read_yaml(path))
+    except YamlProblems as error:
+        raise PolicyError(error.problems) from None
+
+
+def parse_card(text: str, *, file: str) -> Card:
+    """Read the card of a text, such as the one that a log carries along.
+
+    Args:
+        text: what the card's file held.
+        file: what errors call it.
+
+    Raises:
+        PolicyError: as `load_card`.
+    """
+    try:
+        return _card(parse_yaml(text, file=file))
     except YamlProblems as error:
         raise PolicyError(error.problems) from None
 

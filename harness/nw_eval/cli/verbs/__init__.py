@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import tyro
 
 from nw_eval import __version__
+from nw_eval.cli.verbs.blame import Blame
 from nw_eval.cli.verbs.check import Check
 from nw_eval.cli.verbs.judging.agree import Agree
 from nw_eval.cli.verbs.judging.baseline import Baseline
@@ -15,6 +16,7 @@ from nw_eval.cli.verbs.judging.bisect import BisectSeries
 from nw_eval.cli.verbs.judging.compare import Compare
 from nw_eval.cli.verbs.judging.gate import GateRun
 from nw_eval.cli.verbs.judging.ledger import Ledger
+from nw_eval.cli.verbs.judging.merge import MergeRuns
 from nw_eval.cli.verbs.judging.plan import PlanTrials
 from nw_eval.cli.verbs.parts.cache import CacheOfTrials
 from nw_eval.cli.verbs.parts.policies import Policies
@@ -26,6 +28,7 @@ from nw_eval.cli.verbs.parts.suites import Suites
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
 from nw_eval.cli.verbs.run import Run
+from nw_eval.cli.verbs.verify import Verify
 from nw_eval.cli.verbs.warmup import Warmup
 
 Verb = (
@@ -35,12 +38,15 @@ Verb = (
     | Annotated[Suites, tyro.conf.subcommand("suites")]
     | Annotated[Baseline, tyro.conf.subcommand("baseline")]
     | Annotated[GateRun, tyro.conf.subcommand("gate")]
+    | Annotated[MergeRuns, tyro.conf.subcommand("merge")]
     | Annotated[Ledger, tyro.conf.subcommand("ledger")]
     | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Agree, tyro.conf.subcommand("agree")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Verify, tyro.conf.subcommand("verify")]
+    | Annotated[Blame, tyro.conf.subcommand("blame")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]

@@ -1,4 +1,4 @@
-"""`nw-eval replay`: run a recorded trial again and compare it bit for bit, or show its log."""
+"""`nw-eval replay`: a recorded trial again, bit for bit or under another policy; or its log."""
 
 from __future__ import annotations
 
@@ -15,30 +15,39 @@ from nw_eval.words import Viewer
 class Replay:
     """Run a recorded trial again from its log, and say whether it ends in the same bits.
 
-    With --layout or --rrd its log is shown as it is, and nothing is run.
+    With --from another policy takes over at that second, from exactly the recorded state; until
+    then it looks on. With --layout or --rrd the log is shown as it is, and nothing is run.
     """
 
     log: tyro.conf.Positional[Path]
     """A trial's MCAP file."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """The bundle that made it, when it has moved since."""
+    """The bundle that made it, when it has moved since; with --from, the one that takes over."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     start: float = 0.0
     """Restore the last recorded state at or before this second, instead of the beginning."""
+    takeover: Annotated[float | None, tyro.conf.arg(name="from", metavar="FLOAT")] = None
+    """The second at which --policy, or the recorded card with --checkpoint, takes over."""
     picture: Path | None = None
     """Write the trial's contact sheet (third person and robot's eye) to this PNG."""
+    video: Path | None = None
+    """Film it in real time, third person beside the policy's own view, to this MP4 (needs
+    nw-eval[video])."""
     layout: Viewer | None = None
     """Print a layout of the log to import in Foxglove or Lichtblick; for Rerun, write a blueprint
     beside the log (needs nw-eval[rerun]) and print the commands that use it."""
     out: Path | None = None
-    """Where --layout writes instead: a .json, or for Rerun an .rbl."""
+    """Where --layout writes instead: a .json, or for Rerun an .rbl. With --from, where the log of
+    the new trial goes, an .mcap that can be replayed."""
     rrd: Path | None = None
     """Write the log as a recording of Rerun, an .rrd (needs nw-eval[rerun])."""
     allow_code: bool = False
     """Let `python:` adapters import code."""
 
     def __call__(self) -> int:
+        if self.takeover is not None:
+            return self._take_over(self.takeover)
         if self.layout is not None or self.rrd is not None or self.out is not None:
             return self._show()
         from nw_eval import api
@@ -51,12 +60,42 @@ class Replay:
             checkpoint=self.checkpoint,
             start=self.start,
             picture=self.picture,
+            video=self.video,
             allow_code=self.allow_code,
         )
         print(replay_line(replayed))
-        if replayed.picture is not None:
-            print(replayed.picture)
+        for written in (replayed.picture, replayed.video):
+            if written is not None:
+                print(written)
         return 0 if replayed.is_identical else StoreError.exit_code
+
+    def _take_over(self, start: float) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.takeover import takeover_page
+
+        self._refuse(
+            {
+                "--start": self.start or None,
+                "--picture": self.picture,
+                "--layout": self.layout,
+                "--rrd": self.rrd,
+            },
+            "is not for a take-over, which --from is",
+        )
+        taken = api.take_over(
+            self.log,
+            start=start,
+            policy=self.policy,
+            checkpoint=self.checkpoint,
+            out=self.out,
+            video=self.video,
+            allow_code=self.allow_code,
+        )
+        print(takeover_page(taken))
+        for written in (taken.log, taken.video):
+            if written is not None:
+                print(written)
+        return 0
 
     def _show(self) -> int:
         import json
@@ -80,17 +119,28 @@ class Replay:
 
         if self.layout is None and self.out is not None:
             raise UsageError("--out is where --layout writes", fix="add --layout foxglove or rerun")
-        run = {
-            "--policy": self.policy,
-            "--checkpoint": self.checkpoint,
-            "--start": self.start or None,
-            "--picture": self.picture,
-            "--allow-code": self.allow_code or None,
-        }
-        used = [option for option, value in run.items() if value is not None]
-        if used:
-            shows = "--layout" if self.layout is not None else "--rrd"
-            raise UsageError(
-                f"{used[0]} is for running the trial again, {shows} runs nothing",
-                fix="give them in two commands",
-            )
+        shows = "--layout" if self.layout is not None else "--rrd"
+        self._refuse(
+            {
+                "--policy": self.policy,
+                "--checkpoint": self.checkpoint,
+                "--start": self.start or None,
+                "--picture": self.picture,
+                "--video": self.video,
+                "--allow-code": self.allow_code or None,
+            },
+            f"is for running the trial again, {shows} runs nothing",
+        )
+
+    @staticmethod
+    def _refuse(options: dict[str, object], why: str) -> None:
+        """Refuse the first of these options that is given.
+
+        Raises:
+            UsageError: one is.
+        """
+        from nw_eval.errors import UsageError
+
+        for option, value in options.items():
+            if value is not None:
+                raise UsageError(f"{option} {why}", fix="give them in two commands")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nw_eval.cli.verbs.options import Options
 from nw_eval.cli.verbs.publishing import Publishing
+from nw_eval.words import Engine
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
@@ -26,7 +27,7 @@ class Run(Publishing, Options):
     """The run's folder; `reports/<suite>-<policy>-<time>-<digest>` when absent."""
     resume: Path | None = None
     """The folder of an interrupted run to finish: what is not given is as the run was begun.
-    Other trials, scenes, record or time limit may be given with it.
+    Other trials, scenes, record, time or memory limit may be given with it.
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
     ledger: Path | None = None
@@ -38,6 +39,13 @@ class Run(Publishing, Options):
     """Run every trial. Results of earlier runs of the very same trials are taken over otherwise,
     but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
 
+    engine: Engine = "local"
+    """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
+    Rows are the same; --resume may use another engine than the run began with."""
+    address: str | None = None
+    """With --engine ray: auto, host:port of the cluster's head, or ray://host:port.
+    A cluster of this machine is started for the run when absent."""
+
     def __call__(self) -> int:
         return self.publishing(str(self.suite or self.resume or "suite"), self._run)
 
@@ -48,7 +56,13 @@ class Run(Publishing, Options):
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.terminal.summary import summary
+        from nw_eval.errors import UsageError
 
+        if self.ledger is not None and self.shard is not None:
+            raise UsageError(
+                f"--ledger with --shard {self.shard}: a part has no verdict",
+                fix="give --ledger to `nw-eval merge`",
+            )
         with (
             group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
             RunProgress(bars=not self.in_process) as progress,
@@ -60,6 +74,8 @@ class Run(Publishing, Options):
                 resume=self.resume,
                 in_process=self.in_process,
                 cache=not self.no_cache,
+                engine=self.engine,
+                address=self.address,
                 listener=progress,
             )
         print(summary(outcome, folded=self.on_github))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.confinement.environment import child_environment
 from nw_eval.confinement.family import interrupts_blocked, without_script
-from nw_eval.confinement.nursery.process import Surroundings, Wish, serve
+from nw_eval.confinement.nursery.process import Circumstances, Wish, serve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -82,7 +82,7 @@ class Nursery:
                     self._process.kill()  # Half a wish would be taken for the start of the next.
                     raise OSError(f"the process that starts workers is gone: {error}") from None
             with suppress(BrokenPipeError):  # It has ended, which its owner will see.
-                orders.send(Surroundings.here())
+                orders.send(Circumstances.here())
                 orders.send((function, tuple(arguments)))
         return child
 

@@ -20,7 +20,7 @@ _FAILED = 70
 
 
 @dataclass(frozen=True, kw_only=True)
-class Surroundings:
+class Circumstances:
     """What a child takes over from the process that asked for it, as it is at that moment."""
 
     environment: dict[str, str]
@@ -28,7 +28,7 @@ class Surroundings:
     path: list[str]
 
     @classmethod
-    def here(cls) -> Surroundings:
+    def here(cls) -> Circumstances:
         """Return those of this process."""
         folder = None
         with suppress(OSError):  # It was removed; nothing that a child is given is relative to it.
@@ -101,7 +101,7 @@ def _be_child(owner: Connection, handles: list[int], *, parent: int) -> NoReturn
         set_parent(parent)
         orders, *connections = map(Connection, handles)
         with orders:
-            surroundings: Surroundings = orders.recv()
+            surroundings: Circumstances = orders.recv()
             surroundings.enter()
             function, arguments = orders.recv()
         function(*arguments, *connections)

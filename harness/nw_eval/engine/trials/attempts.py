@@ -170,6 +170,7 @@ class Attempts:
             policy=self._policy,
             arm=self._arm,
             folder=self._folder,
+            host=ended.host,
         )
         self._journal.append(row)
         self._known.ended(ended.job, row)

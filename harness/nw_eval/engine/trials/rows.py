@@ -6,6 +6,7 @@ import platform
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.row import Row
 from nw_eval.rollout.result import policy_fault
 
@@ -24,6 +25,7 @@ def make_row(
     policy: str,
     folder: RunFolder,
     arm: Arm = "candidate",
+    host: str = "",
 ) -> Row:
     """Return the row of one attempt at a trial.
 
@@ -34,6 +36,7 @@ def make_row(
         policy: the policy's name.
         folder: of the run, which the row's log path starts from.
         arm: whether the policy is the one that is judged.
+        host: the machine that it ran on; empty = this one.
     """
     trial = job.trial
     is_ok = result.status == "ok"
@@ -78,9 +81,10 @@ def make_row(
         action_digest=result.action_digest,
         checkpoint_digest=job.checkpoint_digest,
         scene_digest=trial.scene_digest,
-        host=platform.node(),
+        host=host or platform.node(),
         mcap_path=folder.relative(job.mcap) if has_log and job.mcap is not None else "",
         mcap_bytes=result.mcap_bytes,
+        mcap_sha256=log_sha256(job.mcap) if has_log and job.mcap is not None else "",
         error_type=result.error_type or "",
         error_text=result.error_text,
     )

@@ -13,6 +13,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.engine.machine.descendants import can_be_listed
 from nw_eval.engine.machine.output import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
@@ -20,15 +21,18 @@ from nw_eval.engine.workers import worker
 from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
 from nw_eval.engine.workers.protocol import Finished
 from nw_eval.engine.workers.worker import WorkerStart
-from nw_eval.errors import TrialError
+from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.access import running_rules
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
+
+    Run = Callable[[TrialJob], TrialResult]
 
 # Trials that a worker runs before a fresh one takes its place: a leak has an end.
 RECYCLE_AFTER = 100
@@ -45,14 +49,29 @@ class LocalProcesses:
     Args:
         jobs: all of the run.
         folder: of the run.
+        run: called with each job in a worker.
+        memory_limit: bytes that a worker may hold with its children.
 
     Raises:
         PolicyError, SceneError: policy or scenes are not where the jobs say.
+        PrerequisiteError: this system cannot hold them to a memory limit.
     """
 
     again = "in a fresh process"
 
-    def __init__(self, jobs: Sequence[TrialJob], folder: RunFolder) -> None:
+    def __init__(
+        self,
+        jobs: Sequence[TrialJob],
+        folder: RunFolder,
+        *,
+        run: Run = worker.run_job,
+        memory_limit: int | None = None,
+    ) -> None:
+        if memory_limit is not None and not can_be_listed():
+            raise PrerequisiteError(
+                "--memory-limit: this system does not say what a process and its children hold",
+                fix="drop it, or run on Linux with /proc",
+            )
         job = jobs[0]
         bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
         rules = running_rules(
@@ -65,14 +84,18 @@ class LocalProcesses:
         draws = any(needs_splats(bundle.card, each.record) for each in jobs)
         self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
         self._printed = folder.workers_log
+        self._run = run
+        self._memory_limit = memory_limit
 
     def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
         """Return workers: `count` processes, each for many jobs or for one."""
         return LocalWorkers(
             count,
             start=self._start,
+            run=self._run,
             output=WorkerOutput(self._printed),
             recycle_after=1 if fresh else RECYCLE_AFTER,
+            memory_limit=self._memory_limit,
         )
 
 
@@ -82,8 +105,10 @@ class LocalWorkers:
     Args:
         workers: number of processes.
         start: what each of them starts with.
+        run: called there with each job.
         output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
+        memory_limit: bytes that a process may hold with its children.
     """
 
     def __init__(
@@ -91,13 +116,17 @@ class LocalWorkers:
         workers: int,
         *,
         start: WorkerStart,
+        run: Run,
         output: WorkerOutput,
         recycle_after: int = RECYCLE_AFTER,
+        memory_limit: int | None = None,
     ) -> None:
         self._count = workers
         self._start_with = start
+        self._run = run
         self._output = output
         self._recycle_after = recycle_after
+        self._memory_limit = memory_limit
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
@@ -145,9 +174,10 @@ class LocalWorkers:
         try:
             return WorkerProcess(
                 start=partial(worker.start, self._start_with),
-                run=worker.run_job,
+                run=self._run,
                 rules=self._start_with.rules,
                 output=self._output.end,
+                memory_limit=self._memory_limit,
             )
         except OSError as error:
             raise TrialError(

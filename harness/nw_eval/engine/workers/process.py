@@ -21,8 +21,11 @@ from typing import NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
+from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.confinement import Rules, kill_group
+from nw_eval.engine.machine.descendants import descendants, kill, left_by
+from nw_eval.engine.machine.resident import Resident
 from nw_eval.rollout.confined.start import start_process
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
@@ -51,6 +54,7 @@ class WorkerProcess:
         run: called there with each job.
         rules: by which it will be confined.
         output: what it prints to; remains the caller's.
+        memory_limit: bytes that it may hold with its children while it runs one.
 
     Raises:
         OSError: no process can be started.
@@ -63,6 +67,7 @@ class WorkerProcess:
         run: Callable[[TrialJob], TrialResult],
         rules: Rules,
         output: Connection,
+        memory_limit: int | None = None,
     ) -> None:
         theirs, self._jobs = Pipe(duplex=False)
         self._results, back = Pipe(duplex=False)
@@ -81,6 +86,10 @@ class WorkerProcess:
         finally:
             theirs.close()
             back.close()
+        assert self._process.pid is not None, "it has been started"
+        self._pid = self._process.pid
+        self._memory_limit = memory_limit
+        self._memory = Resident(self._pid)
         self.job: TrialJob | None = None
         self.jobs_done = 0
         self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
@@ -115,6 +124,7 @@ class WorkerProcess:
         if not self._is_taken and _TAKEN + b"\n" in self._heard:
             self._is_taken = True
             self._deadline = monotonic() + self.job.time_limit
+            self._memory.restrain(self._memory_limit)
         *lines, _ = self._heard.split(b"\n")
         if len(lines) > 1:
             self._heard = b""
@@ -124,18 +134,28 @@ class WorkerProcess:
             self._process.join(_LAST_MOMENTS)
             code = self._process.exitcode
         if code is None and is_open and monotonic() <= self._deadline:
-            return None
+            return self._overgrown()
         if not self._is_taken:
             raise UnstartedError
         if code is None and is_open:
             return _hung(self.job)
         return _dead(code)
 
+    def _overgrown(self) -> TrialResult | None:
+        """Return what the job comes to if the process, which runs it, holds too much memory."""
+        if self._memory_limit is None or not self._is_taken:
+            return None
+        held = self._memory.beyond(self._memory_limit)
+        return None if held is None else _too_large(held, self._memory_limit)
+
     def kill(self) -> None:
         """End the process and all that it started, without waiting; to be called once."""
-        if self._process.exitcode is None:  # Else its number may be another's by now.
-            kill_group(self._process.pid)
+        has_ended = self._process.exitcode is not None
+        others = left_by(self._pid) if has_ended else descendants(self._pid)
+        if not has_ended:  # Else its number may be another's by now.
+            kill_group(self._pid)
             self._process.kill()
+        kill(others)
 
     def close(self) -> None:
         """Wait for a killed process, and close its pipes."""
@@ -173,6 +193,12 @@ def _hung(job: TrialJob) -> TrialResult:
         error_type="hung",
         error_text=f"no result within {job.time_limit:g} s; raise --time-limit if the machine "
         "is slow, or look at the policy",
+    )
+
+
+def _too_large(held: int, limit: int) -> TrialResult:
+    return _crashed(
+        f"the worker and its children held {in_words(held)}, --memory-limit is {in_words(limit)}"
     )
 
 

@@ -18,6 +18,8 @@ class Finished:
 
     job: TrialJob
     result: TrialResult
+    host: str = ""
+    """The machine that it ran on; empty = this one."""
 
 
 class Workers(Protocol):

@@ -10,6 +10,7 @@ from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.baseline.holding.known import known_rows
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.part import of_part
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.results.bank.against import Against
 from nw_eval.results.provenance import RunInfo
@@ -22,7 +23,7 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
     Where the bank's own policy did other than the bank says on the machine of the run, the verdict
-    is INVALID: nothing is charged to the candidate.
+    is INVALID: nothing is charged to the candidate. A part of a run is not judged (`gate.part`).
 
     Args:
         rows: of the run's plan.
@@ -33,7 +34,8 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Raises:
         IncomparableError, StoreError: as `compare`.
     """
-    verdict = _of_rows(rows, run, gate, against)
+    whole = run.shard is None
+    verdict = _of_rows(rows, run, gate, against) if whole else of_part(rows, run, gate)
     if run.cache is None or not run.cache.differing:
         return verdict
     reasons = (*run.cache.differing, *verdict.reasons)

@@ -54,6 +54,8 @@ def provenance_table(run: RunInfo) -> Table:
         "baseline": ""
         if run.baseline is None
         else f"{run.baseline.name}, {run.baseline.sha256[:12]}",
+        "part": "" if run.shard is None else f"{run.shard}, of plan {run.shard.plan[:12]}",
+        "merged of": _parts(run),
         "renderer": run.renderer or "none",
         "fence": run.fence,
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
@@ -61,12 +63,21 @@ def provenance_table(run: RunInfo) -> Table:
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
         "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
         "rows": run.rows_digest[:12],
+        "Merkle root": run.merkle_root,
     }
     return Table(
         title="Provenance",
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def _parts(run: RunInfo) -> str:
+    """Return of which parts a run was merged, and where they ran; nothing if it was run whole."""
+    if not run.parts:
+        return ""
+    hosts = ", ".join(sorted({part.host for part in run.parts}))
+    return f"{plural(len(run.parts), 'part')}, run on {hosts}"
 
 
 def _saved(run: RunInfo) -> str:

@@ -53,11 +53,11 @@ def _scenes(rows: Sequence[Row], task: str) -> list[str]:
 
 def _estimate(rows: Sequence[Row], task: str, confidence: float) -> Estimate:
     """Return mean success in a task, of fresh starts in its scenes."""
-    groups = [
-        [row.success for row in rows if row.scene == scene and row.success is not None]
-        for scene in _scenes(rows, task)
-    ]
-    return mean_of_scenes([np.array(group) for group in groups], confidence)
+    groups: dict[str, list[float]] = {scene: [] for scene in _scenes(rows, task)}
+    for row in rows:
+        if row.scene in groups and row.success is not None:
+            groups[row.scene].append(row.success)
+    return mean_of_scenes([np.array(group) for group in groups.values()], confidence)
 
 
 def _drop(verdict: Verdict, scenes: Sequence[str]) -> tuple[str, str]:

@@ -134,6 +134,14 @@ class Row:
     sense_s: Annotated[
         float, Column("wall s spent on observations that are no images", measured=True, added=True)
     ] = 0.0
+    mcap_sha256: Annotated[
+        str,
+        Column(
+            "SHA-256 of the log as it was when the trial ended; empty without one",
+            measured=True,
+            added=True,
+        ),
+    ] = ""
 
     def __post_init__(self) -> None:
         fault = mistyped(vars(self), COLUMNS)

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Mapping
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Self
 
 from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.errors import (
@@ -73,32 +73,84 @@ def call_isolated(
         NwEvalError: what the function raised, of the same class.
         PolicyError: the process died, took more than it may, or did not come back in time.
     """
-    receiver, sender = Pipe(duplex=False)
-    process: Started | None = None
-    try:
-        process = start_process(
-            _answer,
-            (rules, renders, function, dict(arguments)),
-            (sender,),
-            rules=rules,
-            is_one_of_many=False,
-        )
-        sender.close()
-        answer = _received(receiver, process, subject, time_limit)
-    finally:
-        receiver.close()
-        if process is not None:
-            if process.exitcode is None:
-                kill_group(process.pid)
-                process.kill()
-            process.join()
-            process.close()
-    if "error" in answer:
-        kind = _KINDS.get(str(answer.get("kind")))
-        lines = str(answer["error"]).splitlines()[:_LINES] or [""]
-        # What was not raised on purpose does not say what it is about.
-        raise PolicyError(f"{subject}: {lines[0]}") if kind is None else kind(lines)
-    return answer["value"]
+    with IsolatedCall(
+        function, subject=subject, rules=rules, renders=renders, arguments=arguments
+    ) as call:
+        return call.answer(time_limit)
+
+
+class IsolatedCall:
+    """A call that a fresh, confined process is at; a context manager that ends it.
+
+    Args:
+        function: as for `call_isolated`, and likewise `subject`, `rules` and `renders`.
+        subject: see there.
+        rules: see there.
+        renders: see there.
+        arguments: of the function, plain values.
+        is_one_of_many: whether more such calls will follow.
+
+    Attributes:
+        receiver: what to wait for: it is ready when there is an answer, or never will be one.
+
+    Raises:
+        OSError: no process can be started.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        /,
+        *,
+        subject: str,
+        rules: Rules,
+        renders: bool,
+        arguments: Mapping[str, Any],
+        is_one_of_many: bool = False,
+    ) -> None:
+        self.receiver, sender = Pipe(duplex=False)
+        self._subject = subject
+        try:
+            with sender:
+                self._process = start_process(
+                    _answer,
+                    (rules, renders, function, dict(arguments)),
+                    (sender,),
+                    rules=rules,
+                    is_one_of_many=is_one_of_many,
+                )
+        except BaseException:
+            self.receiver.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def answer(self, time_limit: float) -> Any:
+        """Wait for what the function returns, at most `time_limit` s; to be called once.
+
+        Raises:
+            NwEvalError, PolicyError: as `call_isolated`.
+        """
+        answer = _received(self.receiver, self._process, self._subject, time_limit)
+        if "error" in answer:
+            kind = _KINDS.get(str(answer.get("kind")))
+            lines = str(answer["error"]).splitlines()[:_LINES] or [""]
+            # What was not raised on purpose does not say what it is about.
+            raise PolicyError(f"{self._subject}: {lines[0]}") if kind is None else kind(lines)
+        return answer["value"]
+
+    def close(self) -> None:
+        """End the process and all that it started; to be called once."""
+        self.receiver.close()
+        if self._process.exitcode is None:
+            kill_group(self._process.pid)
+            self._process.kill()
+        self._process.join()
+        self._process.close()
 
 
 def _received(

@@ -9,17 +9,16 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from nw_eval.errors import PolicyError, UsageError
+from nw_eval.errors import PolicyError
 from nw_eval.files.cache import atomic_path
-from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
+from nw_eval.rollout.replaying.film.film import Film
 from nw_eval.rollout.replaying.logged import agreed
-from nw_eval.rollout.replaying.replay import check_inside, check_start, replay
+from nw_eval.rollout.replaying.moment import check_inside, check_start
+from nw_eval.rollout.replaying.readied import TIME_LIMIT, fetch, readied, scratch_folder
+from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.replaying.report import ReplayReport
-
-_TIME_LIMIT = 3600.0
-"""Seconds; a trial of 12 s takes 5 to 30."""
 
 
 def replay_apart(
@@ -30,14 +29,16 @@ def replay_apart(
     checkpoint: Path | None = None,
     allow_code: bool = False,
     picture: Path | None = None,
+    video: Path | None = None,
 ) -> ReplayReport:
-    """As `replay`, in a process of its own; draws the trial's contact sheet if asked for.
+    """As `replay`, in a process of its own; draws contact sheet and video if asked for.
 
     This process reads the log's words and makes the scene, whose cache is out of the other's reach.
 
     Raises:
         NwEvalError: as `replay`; the policy took more time or memory than it may.
-        StoreError: the picture cannot be written.
+        PrerequisiteError: a video is asked for, and PyAV is not installed.
+        StoreError: picture or video cannot be written.
         UsageError: CUDA must draw what it sees, and the caller does not allow code.
     """
     check_start(start)
@@ -46,44 +47,38 @@ def replay_apart(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     check_inside(start, logged)
-    job = logged.job
-    bundle = library.bundle(job.policy, job.checkpoint)
-    scene = library.scene(job.scene, job.collision)
-    renders = (bool(bundle.card.splat_images) or picture is not None) and scene.splat is not None
-    if renders and job.render == "cuda" and not allow_code:
-        # A log's word may not take the fence away, and the driver needs more than it lets through.
-        raise UsageError(
-            f"{path}: its pictures were drawn with CUDA, which cannot be confined",
-            fix="add --allow-code if you trust the log and the policy",
+    draws = picture is not None or video is not None
+    with scratch_folder() as folder:
+        ready = readied(logged.job, path, library, draws=draws, folder=folder)
+        filmed = folder / "trial.mp4"
+        answer = call_isolated(
+            _replay,
+            subject=str(path),
+            rules=ready.rules,
+            time_limit=TIME_LIMIT,
+            renders=ready.renders,
+            log=str(path.resolve()),
+            start=start,
+            policy=policy,
+            checkpoint=None if checkpoint is None else str(checkpoint),
+            allow_code=allow_code,
+            draws=picture is not None,
+            video=None if video is None else str(filmed),
         )
-    if renders:
-        scene.splat_store()
-    rules = running_rules(bundle, scenes=[job.scene], allow_code=allow_code, also=[path])
-    answer = call_isolated(
-        _replay,
-        subject=str(path),
-        rules=rules,
-        time_limit=_TIME_LIMIT,
-        renders=renders,
-        log=str(path.resolve()),
-        start=start,
-        policy=policy,
-        checkpoint=None if checkpoint is None else str(checkpoint),
-        allow_code=allow_code,
-        draws=picture is not None,
-    )
-    try:
-        report = TypeAdapter(ReplayReport).validate_python(answer["report"])
-        drawn = None if picture is None else b64decode(answer["picture"], validate=True)
-    except (KeyError, TypeError, ValueError):
-        raise PolicyError(
-            f"{path}: the replay gave no answer that can be read", fix="do not use this checkpoint"
-        ) from None
-    if picture is None or drawn is None:
-        return report
-    with atomic_path(picture) as temporary:
-        temporary.write_bytes(drawn)
-    return replace(report, picture=picture)
+        try:
+            report = TypeAdapter(ReplayReport).validate_python(answer["report"])
+            drawn = None if picture is None else b64decode(answer["picture"], validate=True)
+        except (KeyError, TypeError, ValueError):
+            raise PolicyError(
+                f"{path}: the replay gave no answer that can be read",
+                fix="do not use this checkpoint",
+            ) from None
+        if video is not None:
+            fetch(filmed, video)
+    if picture is not None and drawn is not None:
+        with atomic_path(picture) as temporary:
+            temporary.write_bytes(drawn)
+    return replace(report, picture=picture, video=video)
 
 
 def _replay(
@@ -94,6 +89,7 @@ def _replay(
     checkpoint: str | None,
     allow_code: bool,
     draws: bool,
+    video: str | None,
 ) -> dict[str, Any]:
     replayed = replay(
         Path(log),
@@ -101,6 +97,7 @@ def _replay(
         policy=policy,
         checkpoint=None if checkpoint is None else Path(checkpoint),
         allow_code=allow_code,
+        film=None if video is None else Film(Path(video)),
     )
     drawn = None
     if draws:

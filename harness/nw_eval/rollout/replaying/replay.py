@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import StoreError
 from nw_eval.rollout.clock import StageClock
-from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
+from nw_eval.rollout.replaying.moment import check_inside, check_start, step_at
 from nw_eval.rollout.replaying.report import Difference, ReplayReport
+from nw_eval.rollout.replaying.run_on import run_on
+from nw_eval.rollout.replaying.takeover.handover import driver, handover_of
+from nw_eval.rollout.replaying.takeover.led import lead_to
 from nw_eval.rollout.result import TrialResult
-from nw_eval.rollout.trial import ended, failed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
+    from nw_eval.rollout.replaying.film.film import Film
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +54,15 @@ def replay(
     checkpoint: Path | None = None,
     allow_code: bool = False,
     library: Library | None = None,
+    film: Film | None = None,
 ) -> Replayed:
     """Run a recorded trial again and compare its end with the recorded one.
 
     The log may be a stranger's, and so may the card that it names: what it says runs no code, opens
     no connection and writes nothing but caches. Only the caller's `allow_code` lets code run, and
     only a `policy` that the caller names is asked on a server.
+
+    A trial that a policy took over is led there by its own log.
 
     Args:
         path: the trial's log.
@@ -68,6 +71,7 @@ def replay(
         checkpoint: weights that were used instead of the card's.
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
+        film: takes pictures of what is run; None = nobody does.
 
     Raises:
         StoreError: the log cannot be read, or has no state that early.
@@ -85,10 +89,16 @@ def replay(
     check_inside(start, logged)
     job = logged.job
     with open_trial(job, library, StageClock()) as trial:
-        if start > 0.0:
+        earlier = handover_of(logged)
+        if earlier is not None and step_at(start) < earlier.step:
+            lead_to(earlier.step, trial, logged, library)
+        elif start > 0.0:
             restore(trial, logged, start)
         start_step = trial.episode.step
-        result = run_on(trial)
+        observers = () if film is None else (film.begun(trial, driver=driver(job)),)
+        result = run_on(trial, *observers)
+        if film is not None:
+            film.end(result)
     was, now = logged.verdict, as_metadata(result)
     built, builds = logged.versions, provenance()
     report = ReplayReport(
@@ -102,31 +112,6 @@ def replay(
     return Replayed(logged=logged, result=result, report=report)
 
 
-def check_start(start: float) -> None:
-    """Refuse what is no time in a trial.
-
-    Raises:
-        UsageError: it is negative or no number.
-    """
-    if not 0.0 <= start < math.inf:
-        raise UsageError(f"--start {start:g}", fix="give seconds, at least 0")
-
-
-def check_inside(start: float, logged: LoggedTrial) -> None:
-    """Refuse a time that the trial did not reach: from its end on there is nothing to compare.
-
-    Raises:
-        UsageError: it is the trial's end, or later.
-    """
-    steps = logged.verdict.get("steps", "")  # a stranger's word
-    if start > 0.0 and re.fullmatch(r"[0-9]{1,9}", steps):
-        length = int(steps) / CONTROL_RATE
-        if start >= length:
-            raise UsageError(
-                f"--start {start:g}: {logged.path} ends at {length:g} s", fix="give less"
-            )
-
-
 def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
     """Bring a trial to the last recorded state at or before `time` (s).
 
@@ -134,23 +119,10 @@ def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
         StoreError: there is none.
         TrialError: the state does not fit the trial.
     """
-    # The hair makes 0.58 s the 29th step of 50 in a second, which it is not in floating point.
-    limit = math.floor(time / trial.episode.world.control_period + 1e-6)
-    states = [state for state in logged.log.states() if state.step <= limit]
+    states = [state for state in logged.log.states() if state.step <= step_at(time)]
     if not states:
         raise StoreError(f"{logged.path} has no state at or before {time:g} s", fix="run it all")
     trial.episode.restore(states[-1])
-
-
-def run_on(trial: OpenTrial) -> TrialResult:
-    """Run a trial from where it stands to its end, without a log."""
-    try:
-        outcome = trial.episode.run()
-    except BaseException as error:
-        if is_interrupt(error):
-            raise
-        return failed(TrialResult.so_far(trial.episode), error)  # As in a run, it is the result.
-    return ended(trial, outcome)
 
 
 def _differences(

@@ -33,6 +33,8 @@ class ReplayReport:
     """Of the code and the libraries; under others equal bits cannot be expected."""
     picture: Path | None = None
     """The trial's contact sheet, if it was asked for."""
+    video: Path | None = None
+    """Likewise, its video."""
 
     @property
     def is_identical(self) -> bool:

@@ -35,6 +35,7 @@ def run_baseline(
     run: RunInfo,
     *,
     workers: int | None,
+    cluster: str | None,
     command: tuple[str, ...],
     listener: Listener,
     cache: bool,
@@ -47,6 +48,7 @@ def run_baseline(
         folder: of the candidate's run.
         run: its run.json.
         workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
         cache: whether results of earlier runs are taken over.
@@ -69,6 +71,7 @@ def run_baseline(
     session.carry_out(
         baseline_plan(plan, against, _bundle(plan, against, run)),
         workers=workers,
+        cluster=cluster,
         out=None if is_begun else nested.path,
         resume=nested.path if is_begun else None,
         command=command,

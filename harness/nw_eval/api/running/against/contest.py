@@ -28,6 +28,7 @@ class Contest:
         plan: the candidate's.
         against: the bank.
         workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
         cache: whether results of earlier runs are taken over.
@@ -39,6 +40,7 @@ class Contest:
         against: Against,
         *,
         workers: int | None,
+        cluster: str | None,
         command: tuple[str, ...],
         listener: Listener,
         cache: bool,
@@ -46,6 +48,7 @@ class Contest:
         self._plan = plan
         self._against = against
         self._workers = workers
+        self._cluster = cluster
         self._command = command
         self._listener = listener
         self._cache = cache
@@ -82,6 +85,7 @@ class Contest:
                 folder,
                 run,
                 workers=self._workers,
+                cluster=self._cluster,
                 command=self._command,
                 listener=self._listener,
                 cache=self._cache,

@@ -17,6 +17,8 @@ def forecast_page(forecast: Forecast) -> str:
     most = "at most " if forecast.baseline is not None else ""
     duration = suite.episode.duration
     count = f"{len(scenes)} scenes, {most}{scenes[0].trials} in each"
+    if forecast.shard is not None:
+        count = f"{forecast.shard}, of {len(scenes)} scenes"
     width = max(len(scene.name) for scene in scenes)
     panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [

@@ -40,6 +40,8 @@ class Save:
     """The splat renderer; cpu when absent."""
     time_limit: float | None = None
     """Seconds of wall time after which a trial counts as hung."""
+    memory_limit: str | None = None
+    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
@@ -68,6 +70,7 @@ class Save:
                 checkpoint=self.checkpoint,
                 render=self.render,
                 time_limit=self.time_limit,
+                memory_limit=self.memory_limit,
                 allow_code=self.allow_code,
             )
         print(saved_page(saved))

@@ -1,4 +1,4 @@
-"""`nw-eval plan`: how many trials a gate against a baseline takes, and what it sees."""
+"""`nw-eval plan`: how many trials a gate takes and what it sees; or into which parts they go."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ class PlanTrials:
     """Say how many trials convict a drop against a baseline, and what else the gate would see.
 
     Simulates the gate from the scores of a bank, or of a run of the suite. Runs no physics. `check`
-    says what would run; this one what it would show.
+    says what would run; this one what it would show. With --shards it says instead into which parts
+    a run goes, each of which a machine of its own runs (`run --shard`).
     """
 
     suite: tyro.conf.Positional[str]
@@ -31,7 +32,53 @@ class PlanTrials:
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes to reckon minutes with; the number of cores when absent."""
 
+    shards: int | None = None
+    """Cut a run into so many parts."""
+    json: bool = False
+    """With --shards: print them as the JSON of a GitHub matrix, in one line."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """With --shards: as for `run`, and so are the next two."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Trials per scene, against a baseline at most."""
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    """Only scenes that match one of these globs."""
+
     def __call__(self) -> int:
+        self._check()
+        return self._foresee() if self.shards is None else self._cut(self.shards)
+
+    def _check(self) -> None:
+        """Refuse options that say nothing about what is asked.
+
+        Raises:
+            UsageError: naming one.
+        """
+        from nw_eval.errors import UsageError
+
+        of_parts = ("json", "policy", "trials", "scenes")
+        of_curve = ("detect", "run", "png")
+        for name in of_parts if self.shards is None else of_curve:
+            if getattr(self, name) not in {None, False}:
+                without = "without" if self.shards is None else "with"
+                raise UsageError(f"--{name} {without} --shards", fix=f"drop --{name}")
+
+    def _cut(self, shards: int) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.judging.shard_plan import shard_matrix, shard_page
+
+        planned = api.plan_shards(
+            self.suite,
+            shards,
+            workers=self.workers,
+            policy=self.policy,
+            baseline=self.baseline,
+            trials=self.trials,
+            scenes=self.scenes,
+        )
+        print(shard_matrix(planned) if self.json else shard_page(planned))
+        return 0
+
+    def _foresee(self) -> int:
         from nw_eval import api
         from nw_eval.cli.text.judging.trial_plan import trial_plan_page
 

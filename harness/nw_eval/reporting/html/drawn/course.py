@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -107,8 +108,11 @@ def survived(ends: Sequence[Ends], waypoint: int) -> float:
 
 def _ends(rows: Sequence[Row]) -> dict[str, Ends]:
     found: dict[str, Ends] = {}
-    for scene in sorted({row.scene for row in rows}):
-        here = [row for row in rows if row.scene == scene and row.status == "ok"]
+    results: defaultdict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        if row.status == "ok":
+            results[row.scene].append(row)
+    for scene, here in sorted(results.items()):
         total = max((row.waypoints_total for row in here), default=0)
         if total:
             reached = np.bincount([row.waypoints_reached for row in here], minlength=total + 1)

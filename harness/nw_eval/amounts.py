@@ -1,0 +1,31 @@
+"""Amounts of memory, as people write them and as sentences say them."""
+
+from __future__ import annotations
+
+import re
+
+# Decimal and binary, as SI and IEC 80000-13 have them.
+_UNITS = {f"{letter}B": 10 ** (3 * n) for n, letter in enumerate("KMGT", 1)} | {
+    f"{letter}IB": 2 ** (10 * n) for n, letter in enumerate("KMGT", 1)
+}
+# Digits enough for a byte of a thousand terabytes.
+_AMOUNT = re.compile(r"(\d{1,15}(?:\.\d{1,15})?) ?([KMGT]I?B)", re.ASCII | re.IGNORECASE)
+
+
+def bytes_of(text: str) -> int:
+    """Return how many bytes `2GB`, `1.5 GiB` or `500MB` are.
+
+    Raises:
+        ValueError: it is no such amount, or nothing.
+    """
+    found = _AMOUNT.fullmatch(text.strip())
+    count = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
+    if count < 1:
+        raise ValueError("give a number and its unit, such as 2GB, 1.5GiB or 500MB")
+    return count
+
+
+def in_words(count: int) -> str:
+    """Return a number of bytes such as `2.31 GB` or `500 MB`."""
+    number, unit = (count / 1e9, "GB") if count >= 10**9 else (count / 1e6, "MB")
+    return f"{number:.2f}".rstrip("0").rstrip(".") + f" {unit}"

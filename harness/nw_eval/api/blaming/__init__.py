@@ -1,0 +1,1 @@
+"""Whose fault a failure is, and since when: a baseline takes over."""

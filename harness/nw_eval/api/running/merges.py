@@ -1,0 +1,109 @@
+"""Merging: the parts of a run become the run, and that is judged. Runs nothing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import IncomparableError, StoreError
+
+if TYPE_CHECKING:
+    from nw_eval.api.running.reports import RunReport
+    from nw_eval.results.bank.against import Against
+    from nw_eval.results.merge.source import Source
+    from nw_eval.suite import Trial
+
+
+def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None = None) -> RunReport:
+    """Put the parts of a run together in one folder, and judge it as `judge` does.
+
+    The rows are those that the run would have without parts. Folders may be named twice, in any
+    order, and one that was merged before may be among them: the rows are the same, byte for byte.
+
+    Args:
+        runs: the folders of all parts.
+        out: the folder of the merged run, which is there whole or not at all. Where it holds these
+            rows already, they are only judged again.
+        baseline: as for `judge`.
+
+    Raises:
+        UsageError: there is nothing to merge, one is no run's folder or that of a whole run, or
+            there is no such bank.
+        IncomparableError: two are not parts of one run, each field is named; or, once the rows are
+            merged, as `judge`.
+        StoreError: a part or trials of one are missing, a trial has two different results, a folder
+            is damaged, or `out` cannot be written or holds something else.
+    """
+    from nw_eval.api.running.against.banks import judging_bank
+    from nw_eval.api.running.reports import judged_rows, written
+    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.results.ended import RunRows
+    from nw_eval.results.merge.rows import joined
+    from nw_eval.results.merge.written import merged_info, write_merged
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite.trials import wanted
+
+    folder = RunFolder(path=Path(out).resolve())
+    sources, plan, remarks = _read(runs)
+    first = sources[0]
+    held = joined(sources, wanted(plan, first.info.stopped_after), first.parts[0].shard.count)
+    info = merged_info(sources, plan, name=folder.id, command=tuple(sys.argv))
+    info, lost = write_merged(folder.path, info, held, sources, _bank(sources))
+    suite = saved_suite(info)
+    found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
+    against = judging_bank(folder, info, suite, baseline)
+    return written(judged_rows(folder, info, suite, against, found), folder.report_md)
+
+
+def _read(
+    runs: Sequence[str | Path],
+) -> tuple[list[Source], tuple[Trial, ...], list[str]]:
+    """Return what is merged, the trials of the whole plan in order, and remarks."""
+    from nw_eval.api.running.saved_run import saved_suite, whole_plan
+    from nw_eval.engine.order import in_order
+    from nw_eval.engine.shards import plan_digest
+    from nw_eval.request import Shard
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.merge.alike import check_parts
+    from nw_eval.results.merge.source import Source
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite.trials import wanted
+
+    folders = [open_run_folder(Path(run)) for run in runs]
+    opened = [Source(folder=each, info=read_run_info(each.run_json)) for each in folders]
+    check_parts(opened)
+    first = opened[0]
+    ordered = in_order(whole_plan(first.info, saved_suite(first.info)))
+    if plan_digest(ordered) != first.parts[0].shard.plan:
+        raise StoreError(
+            f"{first}: its plan is not that of its suite and its scenes",
+            fix="merge folders that nw-eval wrote",
+        )
+    trials = wanted(ordered, first.info.stopped_after)
+    sources: list[Source] = []
+    remarks: list[str] = []
+    for source in opened:
+        shard = source.info.shard
+        own = trials
+        if shard is not None:
+            own = Shard(index=shard.index, count=shard.count).share(trials)
+        found = read_trials(source.folder, source.info, own)
+        sources.append(replace(source, rows=found.rows))
+        remarks += [f"{source}: {remark}" for remark in found.remarks]
+    return sources, ordered, remarks
+
+
+def _bank(sources: Sequence[Source]) -> Against | None:
+    """Return the bank that the parts were begun against, if any of them can still show it."""
+    from nw_eval.api.running.against.banks import kept_bank
+
+    for source in sources:
+        try:
+            return kept_bank(source.folder, source.info)
+        except (IncomparableError, StoreError):  # Judging says so, if nobody has it.
+            continue
+    return None

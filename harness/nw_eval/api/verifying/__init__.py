@@ -1,0 +1,1 @@
+"""Verifying a run: whether its files are as they were, and its trials give the same bits again."""

@@ -1,0 +1,76 @@
+"""Where a run's trials run: in processes of this machine, in this very one, or on a cluster."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from nw_eval.engine.workers.local import LocalProcesses
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Sequence
+
+    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.workers.protocol import Hire
+    from nw_eval.engine.workers.ray.connection import Joined
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.job import TrialJob
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workplace:
+    """A place where trials can run."""
+
+    workers: int | None
+    """How many at a time; None = one for each core of this machine."""
+    in_process: bool = False
+    """Whether it is this process: see `engine.workers.in_process`."""
+    joined: Joined | None = None
+    """The cluster that it is, if it is one."""
+
+    @contextmanager
+    def hire(
+        self, plan: Plan, jobs: Sequence[TrialJob], folder: RunFolder, listener: Listener
+    ) -> Generator[Hire]:
+        """Give what gets workers for the jobs of a plan inside the `with` block.
+
+        Raises:
+            UsageError: what the run needs cannot be brought there.
+        """
+        if self.in_process:
+            from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
+
+            yield InProcess(plan.bundle)
+        elif self.joined is not None:
+            from nw_eval.engine.workers.ray.workers import RayProcesses
+
+            with RayProcesses(plan, jobs, folder, joined=self.joined, listener=listener) as hire:
+                yield hire
+        else:
+            yield LocalProcesses(jobs, folder, memory_limit=plan.memory_limit)
+
+
+@contextmanager
+def workplace(
+    *, workers: int | None, in_process: bool, cluster: str | None
+) -> Generator[Workplace]:
+    """Open a place where trials can run, before anything of a run is written.
+
+    Args:
+        workers: how many trials at a time; one for each core if None.
+        in_process: whether it is this process.
+        cluster: the address of a Ray cluster; None = this machine.
+
+    Raises:
+        PrerequisiteError: Ray is not installed.
+        UsageError: there is no such cluster.
+    """
+    if cluster is None:
+        yield Workplace(workers=1 if in_process else workers, in_process=in_process)
+        return
+    from nw_eval.engine.workers.ray.connection import joined
+
+    with joined(cluster, cores=workers) as found:
+        yield Workplace(workers=found.cores if workers is None else workers, joined=found)

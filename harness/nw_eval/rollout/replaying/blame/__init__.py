@@ -1,0 +1,1 @@
+"""From when on a failure was not to be averted: by letting a baseline take over."""

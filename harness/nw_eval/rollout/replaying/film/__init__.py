@@ -1,0 +1,1 @@
+"""Videos of trials that run again."""

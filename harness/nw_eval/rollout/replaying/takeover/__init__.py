@@ -1,0 +1,1 @@
+"""A recorded trial that another policy takes over."""

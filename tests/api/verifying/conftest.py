@@ -1,0 +1,143 @@
+"""A run that has ended, as a folder of rows and logs that no simulation has made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from hashlib import sha256
+
+import pytest
+
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader, read_journal
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import (
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    read_run_info,
+    write_run_info,
+)
+from nw_eval.results.row import Row
+from nw_eval.results.run_folder import RunFolder
+from nw_eval.suite import new_suite
+from nw_eval.suite.trials import Trial
+
+SUITE = new_suite(
+    {
+        "nw-eval": 1,
+        "name": "quick",
+        "robot": "go1",
+        "policy": "stand",
+        "trials": 3,
+        "seed": 5,
+        "scenes": ["hurdles/one"],
+        "gate": {"success_rate": 0.3},
+    }
+)
+DIGEST = "dd" * 32
+HEADER = JournalHeader(
+    suite_digest=SUITE.digest, policy_digest="p", scene_digests={"hurdles/one": DIGEST}
+)
+
+
+def _row(folder, index):
+    trial = Trial(
+        suite="quick",
+        suite_digest=SUITE.digest,
+        suite_seed=5,
+        scene="hurdles/one",
+        scene_digest=DIGEST,
+        task="hurdles",
+        index=index,
+    )
+    log = folder.mcap(trial.scene, trial.id)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    log.write_bytes(f"what happened in {index}".encode() * 100)
+    return Row(
+        trial_id=trial.id,
+        suite="quick",
+        scene=trial.scene,
+        task=trial.task,
+        seed_index=index,
+        seed=trial.seed,
+        policy="stand",
+        status="ok",
+        outcome="fell",
+        end_reason="roll",
+        completed=False,
+        robot="go1",
+        success=0.25,
+        waypoints_reached=1,
+        waypoints_total=4,
+        steps=200,
+        sim_s=4.0,
+        physics_s=0.5,
+        render_s=1.0,
+        policy_s=0.1,
+        log_s=0.2,
+        wall_s=2.0,
+        checkpoint_digest="cc" * 32,
+        scene_digest=DIGEST,
+        mcap_path=folder.relative(log),
+        mcap_bytes=log.stat().st_size,
+        mcap_sha256=sha256(log.read_bytes()).hexdigest(),
+    )
+
+
+class EndedRun:
+    """A run's folder, and what somebody who can write in it may do."""
+
+    def __init__(self, path):
+        self.folder = RunFolder(path=path)
+        path.mkdir()
+        self.rows = [_row(self.folder, index) for index in range(3)]
+
+    @property
+    def path(self):
+        return self.folder.path
+
+    @property
+    def info(self):
+        return read_run_info(self.folder.run_json)
+
+    def write_journal(self, *rows):
+        """Write the journal anew, with sums that are right."""
+        self.folder.journal.unlink(missing_ok=True)
+        with Journal.create(self.folder.journal, HEADER) as journal:
+            for row in rows:
+                journal.append(row)
+
+    def write_info(self, **changes):
+        """Write run.json anew, with a sum that is right."""
+        write_run_info(self.folder.run_json, self.info.model_copy(update=changes))
+
+    def end(self, *rows):
+        """Write everything as if the run had ended with these rows: no sum is wrong."""
+        ended = write_trials(self.folder, self.info, rows)
+        write_run_info(self.folder.run_json, ended.model_copy(update={"finished": "later"}))
+
+    def changed(self, index, **changes):
+        """The run's rows, one of them changed."""
+        rows = list(read_journal(self.folder.journal).rows)
+        rows[index] = replace(rows[index], **changes)
+        return rows
+
+
+@pytest.fixture
+def run(tmp_path):
+    ran = EndedRun(tmp_path / "run")
+    info = RunInfo(
+        id="run",
+        started="2026-11-21T11:00:05Z",
+        suite_file="quick.yaml",
+        suite=SUITE.model_dump(by_alias=True, mode="json"),
+        suite_digest=SUITE.digest,
+        policy=PolicyInfo(name="stand", checkpoint_digest="cc" * 32, card_digest="p"),
+        scenes={"hurdles/one": SceneInfo(digest=DIGEST, task="hurdles", trials=3)},
+        code=code_info(),
+        machine=machine_info(),
+    )
+    write_run_info(ran.folder.run_json, info)
+    ran.write_journal(*ran.rows)
+    ran.end(*ran.rows)
+    return ran

@@ -1,0 +1,173 @@
+"""A hundred thousand simulated rows: planned, written down in four parts, merged and judged.
+
+No simulator runs: rows are drawn. Each part is written by a process of its own, as `run --shard`
+writes it, row by row on disk; then `nw-eval merge` puts them together, judges the run by a bar, and
+writes its pages. The seconds of all of it, and the most memory that any of its processes had.
+
+    python tests/bench/bench_merge.py
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from nw_eval.engine.shards import shard_of
+from nw_eval.request import Shard
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, write_run_info
+from nw_eval.results.row import Row
+from nw_eval.results.run_folder import RunFolder
+from nw_eval.suite import expand, new_suite
+
+SECONDS, BYTES = 30.0, 2**30  # at most
+NW_EVAL = str(Path(sys.executable).with_name("nw-eval"))
+SCENES, ROUNDS, PARTS, WAYPOINTS = 64, 1563, 4, 4
+SUITE = new_suite(
+    {
+        "nw-eval": 1,
+        "name": "bench",
+        "robot": "go1",
+        "policy": "drawn",
+        "trials": ROUNDS,
+        "seed": 1,
+        "scenes": ("*",),
+        "gate": {"success_rate": 0.75},
+    }
+)
+
+
+class Place:
+    """A scene, as trials need it."""
+
+    def __init__(self, number):
+        self.name, self.task, self.digest = f"place/{number:02d}", "hurdles", "dd" * 32
+
+
+def drawn_row(trial, reached):
+    """Return the row of a trial that reached some waypoints."""
+    done = reached == WAYPOINTS
+    return Row(
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        task=trial.task,
+        robot="go1",
+        seed_index=trial.index,
+        seed=trial.seed,
+        policy="drawn",
+        status="ok",
+        outcome="completed" if done else "fell",
+        end_reason="all waypoints" if done else "roll",
+        completed=done,
+        success=reached / WAYPOINTS,
+        waypoints_reached=reached,
+        waypoints_total=WAYPOINTS,
+        waypoint_times=tuple(float(k) for k in range(reached)),
+        steps=400,
+        sim_s=8.0,
+        physics_s=0.5,
+        render_s=0.0,
+        policy_s=0.1,
+        log_s=0.1,
+        wall_s=1.0,
+        state_digest="ab" * 32,
+        action_digest="cd" * 32,
+        checkpoint_digest="cc" * 32,
+        scene_digest=trial.scene_digest,
+        host="bench",
+    )
+
+
+def provenance(index, shard, trials):
+    """Return run.json of a part."""
+    counts = Counter(trial.scene for trial in trials)
+    return RunInfo(
+        id=f"part-{index}",
+        started="2026-11-22T00:00:00Z",
+        finished="2026-11-22T01:00:00Z",
+        wall_s=3600.0,
+        suite_file="bench.yaml",
+        suite=SUITE.model_dump(by_alias=True, mode="json"),
+        suite_digest=SUITE.digest,
+        policy=PolicyInfo(name="drawn", card_digest="c1" * 32, checkpoint_digest="cc" * 32),
+        scenes={
+            scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=counts[scene.name])
+            for scene in map(Place, range(SCENES))
+        },
+        shard=shard,
+        code=code_info(),
+        machine=machine_info(),
+        engine={"mujoco": "4.0.0", "renderer": "cpu", "cpu": "some"},
+    )
+
+
+def write_part(folder, index):
+    """Write the folder of a part, row by row, and print the seconds of what a run does of it."""
+    began = time.perf_counter()
+    scenes = list(map(Place, range(SCENES)))
+    trials, shard = shard_of(expand(SUITE, scenes), Shard(index=index, count=PARTS))
+    planned = time.perf_counter()
+    info = provenance(index, shard, trials)
+    reached = np.random.default_rng(index).binomial(WAYPOINTS, 0.95, size=len(trials)).tolist()
+    rows = [drawn_row(trial, k) for trial, k in zip(trials, reached, strict=True)]
+    header = JournalHeader(
+        suite_digest=info.suite_digest,
+        policy_digest=info.policy.card_digest,
+        scene_digests={scene.name: scene.digest for scene in scenes},
+        engine=info.engine,
+    )
+    at = RunFolder(path=folder)
+    at.path.mkdir()
+    drawn = time.perf_counter()
+    with Journal.create(at.journal, header) as journal:
+        for row in rows:
+            journal.append(row)
+    written = time.perf_counter()
+    write_run_info(at.run_json, write_trials(at, info, rows))
+    print(planned - began, written - drawn, time.perf_counter() - written)
+
+
+def timed(*words):
+    """Run a command; return what it printed, its seconds, and the most bytes that it had."""
+    began = time.perf_counter()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as child:
+        printed = child.stdout.read()
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+    assert child.returncode == 0, printed
+    return printed, time.perf_counter() - began, usage.ru_maxrss * 1024
+
+
+def main():
+    if len(sys.argv) == 3:
+        write_part(Path(sys.argv[1]), int(sys.argv[2]))
+        return
+    with TemporaryDirectory() as name:
+        parts = [str(Path(name) / f"part-{index}") for index in range(1, PARTS + 1)]
+        written = [timed(sys.executable, __file__, part, part[-1]) for part in parts]
+        _, merging, merger = timed(NW_EVAL, "merge", *parts, "--out", str(Path(name) / "merged"))
+    shares = np.array([[float(x) for x in printed.split()] for printed, _, _ in written])
+    writer = max(size for _, _, size in written)
+    print(f"{SCENES * ROUNDS} rows in {PARTS} parts, one after the other")
+    print(f"{'':>16} {'s':>7} {'MB':>6}")
+    for what, seconds in zip(("plan", "journal", "parquet"), shares.sum(axis=0), strict=True):
+        print(f"{what:>16} {seconds:>7.1f} {writer / 1e6:>6.0f}")
+    print(f"{'merge and judge':>16} {merging:>7.1f} {merger / 1e6:>6.0f}")
+    total, most = float(shares.sum()) + merging, max(writer, merger)
+    print(f"{'all':>16} {total:>7.1f} {most / 1e6:>6.0f}")
+    assert total <= SECONDS, f"{total:.1f} s"
+    assert most <= BYTES, f"{most / 1e6:.0f} MB"
+
+
+if __name__ == "__main__":
+    main()

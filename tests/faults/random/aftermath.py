@@ -1,0 +1,61 @@
+"""What must be true of a case that was hit and has come to its verdict."""
+
+import fcntl
+import signal
+import time
+
+from case import send
+
+from nw_eval.results.row import rows_digest
+
+_PATIENCE = 10.0  # s until all processes must be gone
+
+
+def faults_of(case, origin, kept):
+    """Return what is wrong with a case that has ended, in sentences.
+
+    Args:
+        case: the case.
+        origin: the undisturbed run.
+        kept: rows that it had before it was resumed.
+    """
+    rows, wrong = case.rows(), list(case.wrong)
+    if rows_digest(rows.values()) != origin.digest:
+        wrong.append("other rows")
+    if any(row.status == "ok" and rows.get(name) != row for name, row in kept.items()):
+        wrong.append("a finished trial was lost")
+    said = "".join(run.said for run in case.runs)
+    if "Traceback" in said:
+        wrong.append(f"a traceback: {said[-1500:]}")
+    if left := _left(case):
+        wrong.append(f"{len(left)} processes left")
+        send(left, signal.SIGKILL)
+    if not _is_free(case.journal):
+        wrong.append("the journal is still held")
+    logs = {row.mcap_path for row in rows.values()}
+    torn = [path.name for path in case.folder.rglob("*.partial") if _has_whole(path, logs, case)]
+    if torn:
+        wrong.append(f"torn logs: {', '.join(torn)}")
+    return wrong
+
+
+def _left(case):
+    """Return the processes of a case that do not end by themselves."""
+    deadline = time.monotonic() + _PATIENCE
+    while (left := case.relatives()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return left
+
+
+def _is_free(journal):
+    try:
+        with journal.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _has_whole(path, logs, case):
+    """Whether half of a log lies beside the whole; where it does not, it is all the evidence."""
+    return path.with_suffix("").relative_to(case.folder).as_posix() in logs

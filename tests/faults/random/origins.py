@@ -1,0 +1,197 @@
+"""The undisturbed runs, each computed once, and the policies that misbehave when a case asks."""
+
+import importlib.util
+import json
+import os
+import random
+import shutil
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from case import Case
+from injection import site
+
+from nw_eval.files.cache import cache_dir
+from nw_eval.results.row import rows_digest
+
+SUITE = """\
+nw-eval: 1
+name: tiny
+robot: go1
+policy: {policy}
+trials: {trials}
+seed: 7
+episode: {{duration: 0.2}}
+scenes: [flat/carpet_room]
+record: {record}
+gate: {{success_rate: 0.9}}
+"""
+TRIALS = 6
+VERDICT = 1  # REGRESSED: nobody gets anywhere in a fifth of a second.
+# What a policy does at its next step is in a file of its folder, once.
+OBEYS = """\
+import ctypes, os, signal, subprocess, sys, time
+
+class Policy:
+    def __init__(self, bundle):
+        self.order = bundle.folder / f"order-{os.environ['NW_EVAL_RANDOM_FAULT']}"
+
+    def reset(self, seed):
+        pass
+
+    def act(self, observation):
+        time.sleep(0.02)
+        try:
+            taken = self.order.rename(self.order.with_suffix(".taken"))
+        except OSError:
+            return [0.0] * 12
+        exec(taken.read_text())
+        return [0.0] * 12
+"""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """An undisturbed run: its command line, its rows, and how long it took."""
+
+    name: str
+    work: Path
+    words: tuple
+    digest: str
+    seconds: float
+
+    @property
+    def cache(self):
+        return self.work / "cache" if self.name == "rendered" else None
+
+    def order(self, case):
+        """Return the file from which the policy of a case takes its order."""
+        return self.work.parent / "obeying" / f"order-{case.mark}"
+
+    @cached_property
+    def sites(self):
+        """The calls of this program's own code while a half of the run is resumed, in order."""
+        case = Case(work=self.work / "noted", draw=random.Random(0))
+        shutil.copytree(self.work / "run", case.folder)
+        lines = case.journal.read_bytes().splitlines(keepends=True)
+        case.journal.write_bytes(b"".join(lines[: 1 + TRIALS // 2]))
+        case.start(
+            "--resume", case.folder, *self.resumed, before=lambda: _note(case.work / "sites")
+        )
+        assert case.run.end() == VERDICT, case.run.said
+        return list(dict.fromkeys((case.work / "sites").read_text().splitlines()))
+
+    @property
+    def resumed(self):
+        """Words to finish any run of it with: one process is enough."""
+        leave = ("--allow-code",) if self.name == "obeying" else ()
+        return (*leave, *(("--workers", 2) if self.name == "rendered" else ("--in-process",)))
+
+
+# By name: the policy, the record, and further words. `alone` is without workers.
+_KINDS = {
+    "alone": ("stand", "none", ("--in-process",)),
+    "workers": ("stand", "none", ("--workers", 2)),
+    "network": ("slow", "none", ("--workers", 2)),
+    "obeying": ("obeying", "none", ("--workers", 1, "--allow-code")),
+    "rendered": ("stand", "all", ("--workers", 2)),
+}
+
+
+class Origins:
+    """Undisturbed runs by name, each run when it is first asked for."""
+
+    def __init__(self, work):
+        self._work = work
+        self._runs = {}
+        bundles = _bundles()
+        bundles.write_bundle(work / "slow", "slow")
+        (work / "obeying").mkdir()
+        (work / "obeying" / "policy.yaml").write_text(bundles.PYTHON_CARD.format(name="obeying"))
+        (work / "obeying" / "obeying.py").write_text(OBEYS)
+
+    def __getitem__(self, name):
+        return self._runs[name]
+
+    def compute(self, names):
+        """Run them in peace; those in which calls raise also for the list of calls."""
+        for name in sorted(names):
+            self._runs[name] = self._undisturbed(name)
+            if name == "alone":
+                _ = self._runs[name].sites
+
+    def _path(self, policy):
+        folder = self._work / policy
+        return folder if folder.exists() else policy
+
+    def _undisturbed(self, name):
+        policy, record, words = _KINDS[name]
+        work = self._work / f"origin-{name}"
+        case = Case(work=work, draw=random.Random(0))
+        (work / "suite.yaml").write_text(
+            SUITE.format(policy=self._path(policy), record=record, trials=TRIALS)
+        )
+        words = (work / "suite.yaml", *words)
+        cache = work / "cache" if name == "rendered" else None
+        if cache is not None:
+            # Compiling takes longer than all else; where kernels are compiled already, take them.
+            shutil.copytree(cache_dir("kernels"), cache / "kernels")
+            case.start(*words, "--out", work / "first", cache=cache).end()
+        began = time.monotonic()
+        code = case.start(*words, "--out", case.folder, cache=cache).end()
+        assert code == VERDICT, (code, case.run.said)
+        return Origin(
+            name=name,
+            work=work,
+            words=words,
+            digest=rows_digest(case.rows().values()),
+            seconds=time.monotonic() - began,
+        )
+
+
+def _note(file):
+    """Write every call site down, from now on."""
+    stream, seen = file.open("w", buffering=1), set()
+
+    def listen(frame, event, _):
+        if event == "call" and (found := site(frame)) is not None and found not in seen:
+            seen.add(found)
+            stream.write(f"{found}\n")
+
+    sys.setprofile(listen)
+
+
+def import_what_runs_import(work):
+    """Import in this process whatever a run does, so that its forks need not."""
+    suite = work / "first.yaml"
+    suite.write_text(SUITE.format(policy="stand", record="none", trials=1))
+    seen = work / "modules.json"
+    child = os.fork()
+    if child == 0:
+        with suppress(SystemExit):
+            sys.argv = ["nw-eval", "run", str(suite), "--out", str(work / "first"), "--in-process"]
+            handle = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(handle, 1)
+            os.dup2(handle, 2)
+            from nw_eval.cli import main
+
+            main()
+        names = [name for name in sys.modules if name != "__main__"]
+        seen.write_text(json.dumps(names))
+        os._exit(0)
+    os.waitpid(child, 0)
+    for name in json.loads(seen.read_text()):
+        with suppress(Exception):  # Modules that made themselves.
+            importlib.import_module(name)
+
+
+def _bundles():
+    place = Path(__file__).parents[1] / "conftest.py"
+    spec = importlib.util.spec_from_file_location("bundles", place)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,127 @@
+"""What the hash of a row and of a run covers: all that a verdict or a report goes by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from operator import attrgetter
+
+import pytest
+
+from nw_eval.results.evidence import leaves
+from nw_eval.results.evidence.leaves import row_leaf, run_leaf
+from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.row import COLUMNS, Row, from_dict, to_dict
+
+
+@pytest.fixture
+def row() -> Row:
+    return Row(
+        trial_id="hurdles-one-000",
+        suite="hurdles",
+        scene="hurdles/one",
+        task="hurdles",
+        robot="go1",
+        seed_index=0,
+        seed=1,
+        policy="p",
+        status="ok",
+        outcome="fell",
+        end_reason="roll",
+        completed=False,
+        success=0.5,
+        waypoints_reached=2,
+        waypoints_total=4,
+        waypoint_times=(1.5, 2.5),
+        steps=200,
+        sim_s=4.0,
+        physics_s=0.5,
+        render_s=1.0,
+        policy_s=0.1,
+        log_s=0.2,
+        wall_s=2.0,
+        checkpoint_digest="cc" * 32,
+        scene_digest="dd" * 32,
+    )
+
+
+@pytest.fixture
+def info() -> RunInfo:
+    return RunInfo.model_validate(
+        {
+            "id": "r",
+            "started": "2026-11-21T11:00:05Z",
+            "suite_file": "hurdles.yaml",
+            "suite": {"name": "hurdles", "gate": {"success_rate": 0.75}},
+            "suite_digest": "aa" * 32,
+            "policy": PolicyInfo(name="p", checkpoint_digest="bb" * 32),
+            "scenes": {"hurdles/one": SceneInfo(digest="cc" * 32, task="hurdles", trials=10)},
+            "code": {"version": "1", "digest": "d"},
+            "machine": {"host": "h", "cpu": "c", "cores": 1, "system": "s", "python": "3"},
+        }
+    )
+
+
+def another(name: str, value: object) -> object:
+    """Some other value that the column takes."""
+    column = COLUMNS[name]
+    if column.words:
+        return next(word for word in column.words if word != value)
+    if isinstance(value, bool):
+        return not value
+    if column.is_list:
+        return (*value, (("friction", 0.5) if name == "perturbation" else 9.0))  # type: ignore[misc]
+    return f"{value}x" if isinstance(value, str) else (value or 0) + 1  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("name", list(COLUMNS))
+def test_no_column_is_changed_without_another_hash(name: str, row: Row) -> None:
+    changed = object.__new__(Row)  # Also into what contradicts other columns.
+    changed.__dict__.update({**vars(row), name: another(name, getattr(row, name))})
+    assert row_leaf(changed) != row_leaf(row)
+
+
+def test_a_row_keeps_its_hash_through_files_and_under_versions_with_more_columns(
+    row: Row, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert row_leaf(from_dict(to_dict(replace(row, sim_s=4)))) == row_leaf(row)
+    # As a version wrote it that knew fewer columns: those that it lacked have their defaults.
+    before = row_leaf(row)
+    monkeypatch.setattr(leaves, "_VALUES", attrgetter(*list(COLUMNS)[:-1]))
+    assert row_leaf(row) == before
+
+
+def bank(**changes: object) -> BaselineInfo:
+    return BaselineInfo.model_validate({"name": "b", "path": "", "sha256": "ee", **changes})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"suite": {"name": "hurdles", "gate": {"success_rate": 0.5}}},
+        {"suite_digest": "ab" * 32},
+        {"policy": PolicyInfo(name="p", checkpoint_digest="bc" * 32)},
+        {"scenes": {"hurdles/one": SceneInfo(digest="cd" * 32, task="hurdles", trials=10)}},
+        {"panel": "fresh"},
+        {"drawn_from": 60},
+        {"stopped_after": 3},
+        {"baseline": bank()},
+        {"engine": {"mujoco": "4.0.1"}},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_what_the_rows_are_of_is_not_changed_without_another_hash(
+    changes: dict[str, object], info: RunInfo
+) -> None:
+    assert run_leaf(info.model_copy(update=changes)) != run_leaf(info)
+
+
+def test_that_a_bank_moved_on_this_machine_is_not_taken_back_without_another_hash(
+    info: RunInfo,
+) -> None:
+    moved = info.model_copy(update={"baseline": bank(moved=("hurdles/one fell",))})
+    assert run_leaf(moved) != run_leaf(info.model_copy(update={"baseline": bank()}))
+
+
+def test_what_a_report_writes_again_is_no_part_of_it(info: RunInfo) -> None:
+    later = {"finished": "later", "trials_sha256": "ff", "journal_sum": "0", "wall_s": 3.0}
+    assert run_leaf(info.model_copy(update=later)) == run_leaf(info)
