@@ -26,7 +26,7 @@ def faults_of(case, origin, kept):
         wrong.append("a finished trial was lost")
     said = "".join(run.said for run in case.runs)
     if "Traceback" in said:
-        wrong.append(f"a traceback: {said[-1500:]}")
+        wrong.append(f"a traceback: {said[said.index('Traceback') :][:1500]}")
     if left := _left(case):
         wrong.append(f"{len(left)} processes left")
         send(left, signal.SIGKILL)

@@ -85,7 +85,11 @@ class Case:
             before: called in the new process first.
         """
         output = self.work / f"output-{len(self.runs)}"
-        environment = {MARK: self.mark, "TMPDIR": str(self.work / "tmp")}
+        environment = {
+            MARK: self.mark,
+            "TMPDIR": str(self.work / "tmp"),
+            "NW_EVAL_CACHE_GB": "0",  # Trials that are taken over cannot be hit.
+        }
         if cache is not None:
             environment["NW_EVAL_CACHE"] = str(cache)
         pid = _forked(["nw-eval", "run", *map(str, words)], environment, output, before)

@@ -74,14 +74,14 @@ KINDS = {
     "SIGKILL a worker": Kind(
         "network", signal_to_workers(signal.SIGKILL, every=False), daily=False
     ),
-    "SIGKILL all workers": Kind("workers", signal_to_workers(signal.SIGKILL, every=True)),
-    "SIGTERM a worker": Kind("workers", signal_to_workers(signal.SIGTERM, every=False)),
-    "SIGSEGV a worker": Kind("workers", signal_to_workers(signal.SIGSEGV, every=False)),
+    "SIGKILL all workers": Kind("network", signal_to_workers(signal.SIGKILL, every=True)),
+    "SIGTERM a worker": Kind("network", signal_to_workers(signal.SIGTERM, every=False)),
+    "SIGSEGV a worker": Kind("network", signal_to_workers(signal.SIGSEGV, every=False)),
     "SIGABRT all workers": Kind(
         "network", signal_to_workers(signal.SIGABRT, every=True), daily=False
     ),
     "SIGSTOP group": Kind("workers", stopped_for_a_while("group")),
-    "SIGSTOP workers": Kind("workers", stopped_for_a_while("workers")),
+    "SIGSTOP workers": Kind("network", stopped_for_a_while("workers")),
     "removed cache": Kind("rendered", removed_cache, daily=False),
     "corrupted splats": Kind("rendered", corrupted_splats, daily=False),
     "native abort": Kind("obeying", ordered("os.abort()")),
