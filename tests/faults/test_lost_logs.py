@@ -133,6 +133,20 @@ def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp
         api.run(suite, out=tmp_path / "run", workers=1)
 
 
+def test_a_folder_that_is_removed_before_the_report_is_a_fault_and_no_misuse(tmp_path, monkeypatch):
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(SUITE)
+    written = reports.report
+
+    def report_on_nothing(path, **settings):
+        shutil.rmtree(path)
+        return written(path, **settings)
+
+    monkeypatch.setattr("nw_eval.api.running.runs.report", report_on_nothing)
+    with pytest.raises(StoreError, match="run was removed or replaced"):
+        api.run(suite, out=tmp_path / "run", workers=1)
+
+
 def test_one_and_two_workers_give_the_same_rows_but_for_wall_times(tiny_run):
     one = tiny_run("fine", name="one", trials=10).go(workers=1)
     two = tiny_run("fine", name="two", trials=10).go(workers=2)

@@ -229,8 +229,12 @@ def judged(folder: RunFolder) -> RunReport:
     """
     from nw_eval.engine.workers.presence import Presence
 
-    with TracebackIn(folder.path):
-        outcome = report(folder.path)
+    try:
+        with TracebackIn(folder.path):
+            outcome = report(folder.path)
+    except UsageError:  # As if nothing had run: it is no run's folder any more.
+        Presence(folder.journal).check()
+        raise
     # Writing a report into a folder that was removed makes it anew.
     Presence(folder.journal).check()
     return outcome
