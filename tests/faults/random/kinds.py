@@ -65,31 +65,35 @@ KINDS = {
     "SIGKILL group": Kind("workers", signal_to_parent(signal.SIGKILL, to_group=True), {KILLED}),
     "SIGTERM parent": Kind("workers", signal_to_parent(signal.SIGTERM), {INTERRUPTED}),
     "SIGTERM group": Kind(
-        "workers", signal_to_parent(signal.SIGTERM, to_group=True), {INTERRUPTED}
+        "workers", signal_to_parent(signal.SIGTERM, to_group=True), {INTERRUPTED}, daily=False
     ),
-    "SIGINT parent": Kind("workers", signal_to_parent(signal.SIGINT), {INTERRUPTED}),
+    "SIGINT parent": Kind("workers", signal_to_parent(signal.SIGINT), {INTERRUPTED}, daily=False),
     "SIGINT group": Kind(
         "network", signal_to_parent(signal.SIGINT, to_group=True), {INTERRUPTED}, daily=False
     ),
     "SIGKILL a worker": Kind(
         "network", signal_to_workers(signal.SIGKILL, every=False), daily=False
     ),
-    "SIGKILL all workers": Kind("network", signal_to_workers(signal.SIGKILL, every=True)),
-    "SIGTERM a worker": Kind("network", signal_to_workers(signal.SIGTERM, every=False)),
+    "SIGKILL all workers": Kind(
+        "network", signal_to_workers(signal.SIGKILL, every=True), daily=False
+    ),
+    "SIGTERM a worker": Kind(
+        "network", signal_to_workers(signal.SIGTERM, every=False), daily=False
+    ),
     "SIGSEGV a worker": Kind("network", signal_to_workers(signal.SIGSEGV, every=False)),
     "SIGABRT all workers": Kind(
         "network", signal_to_workers(signal.SIGABRT, every=True), daily=False
     ),
-    "SIGSTOP group": Kind("workers", stopped_for_a_while("group")),
-    "SIGSTOP workers": Kind("network", stopped_for_a_while("workers")),
+    "SIGSTOP group": Kind("workers", stopped_for_a_while("group"), daily=False),
+    "SIGSTOP workers": Kind("network", stopped_for_a_while("workers"), daily=False),
     "removed cache": Kind("rendered", removed_cache, daily=False),
     "corrupted splats": Kind("rendered", corrupted_splats, daily=False),
-    "native abort": Kind("obeying", ordered("os.abort()")),
+    "native abort": Kind("obeying", ordered("os.abort()"), daily=False),
     "native fault": Kind("obeying", ordered("ctypes.string_at(0)"), daily=False),
     "policy exits": Kind("obeying", ordered("os._exit(0)"), daily=False),
-    "worker stopped for good": Kind("obeying", ordered(STOP, "--time-limit", 15)),
+    "worker stopped for good": Kind("obeying", ordered(STOP, "--time-limit", 8)),
     "memory limit": Kind("obeying", ordered(HOARD, *LIMIT)),
-    "memory limit, a child": Kind("obeying", ordered(CHILD, *LIMIT)),
+    "memory limit, a child": Kind("obeying", ordered(CHILD, *LIMIT), daily=False),
 }
 
 
