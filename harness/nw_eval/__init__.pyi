@@ -3,6 +3,9 @@
 from nw_eval.api import (
     ActingPolicy,
     BisectedSeries,
+    BlamedTrial,
+    BlamePlan,
+    Blames,
     CacheCleanup,
     CacheUse,
     CardDraft,
@@ -106,6 +109,7 @@ from nw_eval.request import Request
 from nw_eval.results.bank import SavedBank
 from nw_eval.results.bank.changes import BankChange
 from nw_eval.results.row import Row
+from nw_eval.rollout.replaying.blame.report import BlameReport
 from nw_eval.rollout.replaying.report import ReplayReport
 from nw_eval.rollout.replaying.takeover.report import TakeoverReport
 from nw_eval.scenes.figures import SceneFigures
@@ -121,6 +125,10 @@ __all__ = [
     "Agreement",
     "BankChange",
     "BisectedSeries",
+    "BlamePlan",
+    "BlameReport",
+    "BlamedTrial",
+    "Blames",
     "CacheCleanup",
     "CacheUse",
     "Card",

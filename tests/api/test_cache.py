@@ -214,8 +214,8 @@ def test_a_scene_is_known_by_what_is_in_it_and_by_its_looks(place):
     "module", ["mujoco", "numpy", "renderer", "cpu", "code"], ids=lambda name: f"another {name}"
 )
 def test_another_engine_knows_nothing(place, module, monkeypatch):
-    real = provenance._engine
-    monkeypatch.setattr(provenance, "_engine", lambda plan: real(plan) | {module: "another"})
+    real = provenance.engine_of
+    monkeypatch.setattr(provenance, "engine_of", lambda render: real(render) | {module: "another"})
     assert misses(place)
 
 

@@ -26,7 +26,13 @@ from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.parquet import read_rows
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, write_run_info
+from nw_eval.results.provenance import (
+    CacheInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    write_run_info,
+)
 from nw_eval.results.row import Row, rows_digest
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.suite import expand, new_suite
@@ -482,3 +488,15 @@ def test_names_of_strangers_show_as_text(name, written, tmp_path, capsys):
     assert "\x1b" not in told
     assert "\u202e" not in told
     assert Path("owned").exists() is False
+
+
+def test_what_a_part_found_of_the_cache_of_trials_holds_for_the_whole(written, tmp_path):
+    found = CacheInfo(reexecuted=2, differing=("trial x came out otherwise",))
+    doubted = written("one", "1/2", cache=found)
+    parts = [doubted, written("two", "2/2", cache=CacheInfo(reexecuted=1))]
+    assert api.report(doubted).verdict.verdict == "INFRASTRUCTURE"
+    merged = api.merge(parts, out=tmp_path / "merged")
+    assert merged.info.cache == CacheInfo(reexecuted=3, differing=found.differing)
+    assert merged.verdict.verdict == "INFRASTRUCTURE"
+    again = api.merge([*parts, merged.folder], out=tmp_path / "again")
+    assert again.info.cache == merged.info.cache

@@ -16,7 +16,7 @@ import trimesh
 from nw_eval import api
 from nw_eval.catalogue import find
 from nw_eval.cli.verbs import parse
-from nw_eval.engine import session
+from nw_eval.engine import session, workplace
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
@@ -149,13 +149,13 @@ def test_a_run_goes_on_with_its_own_renderer_and_limit(project, jobs):
 @pytest.mark.usefixtures("jobs")
 def test_workers_get_the_memory_limit_that_was_given_last(project, monkeypatch):
     limits = []
-    hire = session.LocalProcesses
+    hire = workplace.LocalProcesses
 
     def hired(*words, memory_limit):
         limits.append(memory_limit)
         return hire(*words, memory_limit=memory_limit)
 
-    monkeypatch.setattr(session, "LocalProcesses", hired)
+    monkeypatch.setattr(workplace, "LocalProcesses", hired)
     begin(suite=suite(), out=project / "run", memory_limit="3GB")
     begin(suite=None, resume=project / "run")
     begin(suite=None, resume=project / "run", memory_limit="1.5 GiB")
@@ -267,7 +267,7 @@ def test_what_no_field_takes_is_refused_by_its_option(changes, option):
 
 def test_the_same_words_after_run_and_check_are_the_same_request():
     words = "hurdles --robot go2 -p stand --checkpoint w.onnx -n 3 --seed 6 --record none"
-    words += " --baseline shipped --baseline-policy stand --panel pinned"
+    words += " --baseline shipped --baseline-policy stand --panel pinned --shard 1/2"
     words += " --time-limit 7 --memory-limit 2GB --render cuda --collision triangles --allow-code"
     arguments = [*words.split(), "--scenes", "gaps/*", "flat/*"]
     run, check = (parse([verb, *arguments], description="") for verb in ("run", "check"))
@@ -275,7 +275,7 @@ def test_the_same_words_after_run_and_check_are_the_same_request():
     assert None not in vars(run.request).values()
     assert run.request.scenes == ("gaps/*", "flat/*")
     published = {"junit", "github", "no_github", "comment", "track"}
-    own = {"out", "resume", "in_process", "ledger"}
+    own = {"out", "resume", "in_process", "ledger", "no_cache", "engine", "address"}
     assert set(vars(run)) - set(vars(check)) == own | published
     nothing = parse(["run"], description="").request
     assert nothing == Request()

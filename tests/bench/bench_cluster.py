@@ -65,7 +65,15 @@ def _kind(line, names, head):
 
 def measured(folder, *options):
     """Run the trials; return rows, trials an hour of the time in which they ran, and MB by kind."""
-    command = ["run", SUITE, "--trials", str(-(-TRIALS // SCENES)), "--baseline", "none"]
+    command = [
+        "run",
+        SUITE,
+        "--trials",
+        str(-(-TRIALS // SCENES)),
+        "--baseline",
+        "none",
+        "--no-cache",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-c", MAIN, *command, "--out", folder, *options],
         stdout=subprocess.DEVNULL,
@@ -85,6 +93,8 @@ def measured(folder, *options):
     thread.start()
     process.wait()
     thread.join()
+    if process.returncode not in {0, 1, 3}:
+        sys.exit(f"nw-eval ended with {process.returncode}")
     begun = [line for line in lines if line[1] > 1]
     (first, had), (last, have) = begun[0], next(x for x in begun if x[1] == begun[-1][1])
     return read_journal(folder / "journal.jsonl").rows, 3600 * (have - had) / (last - first), most

@@ -27,7 +27,7 @@ from nw_eval.splat import CpuRenderer, Pixels, compile_store, open_store, warmup
 
 TARGETS = {
     (100_000, 160): (6, 120),
-    (500_000, 160): (20, 120),
+    (500_000, 160): (8, 120),
     (2_000_000, 160): (45, 120),
     (100_000, 320): (12, 60),
     (500_000, 320): (30, 60),

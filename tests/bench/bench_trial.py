@@ -28,7 +28,7 @@ from nw_eval.suite.trials import Trial
 
 SCENES = ("hurdles/three_low", "hurdles/two_logs_park", "hurdles/one_low_carpet")
 TRIALS = 3
-WANTED = 6.0  # times real time
+MOST = 0.8  # CPU seconds of a trial of 12 s
 CAMERA = "  rgb: {sensor: splat_rgb, width: 160, height: 90, rate: 10}\n"
 INPUTS = "inputs: {obs: [proprio, scandots, last_output, history], image: [rgb]}\n"
 
@@ -90,7 +90,7 @@ def measure(folder: Path) -> tuple[StageSeconds, float, int]:
 
 
 def table() -> float:
-    """Print the table; return how many times faster than real time."""
+    """Print the table; return the CPU seconds of a trial of 12 s."""
     with TemporaryDirectory() as place:
         cpu, simulated, gaussians = measure(Path(place))
     spent = sum(astuple(cpu))
@@ -108,12 +108,14 @@ def table() -> float:
         f"{'all':10} {1000 * spent / simulated:20.2f} {12 * spent / simulated:18.3f} {1:7.1%}"
         f"   {simulated / spent:.1f} times real time"
     )
-    return simulated / spent
+    seconds = 12 * spent / simulated
+    print(f"target {MOST} s per 12 s trial: {'met' if seconds <= MOST else 'MISSED'}")
+    return seconds
 
 
-def test_a_trial_with_a_camera_runs_six_times_faster_than_real_time():
-    assert table() >= WANTED
+def test_a_trial_with_a_camera_takes_at_most_its_target():
+    assert table() <= MOST
 
 
 if __name__ == "__main__":
-    sys.exit(0 if table() >= WANTED else 1)
+    sys.exit(0 if table() <= MOST else 1)

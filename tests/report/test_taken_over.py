@@ -47,9 +47,9 @@ def test_every_surface_says_how_many_results_were_taken_over(rows, run):
     assert SENTENCE in render_markdown(*facts)
 
 
-def test_rates_and_shares_are_of_what_ran(rows, run):
+def test_stages_are_of_what_ran(rows, run):
     table = throughput_table(rows, run)
-    assert table.note.startswith("10.0 trials per minute on 1 worker")
+    assert table.note.startswith("40.0 trials per minute on 1 worker")
     assert dict(row[:2] for row in table.rows)["policy"] == "5.0"
 
 

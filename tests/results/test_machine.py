@@ -72,5 +72,5 @@ def test_only_rooms_count_for_nothing_that_name_things_keep_rows_or_judge_them()
     )
     # What makes rows imports of them no more than how results are kept, and how things are called.
     assert JUDGING & set(done.stdout.split()) <= {
-        "results", "request", "words", "errors", "clean", "plural"
+        "results", "request", "words", "errors", "clean", "plural", "amounts"
     }  # fmt: skip

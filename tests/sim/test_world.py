@@ -90,9 +90,10 @@ def test_frames_are_what_they_say(go1, flat, swing):
         np.testing.assert_allclose(world.trunk_linear_velocity, velocity[3:], atol=1e-12)
         # Poses belong to the newest instant, not to the one before the last physics step.
         np.testing.assert_allclose(world.trunk_position, world.data.qpos[:3], atol=0)
-        position, quat = world.body_transforms()["trunk"]
-        np.testing.assert_array_equal(position, world.trunk_position)
-        np.testing.assert_array_equal(quat, world.trunk_quat)
+        positions, quats = world.body_poses
+        trunk, *_ = world.bodies
+        np.testing.assert_array_equal(positions[trunk], world.trunk_position)
+        np.testing.assert_array_equal(quats[trunk], world.trunk_quat)
 
 
 def test_roll_and_pitch_have_the_published_signs(go1, flat):

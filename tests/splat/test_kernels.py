@@ -12,8 +12,10 @@ from splat_rooms import cloud, eye_camera, room
 from nw_eval.machine_code.jit import kernel
 from nw_eval.splat import Pixels, memory_store
 from nw_eval.splat.kernels import cull, math8, memory, project, sort
-from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS, blend, clear
+from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS, blend, clear
 from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.shapes import CHANNELS, LINE, PIXELS
+from nw_eval.splat.kernels.simd import broadcast
 from nw_eval.splat.kernels.view import view_vector
 from nw_eval.splat.layout import unpack
 
@@ -21,29 +23,41 @@ EPS2D = np.float32(0.3)
 WIDTH, HEIGHT = 64, 40
 
 
+_load, _store = LINE.load, LINE.store
+
+
 @kernel
-def _map_exp2(x, out):
-    for i in range(0, len(x), 8):
-        memory.store(out, i, math8.exp2(memory.load(x, i)))
+def _map_exp2(x, numbers, out):
+    n = (
+        broadcast(numbers[0]),
+        broadcast(numbers[1]),
+        broadcast(numbers[2]),
+        broadcast(numbers[3]),
+        broadcast(numbers[4]),
+        broadcast(numbers[5]),
+        broadcast(numbers[6]),
+    )
+    for i in range(0, len(x), 16):
+        _store(out, i, 0, math8.exp2(_load(x, i, 0), n))
 
 
 @kernel
 def _map_log2(x, out):
-    for i in range(0, len(x), 8):
-        memory.store(out, i, math8.log2(memory.load(x, i)))
+    for i in range(0, len(x), 16):
+        _store(out, i, 0, math8.log2(_load(x, i, 0)))
 
 
 @kernel
 def _map_taken(x, stride, offset, block, out):
-    for i in range(0, len(x), 8):
-        taken = math8.taken_below(memory.load(x, i), stride, 1.0 / stride, offset, block)
-        memory.store(out, i, taken)
+    for i in range(0, len(x), 16):
+        taken = math8.taken_below(_load(x, i, 0), stride, 1.0 / stride, offset, block)
+        _store(out, i, 0, taken)
 
 
 @kernel
 def _map_halves(bits, out):
-    for i in range(0, len(bits), 8):
-        memory.store(out, i, memory.load_halves(bits, i))
+    for i in range(0, len(bits), 16):
+        _store(out, i, 0, memory.load_halves(bits, i, 8))
 
 
 @pytest.mark.parametrize("by_instruction", [True, False])
@@ -59,7 +73,7 @@ def test_every_finite_half_is_widened_exactly(by_instruction, monkeypatch):
 def test_exp2_is_within_two_roundings():
     x = np.linspace(-125, 125, 1 << 16, dtype=np.float32)
     out = np.empty_like(x)
-    _map_exp2(x, out)
+    _map_exp2(x, np.float32(math8.EXP2), out)
     assert np.abs(out / np.exp2(x.astype(np.float64)) - 1).max() < 2e-7
 
 
@@ -103,12 +117,10 @@ def test_sorting_leaves_what_is_beyond_the_boundary():
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.01, 50, 500).astype(np.float32)
     depth[100:200] = depth[:100]
-    records = np.zeros((500, RECORD), dtype=np.float32)
-    records[:, project.DEPTH] = depth
     keys, scratch, carried = (np.empty(500, dtype=np.int64) for _ in range(3))
     histogram = np.empty(sort.HISTOGRAM, dtype=np.int64)
     near, in_scratch, later = sort.sort_nearer(
-        records.reshape(-1), 500, np.float32(20), keys, scratch, carried, histogram
+        depth, 500, np.float32(20), keys, scratch, carried, histogram
     )
     ordered = (scratch if in_scratch else keys)[:near] & 0xFFFFFFFF
     below = np.flatnonzero(depth < 20)
@@ -250,6 +262,28 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
     assert hidden > 10
 
 
+def _blend(records, view, width, height):
+    """Return (light, paint, live, pixels finished, splats drawn) of records in a window."""
+    stride, blocks = width + SLACK_COLUMNS, width // 8 + 1
+    light = np.empty((height + SLACK_ROWS) * stride, dtype=np.float32)
+    paint = np.empty(light.size * CHANNELS, dtype=np.float32)
+    live = np.empty(blocks * (height // 8 + 1), dtype=np.int64)
+    clear(light, paint, stride, width, height, live, blocks)
+    order = np.argsort(records[:, project.DEPTH], kind="stable").astype(np.int64)
+    columns, rows = (
+        np.append(np.arange(side) + 0.5, np.zeros(PIXELS)).astype(np.float32)
+        for side in (width, height)
+    )
+    finished, _, drawn = blend(
+        np.ascontiguousarray(records).reshape(-1), order, len(order), columns, rows, light, paint,
+        stride, live, blocks, view, np.float32(0.999), CURVE,
+    )  # fmt: skip
+    inside = np.s_[:height, :width]
+    light = light.reshape(-1, stride)[inside]
+    paint = paint.reshape(-1, stride, CHANNELS)[inside]
+    return light, paint, live, finished, drawn
+
+
 def _scalar_blend(records, width, height, most_alpha):
     """gsplat's rule, pixel by pixel, in float64."""
     order = np.argsort(records[:, project.DEPTH], kind="stable")
@@ -284,26 +318,39 @@ def test_blending_agrees_with_the_scalar_rule_for_splats_of_every_width(size):
         width=WIDTH, height=HEIGHT, fx=40, fy=40, cx=32, cy=20, T_world_camera=np.eye(4)
     )
     view, records = _project_all(store, camera)
-    plane = WIDTH + SLACK_COLUMNS
-    frame = np.empty((HEIGHT + SLACK_ROWS) * PLANES * plane + 8, dtype=np.float32)
-    stride = WIDTH // 8 + 1
-    live = np.empty(stride * (HEIGHT // 8 + 1), dtype=np.int64)
-    clear(frame, plane, WIDTH, HEIGHT, live, stride)
-    order = np.argsort(records[:, project.DEPTH], kind="stable").astype(np.int64)
-    columns, rows = (
-        np.append(np.arange(side) + 0.5, np.zeros(8)).astype(np.float32) for side in (WIDTH, HEIGHT)
-    )
-    finished, _, drawn = blend(
-        np.ascontiguousarray(records).reshape(-1), order, len(order), columns, rows, frame, plane,
-        live, stride, view, np.float32(0.999),
-    )  # fmt: skip
+    light, paint, live, finished, drawn = _blend(records, view, WIDTH, HEIGHT)
     T, total, done = _scalar_blend(records, WIDTH, HEIGHT, 0.999)
-    planes = frame[:-8].reshape(-1, PLANES, plane)[:HEIGHT, :, :WIDTH]
     assert drawn > 50
-    assert np.abs(np.abs(planes[:, 0]) - T).max() < 4e-3
-    assert np.abs(planes[:, 1:].transpose(1, 0, 2) - total)[:3].max() < 4e-3
-    assert np.median(np.abs(np.abs(planes[:, 0]) - T)) < 1e-6
+    assert np.abs(np.abs(light) - T).max() < 4e-3
+    assert np.abs(paint.transpose(2, 0, 1) - total)[:3].max() < 4e-3
+    assert np.median(np.abs(np.abs(light) - T)) < 1e-6
     # A pixel may finish one splat sooner or later by rounding, but hardly any does.
-    assert ((planes[:, 0] < 0) != done).mean() < 0.01
-    assert finished == (planes[:, 0] < 0).sum()
+    assert ((light < 0) != done).mean() < 0.01
+    assert finished == (light < 0).sum()
     assert live.sum() == WIDTH * HEIGHT - finished
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    size=st.sampled_from([-3.5, -2.5, -1.5]),
+    wider=st.sampled_from([4, 8, 16, 40]),
+)
+def test_the_shape_that_a_splat_is_drawn_with_changes_no_bit(seed, size, wider):
+    gaussians = cloud(400, degree=0, seed=seed, spread=(2, 2, 1), centre=(0, 0, 4))
+    gaussians.log_scales[:] += np.float32(size + 2.5)
+    gaussians.opacity_logits[:] += 2
+    camera = eye_camera(1, WIDTH, HEIGHT)
+    camera = type(camera)(
+        width=WIDTH, height=HEIGHT, fx=40, fy=40, cx=32, cy=20, T_world_camera=np.eye(4)
+    )
+    view, records = _project_all(memory_store(gaussians), camera)
+    light, paint, *_ = _blend(records, view, WIDTH, HEIGHT)
+    # A larger box has no more pixels of the splat, but asks for another shape.
+    boxes = records.view(np.int32)
+    for place, side in ((project.COLUMNS, WIDTH), (project.ROWS, HEIGHT)):
+        first, last = boxes[:, place] & 0xFFFF, boxes[:, place] >> 16
+        boxes[:, place] = first | np.minimum(np.maximum(last, first + wider), side - 1) << 16
+    other_light, other_paint, *_ = _blend(records, view, WIDTH, HEIGHT)
+    assert np.array_equal(light, other_light)
+    assert np.array_equal(paint, other_paint)

@@ -181,6 +181,21 @@ def test_moving_camera_and_splat_together_changes_nothing():
     assert np.abs(a.depth - b.depth)[seen].max() < 1e-2
 
 
+@settings(max_examples=12, deadline=None)
+@given(
+    views=st.lists(
+        st.tuples(st.integers(0, 7), st.sampled_from([(160, 90), (33, 17), (80, 45)])),
+        min_size=2,
+        max_size=5,
+    )
+)
+def test_many_cameras_in_any_order_see_what_each_alone_would(store, views):
+    shared = CpuRenderer(store)
+    for number, size in views:
+        camera = eye_camera(number, *size)
+        assert _same(shared.render(camera), CpuRenderer(store).render(camera))
+
+
 def test_an_image_belongs_to_the_caller(store):
     renderer = CpuRenderer(store)
     first = renderer.render(eye_camera(0, 64, 48))

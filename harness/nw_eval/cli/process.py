@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 from typing import TYPE_CHECKING, NoReturn
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 def run_process(*, description: str) -> NoReturn:
     """Run the verb that the process was started with, and end the process with its exit code."""
+    # A verb ends with its process: rows and tables make many objects, and hardly a cycle of them.
+    gc.set_threshold(100_000, 50, 100)
     streams = Streams()
     threading.excepthook = _thread_failed
     sys.unraisablehook = _not_raised

@@ -78,6 +78,27 @@ class BaselineInfo(_Saved):
     are any, the run is INVALID, and no trial of the candidate has run."""
 
 
+class CacheInfo(_Saved):
+    """How a run used the cache of trials. Which results it took over, rows say: `Row.cached`."""
+
+    off: str = ""  # Why it was not used; empty if it was.
+    reexecuted: int = Field(default=0, ge=0)
+    """Trials that ran although the cache had their result, to be compared with it."""
+    differing: tuple[str, ...] = ()
+    """Sentences: which of these came out otherwise. Where there are any, the run is INFRASTRUCTURE:
+    what else was taken over may be as wrong."""
+
+    def after(self, earlier: CacheInfo | None) -> CacheInfo:
+        """Return what a run has to say whose last session says this, and those before `earlier`."""
+        if earlier is None:
+            return self
+        return CacheInfo(
+            off=self.off if earlier.off else "",
+            reexecuted=earlier.reexecuted + self.reexecuted,
+            differing=(*earlier.differing, *self.differing),
+        )
+
+
 class ShardInfo(_Saved):
     """Which part of a run a run is."""
 
@@ -106,27 +127,7 @@ class PartInfo(_Saved):
     workers: int
     host: str
     rows_digest: str
-
-
-class CacheInfo(_Saved):
-    """How a run used the cache of trials. Which results it took over, rows say: `Row.cached`."""
-
-    off: str = ""  # Why it was not used; empty if it was.
-    reexecuted: int = Field(default=0, ge=0)
-    """Trials that ran although the cache had their result, to be compared with it."""
-    differing: tuple[str, ...] = ()
-    """Sentences: which of these came out otherwise. Where there are any, the run is INFRASTRUCTURE:
-    what else was taken over may be as wrong."""
-
-    def after(self, earlier: CacheInfo | None) -> CacheInfo:
-        """Return what a run has to say whose last session says this, and those before `earlier`."""
-        if earlier is None:
-            return self
-        return CacheInfo(
-            off=self.off if earlier.off else "",
-            reexecuted=earlier.reexecuted + self.reexecuted,
-            differing=(*earlier.differing, *self.differing),
-        )
+    cache: CacheInfo | None = None
 
 
 class RunInfo(_Saved):

@@ -18,12 +18,12 @@ from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.cameras.presets import PresetName, get_preset
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
-from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, SLACK_ROWS
+from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS
 from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.simd import LANES
+from nw_eval.splat.kernels.shapes import CHANNELS, PIXELS
 from nw_eval.splat.kernels.sort import HISTOGRAM
 from nw_eval.splat.kernels.view import Window, view_vector
-from nw_eval.splat.layout import CHUNK
+from nw_eval.splat.layout import CHUNK, GROUP
 from nw_eval.splat.store import Store
 from nw_eval.words import Backend
 
@@ -168,6 +168,7 @@ class CpuRenderer:
                 self._antialiased,
                 np.float32(preset.min_compensation**2),
                 np.float32(preset.max_alpha),
+                CURVE,
                 self._background,
                 _SLAB_CHUNKS,
             ),
@@ -210,9 +211,11 @@ class _Workspace:
         self._carried = np.empty_like(self._keys)
         self._chunk_keys = np.empty(chunks, dtype=np.int64)
         self._nearest = np.empty(chunks, dtype=np.float32)
-        self._records = np.empty((gaussians + LANES) * RECORD, dtype=np.float32)
+        self._records = _aligned((gaussians + GROUP) * RECORD)
+        self._depths = np.empty(gaussians, dtype=np.float32)
         self._histogram = np.empty(HISTOGRAM, dtype=np.int64)
-        self._frame = np.empty(0, dtype=np.float32)
+        self._light = np.empty(0, dtype=np.float32)
+        self._paint = np.empty(0, dtype=np.float32)
         self._live = np.empty(0, dtype=np.int64)
         self._shape = (0, 0)
         self.statistics = np.zeros(frame.STATISTICS, dtype=np.int64)
@@ -222,8 +225,9 @@ class _Workspace:
         width, height = window[1] - window[0], window[3] - window[2]
         if self._shape != (width, height):
             self._shape = (width, height)
-            size = (height + SLACK_ROWS) * PLANES * (width + SLACK_COLUMNS)
-            self._frame = np.empty(size + LANES, dtype=np.float32)
+            size = (height + SLACK_ROWS) * (width + SLACK_COLUMNS)
+            self._light = _aligned(size)
+            self._paint = _aligned(size * CHANNELS)
             self._live = np.empty(((width + 7) // 8 + 1) * ((height + 7) // 8 + 1), dtype=np.int64)
         return (
             self._keys,
@@ -232,8 +236,10 @@ class _Workspace:
             self._chunk_keys,
             self._nearest,
             self._records,
+            self._depths,
             self._histogram,
-            self._frame,
+            self._light,
+            self._paint,
             self._live,
         )
 
@@ -248,4 +254,12 @@ def _split(width: int, parts: int) -> list[tuple[int, int]]:
 
 def _centres(indices: NDArray[np.int64]) -> NDArray[np.float32]:
     """Pixel-centre coordinates with the slack that vector loads touch."""
-    return np.concatenate([indices + 0.5, np.zeros(LANES)]).astype(np.float32)
+    return np.concatenate([indices + 0.5, np.zeros(PIXELS)]).astype(np.float32)
+
+
+def _aligned(size: int) -> NDArray[np.float32]:
+    """Floats that begin with a cache line: records and vectors then lie in as few as can be."""
+    line = 64 // 4
+    array = np.empty(size + line, dtype=np.float32)
+    first = -(array.ctypes.data // 4) % line
+    return array[first : first + size]

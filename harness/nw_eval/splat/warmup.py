@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.machine_code.mark import is_compiled, mark_compiled
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
@@ -40,12 +39,16 @@ def warmup(backend: Backend = "cpu") -> float:
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     open_renderer(memory_store(gaussians), backend).render(camera)
     if backend == "cpu":
+        from nw_eval.machine_code.mark import mark_compiled  # It knows numba.
+
         mark_compiled(_KERNELS)
     return time.perf_counter() - started
 
 
 def is_warm() -> bool:
     """Return whether `warmup` finds the CPU's kernels compiled, by this version of them."""
+    from nw_eval.machine_code.mark import is_compiled  # It knows numba.
+
     return is_compiled(_KERNELS)
 
 

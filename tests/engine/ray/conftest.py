@@ -78,10 +78,15 @@ class Cluster:
 
     def raylet(self, node):
         """The process id of a node's raylet; None while it has none."""
-        for process, line in _processes(self.nodes[node].pid):
-            if "/raylet --raylet_socket_name" in line:
-                return process
-        return None
+        return self._process(node, "/raylet --raylet_socket_name")
+
+    def control(self):
+        """The process id of the head's control service."""
+        return self._process(0, "/gcs_server --")
+
+    def _process(self, node, mark):
+        found = _processes(self.nodes[node].pid)
+        return next((process for process, line in found if mark in line), None)
 
     def kill(self):
         """End every process of every node."""

@@ -131,3 +131,22 @@ def test_an_interrupted_run_goes_on_with_another_engine(cluster, nw_eval, until,
     api.run(None, resume=there, workers=1)
 
     assert contents(there) == contents(here)
+
+
+@pytest.mark.nightly
+def test_a_run_whose_cluster_lost_its_head_can_be_resumed(cluster, nw_eval, until, tmp_path):
+    cluster.start()
+    run = nw_eval(
+        *("run", "smoke", "--trials", "12", "--out", tmp_path / "run"),
+        *("--engine", "ray", "--address", cluster.address),
+        env=cluster.env,
+    )
+    try:
+        until(lambda: journal_lines(tmp_path / "run") >= 2, "a trial")
+        os.kill(cluster.control(), signal.SIGKILL)
+        code, printed = ended(run)
+    finally:
+        run.kill()
+    assert code == 4, printed  # And not 1, with which Ray would have ended it.
+    assert "the head of the cluster has not answered" in printed
+    assert "--resume goes on with the run" in printed

@@ -13,7 +13,7 @@ from nw_eval.errors import IncomparableError, StoreError
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
     from nw_eval.results.bank.against import Against
-    from nw_eval.results.merge.source import Source
+    from nw_eval.results.merge.source import MergeSource
     from nw_eval.suite import Trial
 
 
@@ -60,7 +60,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
 
 def _read(
     runs: Sequence[str | Path],
-) -> tuple[list[Source], tuple[Trial, ...], list[str]]:
+) -> tuple[list[MergeSource], tuple[Trial, ...], list[str]]:
     """Return what is merged, the trials of the whole plan in order, and remarks."""
     from nw_eval.api.running.saved_run import saved_suite, whole_plan
     from nw_eval.engine.order import in_order
@@ -68,13 +68,13 @@ def _read(
     from nw_eval.request import Shard
     from nw_eval.results.ended import read_trials
     from nw_eval.results.merge.alike import check_parts
-    from nw_eval.results.merge.source import Source
+    from nw_eval.results.merge.source import MergeSource
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite.trials import wanted
 
     folders = [open_run_folder(Path(run)) for run in runs]
-    opened = [Source(folder=each, info=read_run_info(each.run_json)) for each in folders]
+    opened = [MergeSource(folder=each, info=read_run_info(each.run_json)) for each in folders]
     check_parts(opened)
     first = opened[0]
     ordered = in_order(whole_plan(first.info, saved_suite(first.info)))
@@ -84,7 +84,7 @@ def _read(
             fix="merge folders that nw-eval wrote",
         )
     trials = wanted(ordered, first.info.stopped_after)
-    sources: list[Source] = []
+    sources: list[MergeSource] = []
     remarks: list[str] = []
     for source in opened:
         shard = source.info.shard
@@ -97,7 +97,7 @@ def _read(
     return sources, ordered, remarks
 
 
-def _bank(sources: Sequence[Source]) -> Against | None:
+def _bank(sources: Sequence[MergeSource]) -> Against | None:
     """Return the bank that the parts were begun against, if any of them can still show it."""
     from nw_eval.api.running.against.banks import kept_bank
 

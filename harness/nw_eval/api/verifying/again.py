@@ -135,6 +135,7 @@ def _compared(
         workers=workers,
         out=temporary / "run",
         resume=None,
+        cache=False,  # It may have taken in the very results that are to be verified.
         command=tuple(sys.argv),
         listener=listener,
     )

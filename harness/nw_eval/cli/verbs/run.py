@@ -56,7 +56,13 @@ class Run(Publishing, Options):
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.terminal.summary import summary
+        from nw_eval.errors import UsageError
 
+        if self.ledger is not None and self.shard is not None:
+            raise UsageError(
+                f"--ledger with --shard {self.shard}: a part has no verdict",
+                fix="give --ledger to `nw-eval merge`",
+            )
         with (
             group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
             RunProgress(bars=not self.in_process) as progress,

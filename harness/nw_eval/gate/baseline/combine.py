@@ -34,9 +34,8 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Raises:
         IncomparableError, StoreError: as `compare`.
     """
-    if run.shard is not None:
-        return of_part(rows, run, gate)
-    verdict = _of_rows(rows, run, gate, against)
+    whole = run.shard is None
+    verdict = _of_rows(rows, run, gate, against) if whole else of_part(rows, run, gate)
     if run.cache is None or not run.cache.differing:
         return verdict
     reasons = (*run.cache.differing, *verdict.reasons)

@@ -18,7 +18,7 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
     spent = throughput(rows, run)
     # A run that was resumed knows the time of its last part only.
     wall = max(run.wall_s, sum(row.wall_s for row in rows if not row.cached) / run.workers)
-    rate = 60.0 * sum(not row.cached for row in rows) / wall if wall > 0 else 0.0
+    rate = 60.0 * len(rows) / wall if wall > 0 else 0.0
     return Table(
         title="Where the time went",
         columns=("stage", "seconds", "ms per control step", "share"),

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 from nw_eval.clean import clean
@@ -30,6 +31,10 @@ SHARED["success"] = replace(SHARED["success"], kind=float)  # A bank has no erro
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 """As `suite.model.Name`: what is fit for a file anywhere."""
+
+_END = attrgetter(
+    "success", "completed", "outcome", "waypoints_reached", "waypoints_total", "perturbation"
+)
 
 _TRAJECTORY = re.compile(r"[0-9a-f]{16}")
 
@@ -82,10 +87,10 @@ def _fault_of_machines(bank: SavedBank) -> str | None:
 def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     """Return what is wrong with one panel: a start, their numbers, their scenes, their order."""
     table = {name: [getattr(start, name) for start in panel.starts] for name in SHARED}
-    fault_of_start = _contradiction if all_as_kept(table, SHARED) else _fault_of_start
-    for start in panel.starts:
-        if fault := fault_of_start(start):
-            return f"start {start.seed_index} of {clean(start.scene, at_most=80)}: {fault}"
+    if not all_as_kept(table, SHARED) or not _are_consistent(panel.starts):
+        for start in panel.starts:
+            if fault := _fault_of_start(start):
+                return f"start {start.seed_index} of {clean(start.scene, at_most=80)}: {fault}"
     if fault := _fault_of_scenes({start.scene for start in panel.starts}, set(manifest.key.scenes)):
         return fault
     for stratum, starts in panel.by_stratum.items():
@@ -99,6 +104,14 @@ def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     if list(panel.starts) != sorted(panel.starts, key=place_of):
         return "its starts are not in the order of scene, perturbation and index"
     return None
+
+
+def _are_consistent(starts: Iterable[Start]) -> bool:
+    """Say whether no start contradicts itself, by one of each kind: most end in a few ways."""
+    kinds = {_END(start): start for start in starts}
+    return not any(map(_contradiction, kinds.values())) and all(
+        _TRAJECTORY.fullmatch(start.trajectory) for start in starts
+    )
 
 
 def _fault_of_start(start: Start) -> str | None:

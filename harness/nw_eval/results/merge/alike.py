@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.merge.source import Source
+from nw_eval.results.merge.source import MergeSource
 
 _NAMED = 3  # fields that a sentence names before it says "and more"
 _LONGEST = 60  # characters of a value
 
 
-def check_parts(sources: Sequence[Source]) -> None:
+def check_parts(sources: Sequence[MergeSource]) -> None:
     """Refuse folders that are no parts of one run.
 
     Raises:
@@ -45,7 +45,7 @@ def check_parts(sources: Sequence[Source]) -> None:
             )
 
 
-def _fields(source: Source) -> Mapping[str, Any]:
+def _fields(source: MergeSource) -> Mapping[str, Any]:
     """Return whatever the parts of a run have in common, by what messages call it."""
     info = source.info
     baseline = info.baseline

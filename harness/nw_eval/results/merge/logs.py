@@ -17,12 +17,12 @@ from pathlib import Path, PurePosixPath
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import OutsideError, checked, inside
 from nw_eval.plural import plural
-from nw_eval.results.merge.rows import Held
+from nw_eval.results.merge.rows import SourcedRow
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 
 
-def take_logs(held: Iterable[Held], folder: RunFolder) -> tuple[str, ...]:
+def take_logs(held: Iterable[SourcedRow], folder: RunFolder) -> tuple[str, ...]:
     """Put the logs that rows name into a folder; return sentences about those that are not there.
 
     Raises:
@@ -43,7 +43,7 @@ def take_logs(held: Iterable[Held], folder: RunFolder) -> tuple[str, ...]:
     )
 
 
-def _name(one: Held) -> PurePosixPath:
+def _name(one: SourcedRow) -> PurePosixPath:
     """Return where a row's log lies in its folder, and goes in another: `<folder>/<scene>/<trial>`.
 
     Nothing else of a run is called so.

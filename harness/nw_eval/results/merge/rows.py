@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
-from nw_eval.results.merge.source import Source
+from nw_eval.results.merge.source import MergeSource
 from nw_eval.results.planned import PlannedTrial
 from nw_eval.results.row import Row, to_dict
 
@@ -17,16 +17,16 @@ _NAMED = 3  # parts that a sentence names before it says "and more"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class SourcedRow:
     """A trial's row, and the folders that have it: one of them has its log."""
 
     row: Row
-    sources: tuple[Source, ...]
+    sources: tuple[MergeSource, ...]
 
 
 def joined(
-    sources: Sequence[Source], trials: Sequence[PlannedTrial], count: int
-) -> tuple[Held, ...]:
+    sources: Sequence[MergeSource], trials: Sequence[PlannedTrial], count: int
+) -> tuple[SourcedRow, ...]:
     """Return the rows of a whole plan, in its order.
 
     Of a trial that several folders have a result stands, and an error gives way to it, or to that
@@ -42,10 +42,10 @@ def joined(
         StoreError: a trial has no row, naming the part that it is in; or two different results,
             naming both folders.
     """
-    held: dict[str, Held] = {}
+    held: dict[str, SourcedRow] = {}
     for source in sources:
         for row in source.rows:
-            one = Held(row=row, sources=(source,))
+            one = SourcedRow(row=row, sources=(source,))
             earlier = held.get(row.trial_id)
             held[row.trial_id] = one if earlier is None else _which(earlier, one)
     if gaps := [place for place, trial in enumerate(trials) if trial.id not in held]:
@@ -53,14 +53,14 @@ def joined(
     return tuple(held[trial.id] for trial in trials)
 
 
-def _which(one: Held, two: Held) -> Held:
+def _which(one: SourcedRow, two: SourcedRow) -> SourcedRow:
     """Return which of two rows of a trial stands.
 
     Raises:
         StoreError: they are different results.
     """
     if one.row == two.row:
-        return Held(row=one.row, sources=(*one.sources, *two.sources))
+        return SourcedRow(row=one.row, sources=(*one.sources, *two.sources))
     first, second = (one, two) if _rank(one.row) <= _rank(two.row) else (two, one)
     if second.row.status == "error":
         return first
@@ -72,7 +72,7 @@ def _which(one: Held, two: Held) -> Held:
             fix="one of them was changed, or the simulation is not deterministic there: "
             "`nw-eval replay` of both logs tells which",
         )
-    return Held(row=first.row, sources=(*first.sources, *second.sources))
+    return SourcedRow(row=first.row, sources=(*first.sources, *second.sources))
 
 
 def _rank(row: Row) -> tuple[bool, int, str]:
@@ -81,13 +81,13 @@ def _rank(row: Row) -> tuple[bool, int, str]:
 
 
 def _gap(
-    sources: Sequence[Source], trials: Sequence[PlannedTrial], gaps: Sequence[int], count: int
+    sources: Sequence[MergeSource], trials: Sequence[PlannedTrial], gaps: Sequence[int], count: int
 ) -> StoreError:
     """Return the error that says which parts lack which trials."""
     lacking: dict[int, list[str]] = defaultdict(list)
     for place in gaps:
         lacking[place % count + 1].append(trials[place].id)
-    there: dict[int, list[Source]] = defaultdict(list)
+    there: dict[int, list[MergeSource]] = defaultdict(list)
     for source in sources:
         if source.info.shard is not None:
             there[source.info.shard.index].append(source)

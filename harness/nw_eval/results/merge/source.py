@@ -10,7 +10,7 @@ from nw_eval.results.run_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class MergeSource:
     """A folder that is merged, as it was read."""
 
     folder: RunFolder
@@ -38,5 +38,6 @@ class Source:
                 workers=info.workers,
                 host=info.machine.host,
                 rows_digest=info.rows_digest,
+                cache=info.cache,
             ),
         )

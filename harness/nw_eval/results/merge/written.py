@@ -17,10 +17,16 @@ from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import JournalHeader, write_journal
 from nw_eval.results.merge.logs import take_logs
-from nw_eval.results.merge.rows import Held
-from nw_eval.results.merge.source import Source
+from nw_eval.results.merge.rows import SourcedRow
+from nw_eval.results.merge.source import MergeSource
 from nw_eval.results.planned import PlannedTrial
-from nw_eval.results.provenance import PartInfo, RunInfo, read_run_info, write_run_info
+from nw_eval.results.provenance import (
+    CacheInfo,
+    PartInfo,
+    RunInfo,
+    read_run_info,
+    write_run_info,
+)
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 
@@ -28,7 +34,7 @@ _LAYOUT_BYTES = 4 * 2**20
 
 
 def merged_info(
-    sources: Sequence[Source],
+    sources: Sequence[MergeSource],
     trials: Iterable[PlannedTrial],
     *,
     name: str,
@@ -67,10 +73,19 @@ def merged_info(
             },
             "shard": None,
             "parts": tuple(parts),
+            "cache": _taken_over(parts),
             "workers": max(part.workers for part in parts),
             "command": command,
         }
     )
+
+
+def _taken_over(parts: Iterable[PartInfo]) -> CacheInfo | None:
+    """Return how parts used the cache of trials, together."""
+    known: CacheInfo | None = None
+    for part in parts:
+        known = known if part.cache is None else part.cache.after(known)
+    return known
 
 
 def _place(info: RunInfo) -> tuple[int, str, str]:
@@ -80,8 +95,8 @@ def _place(info: RunInfo) -> tuple[int, str, str]:
 def write_merged(
     out: Path,
     info: RunInfo,
-    held: Sequence[Held],
-    sources: Sequence[Source],
+    held: Sequence[SourcedRow],
+    sources: Sequence[MergeSource],
     against: Against | None,
 ) -> tuple[RunInfo, tuple[str, ...]]:
     """Write the folder of a merged run; return its run.json, and sentences about what is lost.
@@ -119,8 +134,8 @@ def write_merged(
 def _fill(
     folder: RunFolder,
     info: RunInfo,
-    held: Sequence[Held],
-    sources: Sequence[Source],
+    held: Sequence[SourcedRow],
+    sources: Sequence[MergeSource],
     against: Against | None,
 ) -> tuple[RunInfo, tuple[str, ...]]:
     lost = take_logs(held, folder)
@@ -146,7 +161,7 @@ def _fill(
     return ended, lost
 
 
-def _there(out: Path, info: RunInfo, held: Sequence[Held]) -> RunInfo | None:
+def _there(out: Path, info: RunInfo, held: Sequence[SourcedRow]) -> RunInfo | None:
     """Return run.json of a folder that has this very merged run; None of an empty one.
 
     Raises:

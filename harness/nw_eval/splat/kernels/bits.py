@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.splat.kernels.simd import F8, FLOAT, I1, I32, I32X8, I64, LANES, Float8, intrinsic
+from nw_eval.splat.kernels.simd import FLOAT, I1, I32, I64, integers, intrinsic
 
 
 @intrinsic
@@ -50,29 +50,29 @@ def pack_range(_typing: Any, first: Any, last: Any) -> Any:
     """Return int(first) | int(last) << 16 as bits; both whole and within 0..32767."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        low, high = (builder.fptosi(value, I32X8) for value in args)
-        shift = ir.Constant(I32X8, [16] * LANES)
-        return builder.bitcast(builder.or_(low, builder.shl(high, shift)), F8)
+        shift = integers(16, first.lanes)
+        low, high = (builder.fptosi(value, shift.type) for value in args)
+        return builder.bitcast(builder.or_(low, builder.shl(high, shift)), args[0].type)
 
-    return Float8(Float8, Float8), generate
+    return first(first, last), generate
 
 
 def exponent_shift(builder: Any, value: Any, whole: Any) -> Any:
-    """Return value * 2**whole by adding to the exponent bits (IR; whole is integral)."""
-    shift = ir.Constant(I32X8, [23] * LANES)
-    exponent = builder.shl(builder.fptosi(whole, I32X8), shift)
-    return builder.bitcast(builder.add(builder.bitcast(value, I32X8), exponent), F8)
+    """Return value * 2**n by adding to the exponent bits; n stands in the last bits of `whole`."""
+    shift = integers(23, value.type.count)
+    exponent = builder.shl(builder.bitcast(whole, shift.type), shift)
+    return builder.bitcast(builder.add(builder.bitcast(value, shift.type), exponent), value.type)
 
 
 def split_exponent(builder: Any, value: Any) -> tuple[Any, Any]:
     """Return (e, m) with value = m * 2**e and m in [sqrt(1/2), sqrt(2)) (IR; value is normal)."""
-    lift = ir.Constant(I32X8, [0x3F800000 - 0x3F3504F3] * LANES)
-    bits = builder.add(builder.bitcast(value, I32X8), lift)
-    bias = ir.Constant(I32X8, [127] * LANES)
-    exponent = builder.sub(builder.ashr(bits, ir.Constant(I32X8, [23] * LANES)), bias)
-    fraction = builder.and_(bits, ir.Constant(I32X8, [0x7FFFFF] * LANES))
-    mantissa = builder.add(fraction, ir.Constant(I32X8, [0x3F3504F3] * LANES))
-    return builder.sitofp(exponent, F8), builder.bitcast(mantissa, F8)
+    lanes = value.type.count
+    lift = integers(0x3F800000 - 0x3F3504F3, lanes)
+    bits = builder.add(builder.bitcast(value, lift.type), lift)
+    exponent = builder.sub(builder.ashr(bits, integers(23, lanes)), integers(127, lanes))
+    fraction = builder.and_(bits, integers(0x7FFFFF, lanes))
+    mantissa = builder.add(fraction, integers(0x3F3504F3, lanes))
+    return builder.sitofp(exponent, value.type), builder.bitcast(mantissa, value.type)
 
 
 @intrinsic

@@ -16,12 +16,13 @@ import numpy as np
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import bits_of, clock_nanoseconds, float_of
-from nw_eval.splat.kernels.blend import PLANES, SLACK_COLUMNS, blend, clear
+from nw_eval.splat.kernels.blend import SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
-from nw_eval.splat.kernels.memory import load, peek, store
+from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import project_chunk
 from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.sort import sort_keys, sort_nearer
+from nw_eval.splat.kernels.shapes import CHANNELS
+from nw_eval.splat.kernels.sort import note_depths, sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.
 CULL, PROJECT, SORT, BLEND = 0, 1, 2, 3
@@ -51,10 +52,12 @@ def nearest_of(key: Any, least: Any) -> Any:
 
 
 @kernel
-def _keep_carried(records: Any, carried: Any, count: Any) -> None:
+def _keep_carried(records: Any, depths: Any, carried: Any, count: Any) -> None:
     """Move the carried records to the front, in their order."""
     for i in range(count):
-        source, target = peek(carried, i) * RECORD, i * RECORD
+        record = peek(carried, i)
+        poke(depths, i, peek(depths, record))
+        source, target = record * RECORD, i * RECORD
         first, second = load(records, source), load(records, source + 8)
         store(records, target, first)
         store(records, target + 8, second)
@@ -62,20 +65,27 @@ def _keep_carried(records: Any, carried: Any, count: Any) -> None:
 
 @kernel
 def _resolve(
-    frame: Any, plane: Any, width: Any, height: Any, background: Any, out: Any, x0: Any, y0: Any
+    light: Any,
+    paint: Any,
+    stride: Any,
+    width: Any,
+    height: Any,
+    background: Any,
+    out: Any,
+    x0: Any,
+    y0: Any,
 ) -> None:
     rgb, depth, alpha = out
-    row = PLANES * plane
     for y in range(height):
         for x in range(width):
-            o = y * row + x
-            T = abs(peek(frame, o))
+            o = y * stride + x
+            T = abs(peek(light, o))
             for channel in range(3):
-                value = peek(frame, o + (channel + 1) * plane) + T * background[channel]
+                value = peek(paint, CHANNELS * o + channel) + T * background[channel]
                 rgb[y0 + y, x0 + x, channel] = value
             covered = np.float32(1.0) - T
             alpha[y0 + y, x0 + x] = covered
-            depth[y0 + y, x0 + x] = peek(frame, o + 4 * plane) / max(covered, np.float32(1e-10))
+            depth[y0 + y, x0 + x] = peek(paint, CHANNELS * o + 3) / max(covered, np.float32(1e-10))
 
 
 @kernel
@@ -99,23 +109,25 @@ def draw(
         view: (SIZE,) float32 of view.py.
         columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
         rows: likewise of its rows.
-        options: (eps2d, antialiased, floor of the compensation squared, most alpha, background
-            (3,) float32, chunks in a slab).
-        work: (keys, scratch, carried, chunk_keys, nearest, records, histogram, frame, live): the
-            workspace of render.py.
+        options: (eps2d, antialiased, floor of the compensation squared, most alpha, numbers of
+            the alpha curve, background (3,) float32, chunks in a slab).
+        work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light,
+            paint, live): the workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
         statistics: (STATISTICS,) int64, out.
         clock: POSIX clock for the stages, or -1 to take no time.
     """
     geometry, dc, sh, bounds = store_arrays
-    eps2d, antialiased, floor2, most_alpha, background, slab = options
-    keys, scratch, carried, chunk_keys, nearest, records, histogram, frame, live = work
+    eps2d, antialiased, floor2, most_alpha, numbers, background, slab = options
+    keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = (
+        work
+    )
     width, height = int(view[at.COLUMN1] - view[at.COLUMN0]), int(view[at.ROW1] - view[at.ROW0])
-    plane = width + SLACK_COLUMNS
+    stride = width + SLACK_COLUMNS
     live_stride = (width + 7) // 8 + 1
     statistics[:] = 0
     started = clock_nanoseconds(clock) if clock >= 0 else 0
-    clear(frame, plane, width, height, live, live_stride)
+    clear(light, paint, stride, width, height, live, live_stride)
     visible = visible_chunks(bounds, view, eps2d, chunk_keys, nearest)
     least = _order_chunks(nearest, visible, chunk_keys, scratch, histogram) if visible else 0
     statistics[VISIBLE_CHUNKS] = visible
@@ -145,6 +157,7 @@ def draw(
                 records,
                 count,
             )
+            note_depths(records, before, count, depths)
             statistics[RECORDS] += count - before
         taken = end
         now = clock_nanoseconds(clock) if clock >= 0 else 0
@@ -154,7 +167,7 @@ def draw(
         if taken < visible:
             boundary = nearest_of(chunk_keys[taken], least)
         ready, in_scratch, later = sort_nearer(
-            records, count, boundary, keys, scratch, carried, histogram
+            depths, count, boundary, keys, scratch, carried, histogram
         )
         ordered = scratch if in_scratch else keys
         now = clock_nanoseconds(clock) if clock >= 0 else 0
@@ -166,22 +179,24 @@ def draw(
             ready,
             columns,
             rows,
-            frame,
-            plane,
+            light,
+            paint,
+            stride,
             live,
             live_stride,
             view,
             most_alpha,
+            numbers,
         )
         left -= finished
         statistics[VECTORS] += vectors
         statistics[DRAWN] += drawn
-        _keep_carried(records, carried, later)
+        _keep_carried(records, depths, carried, later)
         count = later
         now = clock_nanoseconds(clock) if clock >= 0 else 0
         statistics[BLEND] += now - started
     started = now
     x0, y0 = int(view[at.COLUMN0]), int(view[at.ROW0])
-    _resolve(frame, plane, width, height, background, out, x0, y0)
+    _resolve(light, paint, stride, width, height, background, out, x0, y0)
     now = clock_nanoseconds(clock) if clock >= 0 else 0
     statistics[BLEND] += now - started

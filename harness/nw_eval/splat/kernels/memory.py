@@ -1,4 +1,4 @@
-"""Loads and stores of eight lanes, of two half rows, and of single elements.
+"""Loads and stores of lanes and of single elements.
 
 Arrays are one-dimensional; loads and stores are unaligned and unchecked, and indices count
 elements. Callers leave eight elements of slack behind every array that they read in vectors.
@@ -17,17 +17,19 @@ from numba import types
 from numba.core import cgutils
 
 from nw_eval.splat.kernels.simd import (
-    F4,
     F8,
+    F16,
     HALF8,
     I8,
     I16X8,
     I32,
-    I32X8,
+    I32X16,
     LANES,
     Float8,
+    Floats16,
     address,
-    constant8,
+    constant,
+    integers,
     intrinsic,
     lane_list,
 )
@@ -48,19 +50,17 @@ _CONVERTS_HALVES = _converts_halves()
 
 
 def _widen_halves(builder: Any, bits: Any) -> Any:
-    """Return finite float16 bits as Float8 by integer operations (IR).
+    """Return finite float16 bits as float32 by integer operations (IR).
 
     Exponent and fraction move to their places in a float32; the exponent then is 112 too small,
     which a multiplication mends, for denormals too.
     """
-
-    def constant(value: int) -> Any:
-        return ir.Constant(I32X8, [value] * LANES)
-
-    magnitude = builder.shl(builder.and_(bits, constant(0x7FFF)), constant(13))
-    value = builder.fmul(builder.bitcast(magnitude, F8), constant8(2.0**112))
-    sign = builder.shl(builder.and_(bits, constant(0x8000)), constant(16))
-    return builder.bitcast(builder.or_(builder.bitcast(value, I32X8), sign), F8)
+    lanes = bits.type.count
+    factor = constant(2.0**112, lanes)
+    magnitude = builder.shl(builder.and_(bits, integers(0x7FFF, lanes)), integers(13, lanes))
+    value = builder.fmul(builder.bitcast(magnitude, factor.type), factor)
+    sign = builder.shl(builder.and_(bits, integers(0x8000, lanes)), integers(16, lanes))
+    return builder.bitcast(builder.or_(builder.bitcast(value, bits.type), sign), factor.type)
 
 
 @intrinsic
@@ -87,47 +87,35 @@ def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
-def load_rows(_typing: Any, array: Any, upper: Any, lower: Any) -> Any:
-    """Return array[upper : upper + 4] in lanes 0..3 and array[lower : lower + 4] in 4..7."""
+def load_pair(_typing: Any, array: Any, index: Any, step: Any) -> Any:
+    """Return array[index : index + 8] and the eight that lie `step` behind them."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        halves: list[Any] = []
-        for index in args[1:]:
-            place = address(context, builder, signature.args[0], args[0], index)
-            halves.append(builder.load(builder.bitcast(place, F4.as_pointer()), align=4))
-        return builder.shuffle_vector(halves[0], halves[1], lane_list(list(range(LANES))))
+        return _pair(context, builder, signature, args, F8, 4)
 
-    return Float8(array, types.intp, types.intp), generate
+    return Floats16(array, types.intp, types.intp), generate
 
 
 @intrinsic
-def store_rows(_typing: Any, array: Any, upper: Any, lower: Any, value: Any) -> Any:
-    """Write lanes 0..3 to array[upper : upper + 4] and 4..7 to array[lower : lower + 4]."""
+def load_halves(_typing: Any, array: Any, index: Any, step: Any) -> Any:
+    """Return sixteen float16, held as bits in a uint16 array, as `load_pair` takes them."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        undefined = ir.Constant(F8, ir.Undefined)
-        for index, lanes in ((args[1], [0, 1, 2, 3]), (args[2], [4, 5, 6, 7])):
-            half = builder.shuffle_vector(args[3], undefined, lane_list(lanes))
-            place = address(context, builder, signature.args[0], args[0], index)
-            builder.store(half, builder.bitcast(place, F4.as_pointer()), align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, Float8), generate
-
-
-@intrinsic
-def load_halves(_typing: Any, array: Any, index: Any) -> Any:
-    """Return eight float16, held as bits in a uint16 array, as a Float8."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = address(context, builder, signature.args[0], args[0], args[1])
         if _CONVERTS_HALVES:
-            halves = builder.load(builder.bitcast(place, HALF8.as_pointer()), align=2)
-            return builder.fpext(halves, F8)
-        words = builder.load(builder.bitcast(place, I16X8.as_pointer()), align=2)
-        return _widen_halves(builder, builder.zext(words, I32X8))
+            halves = _pair(context, builder, signature, args, HALF8, 2)
+            return builder.fpext(halves, F16)
+        words = _pair(context, builder, signature, args, I16X8, 2)
+        return _widen_halves(builder, builder.zext(words, I32X16))
 
-    return Float8(array, types.intp), generate
+    return Floats16(array, types.intp, types.intp), generate
+
+
+def _pair(context: Any, builder: Any, signature: Any, args: Any, kind: Any, align: int) -> Any:
+    parts: list[Any] = []
+    for index in (args[1], builder.add(args[1], args[2])):
+        place = address(context, builder, signature.args[0], args[0], index)
+        parts.append(builder.load(builder.bitcast(place, kind.as_pointer()), align=align))
+    return builder.shuffle_vector(*parts, lane_list(list(range(2 * LANES))))
 
 
 @intrinsic

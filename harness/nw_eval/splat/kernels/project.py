@@ -1,4 +1,4 @@
-"""From Gaussians in the world to records on the screen, eight at a time.
+"""From Gaussians in the world to records on the screen, two groups at a time.
 
 EWA splatting (Zwicker et al. 2001) as gsplat 1.5 does it. With camera point (x, y, z), view
 rotation rows r0, r1, r2, and a = clamp(x / z), b = clamp(y / z), the rows of J R are
@@ -24,8 +24,8 @@ from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
 from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.memory import load
-from nw_eval.splat.kernels.records import append_records
+from nw_eval.splat.kernels.memory import load_pair
+from nw_eval.splat.kernels.records import append_lower, append_upper
 from nw_eval.splat.kernels.simd import ceil, floor, fma, mask_bits, maximum, minimum, negate, sqrt
 
 GEOMETRY = 10
@@ -35,8 +35,8 @@ THRESHOLD = math.log2(1.0 / 255.0)
 """log2 of the least alpha that is blended."""
 
 # Places in a record of 16 floats.
-U, V, A, B, C, LOG_OPACITY, DEPTH = 0, 1, 2, 3, 4, 5, 6
-COLUMNS, ROWS, RED, GREEN, BLUE = 7, 8, 9, 10, 11
+U, V, A, B, C, LOG_OPACITY, COLUMNS, ROWS = 0, 1, 2, 3, 4, 5, 6, 7
+RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
 
 _LOG2E = 1.4426950408889634
 _TWO_LN2 = 2.0 * math.log(2.0)
@@ -100,9 +100,12 @@ def project_chunk(
     first = chunk * (CHUNK * GEOMETRY)
     first_dc = chunk * (CHUNK * 3)
     first_sh = chunk * (CHUNK * 3) * (sh_count - 1)
-    for i in range(0, CHUNK, GROUP):
+    step = GROUP * GEOMETRY
+    for i in range(0, CHUNK, 2 * GROUP):
         g = first + i * GEOMETRY
-        px, py, pz = load(geometry, g), load(geometry, g + GROUP), load(geometry, g + 2 * GROUP)
+        px = load_pair(geometry, g, step)
+        py = load_pair(geometry, g + GROUP, step)
+        pz = load_pair(geometry, g + 2 * GROUP, step)
         # From the eye first: the rounding then is that of the distance, not of the place.
         dx, dy, dz = px - eye_x, py - eye_y, pz - eye_z
         z = fma(dx, r6, fma(dy, r7, dz * r8))
@@ -126,12 +129,12 @@ def project_chunk(
         sx, sy = inverse_z * fx, inverse_z * fy
         t0, t1, t2 = sx * fma(a, r6, r0), sx * fma(a, r7, r1), sx * fma(a, r8, r2)
         u0, u1, u2 = sy * fma(b, r6, r3), sy * fma(b, r7, r4), sy * fma(b, r8, r5)
-        c00 = load(geometry, g + 3 * GROUP)
-        c01 = load(geometry, g + 4 * GROUP)
-        c02 = load(geometry, g + 5 * GROUP)
-        c11 = load(geometry, g + 6 * GROUP)
-        c12 = load(geometry, g + 7 * GROUP)
-        c22 = load(geometry, g + 8 * GROUP)
+        c00 = load_pair(geometry, g + 3 * GROUP, step)
+        c01 = load_pair(geometry, g + 4 * GROUP, step)
+        c02 = load_pair(geometry, g + 5 * GROUP, step)
+        c11 = load_pair(geometry, g + 6 * GROUP, step)
+        c12 = load_pair(geometry, g + 7 * GROUP, step)
+        c22 = load_pair(geometry, g + 8 * GROUP, step)
         s0 = fma(c00, t0, fma(c01, t1, c02 * t2))
         s1 = fma(c01, t0, fma(c11, t1, c12 * t2))
         s2 = fma(c02, t0, fma(c12, t1, c22 * t2))
@@ -145,7 +148,7 @@ def project_chunk(
         xx, yy = xx + eps2d, yy + eps2d
         after = fma(xx, yy, negate(xy * xy))
         inverse_det = 1.0 / after
-        log_opacity = load(geometry, g + 9 * GROUP)
+        log_opacity = load_pair(geometry, g + 9 * GROUP, step)
         if antialiased:
             kept = maximum(maximum(before * inverse_det, least_compensation), 1e-30)
             log_opacity = fma(log2(kept), 0.5, log_opacity)
@@ -154,19 +157,24 @@ def project_chunk(
         rx = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
         ry = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
         u, v = fma(slope_x, fx, cx), fma(slope_y, fy, cy)
-        low, high = ceil(u - rx - 0.5), floor(u + rx + 0.5)
-        c_low = maximum(taken_below(low, stride, inverse, offset, block), column0)
-        c_high = minimum(taken_below(high, stride, inverse, offset, block) - 1.0, column1 - 1.0)
-        low, high = ceil(v - ry - 0.5), floor(v + ry + 0.5)
-        r_low = maximum(taken_below(low, stride, inverse, offset, block), row0)
-        r_high = minimum(taken_below(high, stride, inverse, offset, block) - 1.0, row1 - 1.0)
+        c_low, c_high = ceil(u - rx - 0.5), floor(u + rx + 0.5)
+        r_low, r_high = ceil(v - ry - 0.5), floor(v + ry + 0.5)
+        if stride != 1.0:  # Where every pixel is taken, an index is its own.
+            c_low = taken_below(c_low, stride, inverse, offset, block)
+            c_high = taken_below(c_high, stride, inverse, offset, block)
+            r_low = taken_below(r_low, stride, inverse, offset, block)
+            r_high = taken_below(r_high, stride, inverse, offset, block)
+        c_low, c_high = maximum(c_low, column0), minimum(c_high - 1.0, column1 - 1.0)
+        r_low, r_high = maximum(r_low, row0), minimum(r_high - 1.0, row1 - 1.0)
         ok = ok & (c_low <= c_high) & (r_low <= r_high)
         bits = mask_bits(ok)
         if bits == 0:
             continue
         half = inverse_det * (0.5 * _LOG2E)
         d = first_dc + i * 3
-        red, green, blue = load(dc, d), load(dc, d + GROUP), load(dc, d + 2 * GROUP)
+        red = load_pair(dc, d, 3 * GROUP)
+        green = load_pair(dc, d + GROUP, 3 * GROUP)
+        blue = load_pair(dc, d + 2 * GROUP, 3 * GROUP)
         if sh_count > 1:
             unit = 1.0 / sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
             red, green, blue = shade(
@@ -178,23 +186,22 @@ def project_chunk(
                 dz * unit,
                 (red, green, blue),
             )
-        count = append_records(
-            records,
-            count,
-            bits,
-            (
-                u,
-                v,
-                yy * half,
-                xy * half * -2.0,
-                xx * half,
-                log_opacity,
-                z,
-                pack_range(c_low - column0, c_high - column0),
-                pack_range(r_low - row0, r_high - row0),
-                maximum(red, 0.0),
-                maximum(green, 0.0),
-                maximum(blue, 0.0),
-            ),
+        fields = (
+            u,
+            v,
+            yy * half,
+            xy * half * -2.0,
+            xx * half,
+            log_opacity,
+            pack_range(c_low - column0, c_high - column0),
+            pack_range(r_low - row0, r_high - row0),
+            maximum(red, 0.0),
+            maximum(green, 0.0),
+            maximum(blue, 0.0),
+            z,
         )
+        if bits & 0xFF:
+            count = append_lower(records, count, bits, fields)
+        if bits >> GROUP:
+            count = append_upper(records, count, bits, fields)
     return count

@@ -36,27 +36,35 @@ def _transpose(builder: Any, rows: list[Any]) -> list[Any]:
     return low + high
 
 
-@intrinsic
-def append_records(_typing: Any, records: Any, count: Any, lanes: Any, fields: Any) -> Any:
-    """Write one record of 16 floats for each set lane behind `count` records; return the new count.
+def _appending(first_lane: int) -> Any:
+    @intrinsic
+    def append(_typing: Any, records: Any, count: Any, bits: Any, fields: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            lanes = lane_list(list(range(first_lane, first_lane + LANES)))
+            values: list[Any] = [
+                builder.shuffle_vector(value, value, lanes)
+                for value in cgutils.unpack_tuple(builder, args[3])
+            ]
+            values += [ir.Constant(F8, ir.Undefined)] * (RECORD - len(values))
+            first, second = _transpose(builder, values[:8]), _transpose(builder, values[8:])
+            end, one = args[1], ir.Constant(I64, 1)
+            for lane in range(LANES):
+                start = builder.shl(end, ir.Constant(I64, 4))
+                place = address(context, builder, signature.args[0], args[0], start)
+                builder.store(first[lane], builder.bitcast(place, F8.as_pointer()), align=4)
+                place = builder.gep(place, [ir.Constant(I64, LANES)])
+                builder.store(second[lane], builder.bitcast(place, F8.as_pointer()), align=4)
+                place = ir.Constant(I64, first_lane + lane)
+                end = builder.add(end, builder.and_(builder.lshr(args[2], place), one))
+            return end
 
-    `fields` is a tuple of twelve Float8, the first twelve floats of a record. Every lane is
-    written and the end advances for the set ones only: no branch. Leave eight records of slack.
-    """
+        return types.int64(records, types.int64, types.int64, fields), generate
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values = list(cgutils.unpack_tuple(builder, args[3]))
-        values += [ir.Constant(F8, ir.Undefined)] * (RECORD - len(values))
-        first, second = _transpose(builder, values[:8]), _transpose(builder, values[8:])
-        end, one = args[1], ir.Constant(I64, 1)
-        for lane in range(LANES):
-            start = builder.shl(end, ir.Constant(I64, 4))
-            place = address(context, builder, signature.args[0], args[0], start)
-            builder.store(first[lane], builder.bitcast(place, F8.as_pointer()), align=4)
-            place = builder.gep(place, [ir.Constant(I64, LANES)])
-            builder.store(second[lane], builder.bitcast(place, F8.as_pointer()), align=4)
-            chosen = builder.and_(builder.lshr(args[2], ir.Constant(I64, lane)), one)
-            end = builder.add(end, chosen)
-        return end
+    return append
 
-    return types.int64(records, types.int64, types.int64, fields), generate
+
+append_lower, append_upper = _appending(0), _appending(LANES)
+"""(records, count, bits, fields): write one record of 16 floats behind `count` records for each
+lane that is set in `bits`, of the lower or the upper eight; return the new count. `fields` are
+twelve Floats16, the first twelve floats of a record. Every lane is written and the end advances for
+the set ones only: no branch. Leave eight records of slack."""

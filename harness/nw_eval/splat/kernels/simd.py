@@ -1,8 +1,9 @@
-"""Eight float32 lanes as a Numba type: `Float8`, its comparison result `Mask8`, and their moves.
+"""Eight or sixteen float32 lanes as a Numba type: `Float8`, `Floats16`, and their masks.
 
-The operations are written as LLVM IR on the generic types <8 x float> and <8 x i1>, so that LLVM
-picks the instructions of the machine (AVX2, AVX-512, NEON) and no C compiler is needed. No
-fast-math flag is set anywhere: results do not depend on what LLVM would like to reassociate.
+The operations are written as LLVM IR on generic types such as <8 x float> and <8 x i1>, so that
+LLVM picks the instructions of the machine (AVX2, AVX-512, NEON) and no C compiler is needed. Where
+no register holds sixteen lanes, LLVM takes two: a lane gets the same bits either way. No fast-math
+flag is set anywhere: results do not depend on what LLVM would like to reassociate.
 
 This room has the types, their operators and masks; memory.py, bits.py and records.py have the rest.
 """
@@ -26,42 +27,42 @@ LANES = 8
 
 FLOAT = ir.FloatType()
 I1, I8, I32, I64 = ir.IntType(1), ir.IntType(8), ir.IntType(32), ir.IntType(64)
-F4 = ir.VectorType(FLOAT, 4)
-F8 = ir.VectorType(FLOAT, LANES)
-I32X8 = ir.VectorType(I32, LANES)
+F8, F16 = ir.VectorType(FLOAT, LANES), ir.VectorType(FLOAT, 2 * LANES)
+I32X16 = ir.VectorType(I32, 2 * LANES)
 I16X8 = ir.VectorType(ir.IntType(16), LANES)
 HALF8 = ir.VectorType(ir.HalfType(), LANES)
-_MASK8 = ir.VectorType(I1, LANES)
 
 
-class Float8Type(types.Type):
-    """Type of eight float32 lanes."""
+class FloatsType(types.Type):
+    """Type of some float32 lanes."""
 
-    def __init__(self) -> None:
-        super().__init__("Float8")
-
-
-class Mask8Type(types.Type):
-    """Type of eight booleans, the result of comparing two Float8."""
-
-    def __init__(self) -> None:
-        super().__init__("Mask8")
+    def __init__(self, lanes: int) -> None:
+        super().__init__(f"Float{lanes}")
+        self.lanes = lanes
 
 
-Float8 = Float8Type()
-Mask8 = Mask8Type()
+class MaskType(types.Type):
+    """Type of as many booleans, the result of comparing two of them."""
+
+    def __init__(self, lanes: int) -> None:
+        super().__init__(f"Mask{lanes}")
+        self.lanes = lanes
 
 
-@register_model(Float8Type)
-class _Float8Model(models.PrimitiveModel):
+Float8, Floats16 = FloatsType(8), FloatsType(16)
+_MASKS = {8: MaskType(8), 16: MaskType(16)}
+
+
+@register_model(FloatsType)
+class _FloatsModel(models.PrimitiveModel):
     def __init__(self, manager: Any, fe_type: Any) -> None:
-        super().__init__(manager, fe_type, F8)
+        super().__init__(manager, fe_type, ir.VectorType(FLOAT, fe_type.lanes))
 
 
-@register_model(Mask8Type)
-class _Mask8Model(models.PrimitiveModel):
+@register_model(MaskType)
+class _MaskModel(models.PrimitiveModel):
     def __init__(self, manager: Any, fe_type: Any) -> None:
-        super().__init__(manager, fe_type, _MASK8)
+        super().__init__(manager, fe_type, ir.VectorType(I1, fe_type.lanes))
 
 
 # --- pieces of IR ------------------------------------------------------------------------------
@@ -72,28 +73,38 @@ def lane_list(values: list[int]) -> Any:
     return ir.Constant(ir.VectorType(I32, len(values)), values)
 
 
-def constant8(value: float) -> Any:
-    """Return the IR constant of eight equal floats."""
-    return ir.Constant(F8, [value] * LANES)
+def constant(value: float, lanes: int = LANES) -> Any:
+    """Return the IR constant of equal floats."""
+    return ir.Constant(ir.VectorType(FLOAT, lanes), [value] * lanes)
 
 
-def broadcast_ir(builder: Any, scalar: Any) -> Any:
-    """Return eight lanes of one IR float."""
-    undefined = ir.Constant(F8, ir.Undefined)
+def integers(value: int, lanes: int) -> Any:
+    """Return the IR constant of equal 32-bit integers."""
+    return ir.Constant(ir.VectorType(I32, lanes), [value] * lanes)
+
+
+def broadcast_ir(builder: Any, scalar: Any, lanes: int = LANES) -> Any:
+    """Return lanes of one IR float."""
+    undefined = ir.Constant(ir.VectorType(FLOAT, lanes), ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(I32, 0))
-    return builder.shuffle_vector(first, undefined, lane_list([0] * LANES))
+    return builder.shuffle_vector(first, undefined, lane_list([0] * lanes))
 
 
 def _is_vector(value: Any) -> bool:
-    return isinstance(value, Float8Type)
+    return isinstance(value, FloatsType)
+
+
+def _floats_of(*values: Any) -> Any:
+    """Return the vector type among types."""
+    return next(value for value in values if _is_vector(value))
 
 
 def _vector_or_float(value: Any) -> Any:
-    return Float8 if _is_vector(value) else types.float32
+    return value if _is_vector(value) else types.float32
 
 
-def _widen(builder: Any, value: Any, numba_type: Any) -> Any:
-    return value if _is_vector(numba_type) else broadcast_ir(builder, value)
+def _widen(builder: Any, value: Any, numba_type: Any, wanted: Any) -> Any:
+    return value if _is_vector(numba_type) else broadcast_ir(builder, value, wanted.lanes)
 
 
 def address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
@@ -103,9 +114,11 @@ def address(context: Any, builder: Any, array_type: Any, array: Any, index: Any)
 
 
 def call_llvm(builder: Any, name: str, *values: Any) -> Any:
-    """Call an LLVM intrinsic whose operands and result are all Float8."""
-    signature = ir.FunctionType(F8, [F8] * len(values))
-    function = cgutils.get_or_insert_function(builder.module, signature, f"llvm.{name}.v8f32")
+    """Call an LLVM intrinsic whose operands and result are all of one vector type."""
+    kind = values[0].type
+    signature = ir.FunctionType(kind, [kind] * len(values))
+    name = f"llvm.{name}.v{kind.count}f32"
+    function = cgutils.get_or_insert_function(builder.module, signature, name)
     return builder.call(function, list(values))
 
 
@@ -114,24 +127,12 @@ def call_llvm(builder: Any, name: str, *values: Any) -> Any:
 
 @intrinsic
 def broadcast(_typing: Any, value: Any) -> Any:
-    """Return a Float8 whose lanes all hold one float."""
+    """Return a Floats16 whose lanes all hold one float."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return broadcast_ir(builder, args[0])
+        return broadcast_ir(builder, args[0], Floats16.lanes)
 
-    return Float8(types.float32), generate
-
-
-@intrinsic
-def halves(_typing: Any, upper: Any, lower: Any) -> Any:
-    """Return a Float8 with one float in lanes 0..3 and another in 4..7."""
-
-    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        pair = builder.insert_element(broadcast_ir(builder, args[0]), args[1], ir.Constant(I32, 1))
-        undefined = ir.Constant(F8, ir.Undefined)
-        return builder.shuffle_vector(pair, undefined, lane_list([0] * 4 + [1] * 4))
-
-    return Float8(types.float32, types.float32), generate
+    return Floats16(types.float32), generate
 
 
 # --- arithmetic --------------------------------------------------------------------------------
@@ -141,10 +142,14 @@ def _arithmetic(python_operator: Callable[..., Any], instruction: str) -> None:
     @intrinsic
     def combine(_typing: Any, left: Any, right: Any) -> Any:
         def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            operands = [_widen(builder, a, t) for a, t in zip(args, signature.args, strict=True)]
+            kind = signature.return_type
+            operands = [
+                _widen(builder, a, t, kind) for a, t in zip(args, signature.args, strict=True)
+            ]
             return getattr(builder, instruction)(*operands)
 
-        return Float8(_vector_or_float(left), _vector_or_float(right)), generate
+        kind = _floats_of(left, right)
+        return kind(_vector_or_float(left), _vector_or_float(right)), generate
 
     @overload(python_operator)
     def choose(left: Any, right: Any) -> Any:
@@ -167,9 +172,10 @@ def _comparison(python_operator: Callable[..., Any], sign: str) -> None:
     @intrinsic
     def compare(_typing: Any, left: Any, right: Any) -> Any:
         def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.fcmp_ordered(sign, args[0], _widen(builder, args[1], signature.args[1]))
+            limit = _widen(builder, args[1], signature.args[1], left)
+            return builder.fcmp_ordered(sign, args[0], limit)
 
-        return Mask8(Float8, _vector_or_float(right)), generate
+        return _MASKS[left.lanes](left, _vector_or_float(right)), generate
 
     @overload(python_operator)
     def choose(left: Any, right: Any) -> Any:
@@ -193,10 +199,12 @@ def fma(_typing: Any, x: Any, y: Any, z: Any) -> Any:
     """Return x * y + z, rounded once where the machine can."""
 
     def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        operands = [_widen(builder, a, t) for a, t in zip(args, signature.args, strict=True)]
+        kind = signature.return_type
+        operands = [_widen(builder, a, t, kind) for a, t in zip(args, signature.args, strict=True)]
         return call_llvm(builder, "fmuladd", *operands)
 
-    return Float8(_vector_or_float(x), _vector_or_float(y), _vector_or_float(z)), generate
+    kind = _floats_of(x, y, z)
+    return kind(_vector_or_float(x), _vector_or_float(y), _vector_or_float(z)), generate
 
 
 @intrinsic
@@ -206,7 +214,19 @@ def negate(_typing: Any, x: Any) -> Any:
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.fneg(args[0])
 
-    return Float8(Float8), generate
+    return x(x), generate
+
+
+@intrinsic
+def minus_abs(_typing: Any, x: Any) -> Any:
+    """Return -|x|; exact."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        sign = integers(0x80000000, x.lanes)
+        signed = builder.or_(builder.bitcast(args[0], sign.type), sign)
+        return builder.bitcast(signed, args[0].type)
+
+    return x(x), generate
 
 
 def _unary(name: str, text: str) -> Any:
@@ -215,7 +235,7 @@ def _unary(name: str, text: str) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
             return call_llvm(builder, name, args[0])
 
-        return Float8(Float8), generate
+        return x(x), generate
 
     apply.__doc__ = text
     return apply
@@ -232,10 +252,10 @@ def _extreme(sign: str) -> Any:
     @intrinsic
     def apply(_typing: Any, x: Any, bound: Any) -> Any:
         def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            limit = _widen(builder, args[1], signature.args[1])
+            limit = _widen(builder, args[1], signature.args[1], x)
             return builder.select(builder.fcmp_ordered(sign, args[0], limit), args[0], limit)
 
-        return Float8(Float8, _vector_or_float(bound)), generate
+        return x(x, _vector_or_float(bound)), generate
 
     return apply
 
@@ -252,12 +272,12 @@ def _both(_typing: Any, left: Any, right: Any) -> Any:
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.and_(args[0], args[1])
 
-    return Mask8(Mask8, Mask8), generate
+    return left(left, right), generate
 
 
 @overload(operator.and_)
 def _and(left: Any, right: Any) -> Any:
-    if isinstance(left, Mask8Type) and isinstance(right, Mask8Type):
+    if isinstance(left, MaskType) and isinstance(right, MaskType):
 
         def implement(left: Any, right: Any) -> Any:
             return _both(left, right)
@@ -267,31 +287,34 @@ def _and(left: Any, right: Any) -> Any:
 
 
 @intrinsic
-def and_not(_typing: Any, left: Any, right: Any) -> Any:
-    """Return the lanes set in left and not in right."""
+def mask_bits(_typing: Any, mask: Any) -> Any:
+    """Return the lanes of a mask as the low bits of an int64."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.and_(args[0], builder.not_(args[1]))
+        return builder.zext(builder.bitcast(args[0], ir.IntType(mask.lanes)), I64)
 
-    return Mask8(Mask8, Mask8), generate
+    return types.int64(mask), generate
 
 
 @intrinsic
-def mask_bits(_typing: Any, mask: Any) -> Any:
-    """Return the lanes of a Mask8 as the low eight bits of an int64."""
+def sign_bits(_typing: Any, x: Any) -> Any:
+    """Return the signs of lanes as the low bits of an int64; 1 is negative."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.zext(builder.bitcast(args[0], I8), I64)
+        zero = integers(0, x.lanes)
+        signs = builder.icmp_signed("<", builder.bitcast(args[0], zero.type), zero)
+        return builder.zext(builder.bitcast(signs, ir.IntType(x.lanes)), I64)
 
-    return types.int64(Mask8), generate
+    return types.int64(x), generate
 
 
 @intrinsic
 def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
     """Return yes in the lanes that are set, no in the others."""
+    kind = _floats_of(yes, no)
 
     def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        chosen = [_widen(builder, args[i], signature.args[i]) for i in (1, 2)]
+        chosen = [_widen(builder, args[i], signature.args[i], kind) for i in (1, 2)]
         return builder.select(args[0], *chosen)
 
-    return Float8(Mask8, _vector_or_float(yes), _vector_or_float(no)), generate
+    return kind(mask, _vector_or_float(yes), _vector_or_float(no)), generate

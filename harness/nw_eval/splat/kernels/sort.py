@@ -32,6 +32,34 @@ def _digits(span: Any) -> Any:
     return digits, (bits + digits - 1) // digits
 
 
+@inlined
+def _count_digits(keys: Any, count: Any, digits: Any, width: Any, histogram: Any) -> None:
+    """Count the values of each digit; the number of digits is no loop within the loop."""
+    mask = (1 << width) - 1
+    second, third = 32 + width, 32 + 2 * width
+    for i in range(digits << DIGIT):
+        poke(histogram, i, 0)
+    if digits == 1:
+        for i in range(count):
+            _increment(histogram, (peek(keys, i) >> 32) & mask)
+    elif digits == 2:
+        for i in range(count):
+            key = peek(keys, i)
+            _increment(histogram, (key >> 32) & mask)
+            _increment(histogram, (1 << DIGIT) + ((key >> second) & mask))
+    else:
+        for i in range(count):
+            key = peek(keys, i)
+            _increment(histogram, (key >> 32) & mask)
+            _increment(histogram, (1 << DIGIT) + ((key >> second) & mask))
+            _increment(histogram, (2 << DIGIT) + ((key >> third) & mask))
+
+
+@inlined
+def _increment(histogram: Any, place: Any) -> None:
+    poke(histogram, place, peek(histogram, place) + 1)
+
+
 @kernel
 def sort_keys(keys: Any, scratch: Any, count: Any, span: Any, histogram: Any) -> Any:
     """Sort int64 keys by their upper halves, which lie in 0..span.
@@ -41,13 +69,7 @@ def sort_keys(keys: Any, scratch: Any, count: Any, span: Any, histogram: Any) ->
     """
     digits, width = _digits(span)
     mask = (1 << width) - 1
-    for i in range(digits << DIGIT):
-        poke(histogram, i, 0)
-    for i in range(count):
-        key = peek(keys, i) >> 32
-        for digit in range(digits):
-            place = (digit << DIGIT) + ((key >> (digit * width)) & mask)
-            poke(histogram, place, peek(histogram, place) + 1)
+    _count_digits(keys, count, digits, width, histogram)
     source, target = keys, scratch
     for digit in range(digits):
         base = digit << DIGIT
@@ -68,13 +90,20 @@ def sort_keys(keys: Any, scratch: Any, count: Any, span: Any, histogram: Any) ->
 
 
 @kernel
+def note_depths(records: Any, first: Any, end: Any, depths: Any) -> None:
+    """Copy the depths of records first..end-1, while they are in the nearest cache."""
+    for i in range(first, end):
+        poke(depths, i, peek(records, i * RECORD + DEPTH))
+
+
+@kernel
 def sort_nearer(
-    records: Any, count: Any, boundary: Any, keys: Any, scratch: Any, carried: Any, histogram: Any
+    depths: Any, count: Any, boundary: Any, keys: Any, scratch: Any, carried: Any, histogram: Any
 ) -> Any:
     """Order the records nearer than `boundary`; note the others.
 
     Args:
-        records: float32 records.
+        depths: float32, of the records.
         count: how many.
         boundary: depth from which on records are left for later.
         keys: int64 to sort in.
@@ -85,18 +114,19 @@ def sort_nearer(
     Returns:
         (records sorted, whether they stand in `scratch`, records carried).
     """
-    least, most = 0x7FFFFFFF, 0
+    limit = int(bits_of(boundary))
+    least, most = limit, 0
     near = later = 0
+    # Without a branch: which side of the boundary comes next cannot be foreseen.
     for i in range(count):
-        depth = peek(records, i * RECORD + DEPTH)
-        if depth < boundary:
-            bits = int(bits_of(depth))
-            least, most = min(least, bits), max(most, bits)
-            poke(keys, near, (bits << 32) | i)
-            near += 1
-        else:
-            poke(carried, later, i)
-            later += 1
+        bits = int(bits_of(peek(depths, i)))
+        poke(keys, near, (bits << 32) | i)
+        poke(carried, later, i)
+        nearer = int(bits < limit)
+        near += nearer
+        later += 1 - nearer
+        least = min(least, bits)
+        most = max(most, min(bits, limit - 1))
     if near == 0:
         return 0, False, later
     base = least << 32

@@ -246,9 +246,8 @@ class RayWorkers:
         answered, _ = self._joined.ray.wait(list(pending), timeout=POLL)
         if answered:  # Whatever else is there by now.
             answered, _ = self._joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
-        return [
-            each for reference, each in pending.items() if reference in answered or each.is_late
-        ]
+        there = {*answered}
+        return [each for each in pending.values() if each.awaited in there or each.is_late]
 
     def _look(self, each: _Staffed) -> Iterator[Finished]:
         """Take in what a station says, and yield jobs that have ended."""
