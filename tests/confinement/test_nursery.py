@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from multiprocessing import Pipe
+from multiprocessing.connection import wait
 from pathlib import Path
 
 import pytest
@@ -105,7 +106,7 @@ def test_a_child_is_killed_and_its_number_is_its_own_until_then(nursery, functio
     child = nursery.fork(functions.sleeps, ())
     assert child.exitcode is None
     child.kill()
-    child.join(30.0)
+    assert wait([child.sentinel], 30.0)
     os.kill(child.pid, 0)  # It has ended, and nobody else can have its number.
     assert child.exitcode == -signal.SIGKILL
     with pytest.raises(ProcessLookupError):
@@ -132,9 +133,9 @@ def test_children_end_with_a_nursery_and_no_others_start_there(functions):
     nursery = Nursery()
     child = nursery.fork(functions.sleeps, ())
     child_of_another_mind = nursery.fork(functions.dies, (3,))
-    child_of_another_mind.join(30.0)
+    assert wait([child_of_another_mind.sentinel], 30.0)
     nursery._process.kill()
-    nursery._process.join(30.0)
+    nursery._process.wait(30.0)
     assert not nursery.is_alive
     with pytest.raises(OSError, match="is gone"):
         nursery.fork(functions.dies, (0,))

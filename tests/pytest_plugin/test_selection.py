@@ -119,7 +119,7 @@ def test_a_worker_goes_on_with_the_run_of_one_that_was_killed(suite, folders):
     """The second worker finds the first one's folder: with trials, and without an end."""
     suite(trials=3)
     stash = pytest.Stash()
-    stash[SETTINGS] = SimpleNamespace(report_dir=Path("reports"), workers=None)
+    stash[SETTINGS] = SimpleNamespace(report_dir=Path("reports"), workers=None, cache=False)
     workerinput = {"workercount": 2, "nw_eval_session": "20260101T000000Z chance"}
     first, second, third = (
         Runs(SimpleNamespace(stash=stash, workerinput=workerinput)) for _ in range(3)

@@ -56,16 +56,19 @@ def die_with_parent(*, has_children: bool) -> None:
         has_children: whether code that runs here may start processes.
     """
     parent = parent_process()
-    if parent is None:
+    starter = _parent if _parent is not None else getattr(parent, "pid", None)
+    if starter is None:
         return
     if not has_children:
         # The kernel means the thread that started this process: it waits for this process, or
         # lives as long as all of them.
         with suppress(OSError):
             kernel.prctl(_DEATH_OF_PARENT, signal.SIGKILL)
-            if os.getppid() != (_parent or parent.pid) or connection.wait([parent.sentinel], 0):
+            if os.getppid() != starter:
                 os._exit(1)
             return
+    if parent is None:
+        return
     threading.Thread(target=_wait_for, args=(parent.sentinel,), daemon=True).start()
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from contextlib import suppress
-from multiprocessing import Pipe, get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import send_handle
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.confinement.environment import child_environment
-from nw_eval.confinement.family import interrupts_blocked, without_script
+from nw_eval.confinement.family import interrupts_blocked
 from nw_eval.confinement.nursery.process import Circumstances, Wish, serve
 
 if TYPE_CHECKING:
@@ -33,20 +35,30 @@ class Nursery:
 
     def __init__(self) -> None:
         os.close(os.pidfd_open(os.getpid()))  # Linux 5.3 has it.
-        context = get_context("spawn")
-        self._line, theirs = context.Pipe()
+        self._line, theirs = Pipe()
         self._lock = threading.Lock()
-        self._process = context.Process(target=serve, args=(theirs,), daemon=True)
-        try:
-            with child_environment(), interrupts_blocked(), without_script():
-                self._process.start()
-        finally:
-            theirs.close()
+        # Not `multiprocessing`'s, which would print a traceback if this process were killed now.
+        start = f"import sys; sys.path[:] = {sys.path!r}; from {serve.__module__} import begin; "
+        with theirs, child_environment(), interrupts_blocked():
+            self._process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
+                [sys.executable, "-P", "-c", f"{start}begin({theirs.fileno()})"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+            )
+
+    def __del__(self) -> None:
+        """End it: whoever has a child of it has it, too."""
+        process = getattr(self, "_process", None)
+        if process is not None:
+            process.kill()
+            process.wait()
 
     @property
     def is_alive(self) -> bool:
         """Whether it can still be asked for children."""
-        return self._process.is_alive()
+        return self._process.poll() is None
 
     def learn(self, *modules: str) -> None:
         """Let it import modules for all children to come, without waiting for it."""
@@ -127,8 +139,8 @@ class Child:
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until it has ended, or so many seconds."""
-        if self._code is None:
-            wait([self._watch], timeout)
+        if self._code is None and wait([self._watch], timeout):
+            _ = self.exitcode  # Collected, it is nobody's zombie.
 
     def close(self) -> None:
         """Forget it; it has ended."""

@@ -58,8 +58,17 @@ class Wish:
     """Whose end is asked for."""
 
 
+def begin(line: int) -> NoReturn:
+    """Serve an owner: the program of the nursery.
+
+    Args:
+        line: file descriptor of the line to the owner.
+    """
+    serve(Connection(line))
+
+
 def serve(owner: Connection) -> NoReturn:
-    """Do what the owner wishes until it is gone: the main function of the nursery."""
+    """Do what the owner wishes until it is gone."""
     leave_terminal(None)
     while True:
         try:
