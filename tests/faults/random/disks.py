@@ -48,8 +48,8 @@ def release(folder):
 
 
 def forget(folder):
-    """Take a disk away, if the folder is one."""
-    if folder.is_mount():
+    """Take disks away, of which several may lie over each other."""
+    while folder.is_mount():
         release(folder)
 
 
