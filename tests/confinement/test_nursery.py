@@ -1,6 +1,7 @@
 """Processes that are forked from one that has imported what they need."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -171,6 +172,18 @@ def test_a_setting_that_libraries_read_once_makes_another_nursery(monkeypatch):
     assert start._open_nursery() is first
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
     assert start._open_nursery() is not first
+
+
+def test_limits_that_children_would_inherit_make_another_nursery_and_so_do_those_lifted():
+    first = start._open_nursery()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**20, before[1]))
+    try:
+        bounded = start._open_nursery()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert bounded is not first
+    assert start._open_nursery() is not bounded
 
 
 def test_without_a_nursery_processes_start_from_nothing(functions, monkeypatch):

@@ -71,7 +71,8 @@ def inconclusive(_: pytest.MonkeyPatch) -> list[str]:
 
 
 def infrastructure(_: pytest.MonkeyPatch) -> list[str]:
-    return ["run", write(), "--time-limit", "0.01", "--out", "run"]
+    # Long enough for the supervisor, which looks ten times a second, to come by.
+    return ["run", write(duration=8.0), "--time-limit", "0.01", "--out", "run"]
 
 
 def not_comparable(_: pytest.MonkeyPatch) -> list[str]:

@@ -9,6 +9,7 @@ import os
 import threading
 from contextlib import suppress
 from multiprocessing import Pipe, get_context
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nw_eval.confinement import (
@@ -20,7 +21,7 @@ from nw_eval.confinement import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
     from multiprocessing.connection import Connection
 
     from nw_eval.cards import Card
@@ -35,10 +36,13 @@ _WARM = b"warm"
 _OURS = ("NW_EVAL_", "PYTEST_")
 """Variables of which no library that the nursery has imported has read any."""
 
+_RIGHTS = ("Umask:", "Uid:", "Gid:", "Groups:", "CapEff:", "NoNewPrivs:", "Cpus_allowed:")
+"""Lines of /proc/self/status."""
+
 _lock = threading.Lock()
 _nursery: Nursery | None = None
-_born_in: dict[str, str] = {}
-"""The environment as it was for the nursery, which libraries read once (`engine.machine.cpu`)."""
+_born_in: Hashable = None
+"""`_standing` of this process when the nursery was started."""
 
 
 class Started(Protocol):
@@ -143,15 +147,32 @@ def start_process(
 
 
 def _open_nursery() -> Nursery:
-    """Return the nursery of this process, a new one if what libraries read is another by now.
+    """Return the nursery of this process, a new one if children would inherit what is no longer so.
 
     Raises:
         OSError: there can be none.
     """
     global _nursery, _born_in
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(_OURS)}
+    standing = _standing()
     with _lock:
-        if _nursery is None or not _nursery.is_alive or _born_in != environment:
-            _nursery, _born_in = Nursery(), environment
+        if _nursery is None or not _nursery.is_alive or _born_in != standing:
+            _nursery, _born_in = Nursery(), standing
             _nursery.learn(_PRELOAD)
         return _nursery
+
+
+def _standing() -> Hashable:
+    """Return what of this process its children have from their start on.
+
+    Libraries read the environment once (`engine.machine.cpu`); limits, rights and cores are the
+    system's to know.
+    """
+    environment = frozenset(
+        (name, value) for name, value in os.environ.items() if not name.startswith(_OURS)
+    )
+    limits, status = (
+        Path(f"/proc/self/{name}").read_text(encoding="utf-8") for name in ("limits", "status")
+    )
+    lines = status.splitlines()
+    rights = tuple(line for line in lines if line.startswith(_RIGHTS))
+    return environment, limits, rights, Path("/proc/self/ns/mnt").readlink(), os.nice(0)
