@@ -89,10 +89,13 @@ class Nursery:
                     self._line.send(Wish(kind="fork", connections=len(passed)))
                     for connection in passed:
                         send_handle(self._line, connection.fileno(), self._process.pid)
-                    child = Child(self._line.recv(), self)
+                    pid: int = self._line.recv()
                 except (EOFError, OSError) as error:
                     self._process.kill()  # Half a wish would be taken for the start of the next.
                     raise OSError(f"the process that starts workers is gone: {error}") from None
+            if pid < 0:  # The children that there are go on.
+                raise OSError(-pid, os.strerror(-pid))
+            child = Child(pid, self)
             with suppress(BrokenPipeError):  # It has ended, which its owner will see.
                 orders.send(Circumstances.here())
                 orders.send((function, tuple(arguments)))

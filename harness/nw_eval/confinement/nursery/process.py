@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import importlib
 import os
@@ -93,10 +94,13 @@ def _import(modules: tuple[str, ...]) -> None:
 
 
 def _fork(wish: Wish, owner: Connection) -> int:
-    """Return the number of a new child."""
+    """Return the number of a new child; where there is none to be had, the error's, negative."""
     own = os.getpid()
     handles = [recv_handle(owner) for _ in range(wish.connections)]
-    child = os.fork()
+    try:
+        child = os.fork()
+    except OSError as error:
+        child = -(error.errno or errno.EAGAIN)
     if child == 0:
         _be_child(owner, handles, parent=own)
     for handle in handles:
