@@ -18,6 +18,8 @@ _HARMFUL = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Unicode categories that draw nothing, or turn or break a line: they are shown as escapes."""
 _CREDENTIALS = re.compile(r"(?<=[A-Za-z])(://?)[^\s/?#]*@")  # A path has one slash.
 _MORE = " ... and {} more characters"
+_HARMLESS = re.compile(r"[\w.,;()+*=<>%/-]+(?: [\w.,;()+*=<>%/-]+)*", re.ASCII)
+"""What `clean` returns as it is, and most cells of a table are: without a colon or a `#`."""
 
 
 def clean(text: object, *, at_most: int = LONGEST) -> str:
@@ -32,6 +34,8 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
         at_most: characters that are kept; how many were cut is said.
     """
     whole = str(text)
+    if len(whole) <= at_most and _HARMLESS.fullmatch(whole):
+        return whole
     # More than this is never looked at: the text may be millions of characters long.
     line = " ".join(whole[: 4 * at_most].split())
     line = "".join(_visible(character) for character in line)

@@ -13,6 +13,9 @@ from nw_eval.results.row import Row
 from nw_eval.stats import Interval, mean_of_scenes, wilson
 from nw_eval.suite.model import Gate
 
+_DRAWS = 2000
+"""For the interval of one scene, of which there may be hundreds: shown with two digits."""
+
 
 def successes(rows: Sequence[Row]) -> NDArray[np.float64]:
     """Return the success rates of the trials that have a result, shape (n,)."""
@@ -41,7 +44,7 @@ def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneSco
     """Return the score of one scene from its rows."""
     values = successes(rows)
     completed = sum(row.completed for row in rows)
-    estimate = mean_of_scenes([values], gate.confidence) if values.size else None
+    estimate = mean_of_scenes([values], gate.confidence, draws=_DRAWS) if values.size else None
     bar = gate.success_rate
     return SceneScore(
         scene=scene,

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import tempfile
 from functools import cache
+from pathlib import Path
 
 _WITHIN = "NW_EVAL_FAULTS_MOUNTS"
 _OWN = ["unshare", "--user", "--map-root-user", "--mount", "--propagation", "private"]
@@ -24,7 +26,22 @@ def enter_namespace():
 
 @cache
 def may_mount():
-    return os.environ.get(_WITHIN) == "1"
+    """Tell whether disks can be mounted and folders protected here: by doing both."""
+    if os.environ.get(_WITHIN) != "1":
+        return False
+    with tempfile.TemporaryDirectory(prefix="nw-eval-disk-", ignore_cleanup_errors=True) as name:
+        mounted, protected = Path(name) / "mounted", Path(name) / "protected"
+        protected.mkdir()
+        try:
+            disk(mounted, size=4096 * 4)
+            enlarge(mounted)
+            write_protect(protected)  # Some systems have disks, and nothing remounted read-only.
+        except (OSError, subprocess.CalledProcessError):
+            return False
+        finally:
+            forget(mounted)
+            forget(protected)
+    return True
 
 
 def disk(folder, size):
