@@ -5,8 +5,11 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from nw_eval.built_in.splits import split_of
+from nw_eval.catalogue import names
+from nw_eval.errors import nearest
 from nw_eval.learn.program.config import ConfigModel, TrainingConfig
 
 Ground = Literal["hurdles", "gaps", "ramps", "stairs", "flat"]
@@ -98,6 +101,17 @@ class CourseSettings(ConfigModel):
     """Updates between two courses that are drawn anew; 0 = never."""
     scenes: tuple[str, ...] | None = None
     """Built-in scenes of the training split to train in; all of them when absent."""
+
+    @field_validator("scenes")
+    @classmethod
+    def _for_training(cls, scenes: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        known = names("train")
+        for name in scenes or ():
+            if split_of(name) == "eval":
+                raise ValueError(f"{name!r} is kept for evaluation; name scenes to train in")
+            if name not in known:
+                raise ValueError(f"{name!r} is no training scene; {nearest(name, known)}")
+        return scenes
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -12,8 +12,9 @@ import tyro
 class Teacher:
     """Train a teacher: PPO on random courses and in the training scenes, from scandots."""
 
-    config: tyro.conf.Positional[Path | None] = None
-    """What to train, such as training/teacher.yaml; with --resume the folder has its own."""
+    config: tyro.conf.Positional[str | None] = None
+    """A config file, or the name of a shipped one such as `teacher`; a folder to resume has its
+    own."""
     out: Path | None = None
     """The folder of the training; `training/runs/<config's name>` when absent."""
     resume: Path | None = None
@@ -22,6 +23,7 @@ class Teacher:
     def __call__(self) -> int:
         from nw_eval.cli.verbs.training.ends import end_of_training
         from nw_eval.errors import UsageError
+        from nw_eval.learn.program.config import find_config
         from nw_eval.learn.teacher.training import resume_teacher, train_teacher
 
         if self.resume is not None:
@@ -32,8 +34,9 @@ class Teacher:
             return end_of_training(resume_teacher(self.resume, say=_say))
         if self.config is None:
             raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
-        out = self.out or Path("training", "runs", self.config.stem)
-        return end_of_training(train_teacher(self.config, out, say=_say))
+        config = find_config(self.config)
+        out = self.out or Path("training", "runs", config.stem)
+        return end_of_training(train_teacher(config, out, say=_say))
 
 
 def _say(line: str) -> None:
