@@ -29,6 +29,7 @@ REDUCED = MappingProxyType(
         "nw-eval run my-suite.yaml --out mine": _ONE_TRIAL,
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
         "nw-eval run my-place.yaml --out my-run": "--record none",
+        "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
     }
 )
 """Options that make a command cheap and leave it what it is."""

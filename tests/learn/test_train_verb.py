@@ -5,6 +5,7 @@ import pytest
 from nw_eval import cli
 from nw_eval.learn.program.config import find_config, load_config
 from nw_eval.learn.teacher.config import TeacherConfig
+from nw_eval.policies import load_bundle
 
 CONFIG = """\
 nw-train: 1
@@ -36,6 +37,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
     config, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda path, *_: path.touch())
     assert run("train", "teacher", config) == 0
     assert "64 of 64 control steps" in capsys.readouterr().out
     folder = tmp_path / "training" / "runs" / "mine"
@@ -44,7 +46,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
     }  # fmt: skip
     assert run("train", "teacher", "--resume", folder) == 0
     assert run("train", "export", folder, "policies/mine") == 0
-    assert run("policies", "check", "mine") in {0, 1}
+    assert load_bundle("mine").card.name == "mine"
     assert run("train", "teacher", config) == 2
     assert "holds a training already" in capsys.readouterr().err
 
@@ -59,7 +61,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
         (("minibatches: 2", "minibatches: 5"), "does not divide into minibatches"),
         (
             ("hurdles/one_low_carpet", "hurdles/three_low"),
-            ":5:51: courses.scenes: 'hurdles/three_low' is kept for evaluation",
+            ":5:50: courses.scenes: 'hurdles/three_low' is kept for evaluation",
         ),
         (("seed: 1", "seed: 1\nstart: go1-parkuor"), "did you mean 'go1-parkour'?"),
         (("seed: 1", "seed: 1\nstart: stand"), "start: 'stand' has no weights"),

@@ -70,13 +70,17 @@ def test_heights_are_what_rays_meet_and_edges_are_where_they_jump(trained_robot)
     assert 0.02 < along.mean() < 0.1
 
 
-def test_scenes_are_those_of_the_training_split_alone(trained_robot):
-    assert set(names("train")) | set(EVALUATION) | {"flat/carpet_room"} == set(names())
-    assert not set(names("train")) & set(EVALUATION)
+@pytest.mark.nightly  # One of each task is built in the tests above and below.
+def test_every_training_scene_is_trained_in(trained_robot):
     settings = {"variants": 1, "levels": 1, "start": [0, 0]}
     found = Lanes(CourseSettings.model_validate(settings), trained_robot, seed=1)
     assert found.scenes == names("train")
     assert len(found.models) == 5 + len(found.scenes)
+
+
+def test_scenes_are_those_of_the_training_split_alone():
+    assert set(names("train")) | set(EVALUATION) | {"flat/carpet_room"} == set(names())
+    assert not set(names("train")) & set(EVALUATION)
     for name, fault in (("hurdles/three_low", "kept for evaluation"), ("a/b", "no training scene")):
         with pytest.raises(ValidationError, match=fault):
             CourseSettings.model_validate({"scenes": [name]})
