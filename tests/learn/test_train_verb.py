@@ -56,6 +56,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
     [
         (("robots: 4", "robot: 4"), ":4:7: unknown key 'robot'; did you mean 'robots'?"),
         (("share: 1.0", "share: 0.4"), "the shares of the phases add up to 0.4; make them 1"),
+        (("timestep: 0.01", "timestep: 0.02"), "a time step of 0.02 s is not known; use 0.005 or"),
         (("gaps: 0.0", "gaps: 0.5"), "the shares add up to 1.5; make them 1"),
         (("start: [0, 0]", "start: [2, 1]"), "start [2, 1] is not within the levels"),
         (("minibatches: 2", "minibatches: 5"), "does not divide into minibatches"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import names
@@ -18,6 +18,16 @@ GROUNDS: tuple[Ground, ...] = get_args(Ground)
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+def _known(timestep: float) -> float:
+    if timestep not in {0.005, 0.01}:
+        raise ValueError(f"a time step of {timestep:g} s is not known; use 0.005 or 0.01")
+    return timestep
+
+
+Timestep = Annotated[float, AfterValidator(_known)]
+"""s; a contact's time constant of 0.02 s is two of the longer ones, and no more would do."""
 
 
 class TaskShares(ConfigModel):
@@ -46,7 +56,7 @@ class TrainingPhase(ConfigModel):
 
     share: Annotated[float, Field(gt=0.0, le=1.0)]
     """Of the budget's steps."""
-    timestep: Literal[0.005, 0.01]
+    timestep: Timestep
     """Of the physics, s: 0.01 is faster, 0.005 is what evaluation has."""
     std: Annotated[float, Field(gt=0.0, le=2.0)]
     """Standard deviation of the noise on actions, by which the policy explores."""
