@@ -15,7 +15,6 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	$(BIN)/nw-eval warmup
 	$(BIN)/nw-eval run suites/hurdles.yaml
 
 test: check
