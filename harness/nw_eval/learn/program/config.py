@@ -1,0 +1,87 @@
+"""Configs of training programs: YAML files, read and refused as suites are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
+
+from nw_eval.errors import UsageError
+from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
+from nw_eval.suite.digest import digest_of
+
+DeviceName = Literal["auto", "cpu", "cuda"]
+"""Where networks learn; `auto` takes CUDA where there is one."""
+
+
+class ConfigModel(BaseModel):
+    """A frozen part of a config; a key that it does not know is an error, as are inf and NaN."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True
+    )
+
+
+class Budget(ConfigModel):
+    """When a training has had enough."""
+
+    steps: int = Field(ge=1, le=10**12)
+    """Steps of the whole training, as its curve counts them: control steps of a teacher, samples
+    that a student has learnt from. Phases and schedules are shares of this."""
+    minutes: float | None = Field(None, gt=0.0)
+    """Minutes after which this process stops and keeps its state, to be resumed. The clock ends a
+    training sooner; it never changes what a step learns."""
+
+
+class TrainingConfig(ConfigModel):
+    """What the config of every training program says."""
+
+    version: Literal[1] = Field(alias="nw-train")
+    """Version of this format."""
+    seed: int = Field(ge=0, lt=2**63)
+    """All randomness follows from it."""
+    device: DeviceName = "auto"
+    """Where networks learn. The same curve from the same seed holds on one kind of device."""
+    budget: Budget
+    keep_every: int = Field(1_000_000, ge=1)
+    """Steps from one kept checkpoint to the next. The state to go on with is written every few
+    minutes anyway."""
+
+    _file: Path = PrivateAttr(default_factory=Path)
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative paths of the file start from."""
+        return self._file.parent
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 of what decides the curve: all but the device and the minutes."""
+        fields = self.model_dump(mode="json", by_alias=True, exclude={"device"})
+        del fields["budget"]["minutes"]
+        return digest_of(fields)
+
+    def read_from(self, path: Path) -> Self:
+        """Remember the file; it is no setting."""
+        self._file = path
+        return self
+
+
+M = TypeVar("M", bound=TrainingConfig)
+
+
+def load_config(path: Path, kind: type[M]) -> M:
+    """Read a config.
+
+    Raises:
+        UsageError: all problems of the file, one line each, with file, line and column.
+    """
+    try:
+        file = read_yaml(path)
+    except YamlProblems as error:
+        raise UsageError(error.problems) from None
+    try:
+        return kind.model_validate(file.data).read_from(path)
+    except ValidationError as error:
+        raise UsageError(validation_problems(error, file, kind)) from None
