@@ -11,7 +11,8 @@ from nw_eval.learn.program.device import device_of, one_thread
 from nw_eval.learn.program.keeper import Keeper
 from nw_eval.learn.program.progress import TrainingProgress
 from nw_eval.learn.student.card import BODY, check_teacher, student_card
-from nw_eval.learn.student.collect.round import Driving, Round, plan_round
+from nw_eval.learn.student.collect.driving import Driving
+from nw_eval.learn.student.collect.round import Round, plan_round
 from nw_eval.learn.student.data.dataset import Dataset
 from nw_eval.learn.student.export import write_policy
 from nw_eval.learn.student.fit import Learner
