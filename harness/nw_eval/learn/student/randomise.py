@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 _COLOURS = 3
 _LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in brightness (ITU-R 601)."""
-_BLUR_REACH = 2
-"""Pixels on each side that a blur takes in."""
 _BLURRED = 0.5
 """Share of images that are blurred at all."""
 
@@ -56,19 +54,18 @@ class Randomiser:
 
     def colours(self, images: Tensor) -> Tensor:
         """Return other colours, (M, 3 * frames, rows, columns), 0 to 1."""
-        amount, count = self._amounts.colour, len(images)
-        frames = images.unflatten(1, (-1, _COLOURS))
-
-        def gain(*size: int) -> Tensor:
-            return (1.0 + amount * self._spread(count, *size)).to(images)
-
-        luma = torch.tensor(_LUMA).to(images)[:, None, None]
-        grey = (frames * luma).sum(2, keepdim=True)
-        frames = grey + gain(1, 1, 1, 1) * (frames - grey)  # Saturation.
-        middle = frames.mean(dim=(1, 2, 3, 4), keepdim=True)
-        frames = middle + gain(1, 1, 1, 1) * (frames - middle)  # Contrast.
-        frames = frames * gain(1, 1, 1, 1) * (1.0 + 0.5 * (gain(1, _COLOURS, 1, 1) - 1.0))
-        return self._blurred(frames.flatten(1, 2)).clamp(0.0, 1.0)
+        count = len(images)
+        luma = torch.tensor(_LUMA).expand(_COLOURS, _COLOURS)
+        saturation, contrast, brightness = (self._gain(count, 1, 1) for _ in range(3))
+        mixed = luma + saturation * (torch.eye(_COLOURS) - luma)
+        tint = 1.0 + 0.5 * (self._gain(count, _COLOURS, 1) - 1.0)
+        # All of it is one matrix for each image, and contrast a shift by what the mean loses.
+        matrix = (tint * brightness * contrast * mixed).to(images)
+        frames = images.unflatten(1, (-1, _COLOURS)).flatten(3)
+        middle = frames.mean(dim=(1, 2, 3)).cpu()[:, None, None]
+        shift = (tint * brightness * (1.0 - contrast) * middle).to(images)
+        changed = torch.matmul(matrix[:, None], frames) + shift[:, None]
+        return self._blurred(changed.reshape(images.shape)).clamp_(0.0, 1.0)
 
     def depths(self, images: Tensor) -> Tensor:
         """Return noisy depths with pixels dropped, (M, frames, rows, columns), 1 = nothing."""
@@ -82,20 +79,21 @@ class Randomiser:
         return noisy.masked_fill(is_dropped.to(images.device), 1.0).clamp(0.0, 1.0)
 
     def _blurred(self, images: Tensor) -> Tensor:
-        count, channels = images.shape[:2]
-        is_blurred = self._uniform(count) < _BLURRED
-        sigma = (self._amounts.blur * self._uniform(count) * is_blurred).clamp(min=1e-3)
-        offsets = torch.arange(-_BLUR_REACH, _BLUR_REACH + 1)
-        line = torch.exp(-0.5 * (offsets / sigma[:, None]) ** 2)
-        line = (line / line.sum(1, keepdim=True)).to(images)
-        kernel = line.repeat_interleave(channels, 0)[:, None]
-        flat = images.reshape(1, count * channels, *images.shape[2:])
-        reach = _BLUR_REACH
-        flat = functional.pad(flat, (reach, reach, reach, reach), mode="replicate")
-        groups = count * channels
-        flat = functional.conv2d(flat, kernel[:, :, :, None], groups=groups)
-        flat = functional.conv2d(flat, kernel[:, :, None, :], groups=groups)
-        return flat.reshape(images.shape)
+        """Return images of which some are blurred, by a Gaussian of three pixels each way."""
+        sigma = (self._amounts.blur * self._uniform(len(images))).clamp(min=1e-3)
+        beside = torch.exp(-0.5 / sigma**2) * (self._uniform(len(images)) < _BLURRED)
+        middle = 1.0 / (1.0 + 2.0 * beside)
+        for axis in (2, 3):
+            size = images.shape[axis]  # Edges go on.
+            before = torch.cat([images.narrow(axis, 0, 1), images.narrow(axis, 0, size - 1)], axis)
+            after = torch.cat([images.narrow(axis, 1, size - 1), images.narrow(axis, size - 1, 1)], axis)
+            m, b = (x.to(images)[:, None, None, None] for x in (middle, middle * beside))
+            images = m * images + b * (before + after)
+        return images
+
+    def _gain(self, *size: int) -> Tensor:
+        """Return factors around 1."""
+        return 1.0 + self._amounts.colour * self._spread(*size)
 
     def _uniform(self, *size: int) -> Tensor:
         """Return numbers from 0 to 1."""

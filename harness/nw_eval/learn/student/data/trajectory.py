@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
-from nw_eval.files.cache import atomic_path
 
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.float32]
@@ -44,14 +43,22 @@ class Trajectory:
         return sum(np.asarray(getattr(self, field.name)).nbytes for field in fields(self))
 
     def write(self, path: Path) -> None:
-        """Write it, whole or not at all.
+        """Write it, whole or not at all; a fenced process may.
 
         Raises:
             StoreError: it cannot be written.
         """
         arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-        with atomic_path(path) as temporary:
-            np.savez(temporary, allow_pickle=False, **arrays)
+        part = path.with_suffix(".part")
+        try:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise StoreError(
+                f"cannot write {path}: {error.strerror}", fix="free disk space"
+            ) from error
 
 
 def read_trajectory(path: Path) -> Trajectory:
