@@ -46,11 +46,11 @@ def test_cones_stand_in_all_images_or_in_none(teacher, cones):
 
 
 def test_a_student_with_the_mean_image_for_good_asks_for_no_image(teacher):
-    sees = small_config().sees
+    sees = small_config(sees={"depth": True}).sees
     blind = student_card("pupil", sees, teacher.card, sha256="0" * 64, is_blind=True)
     card = card_of(blind)
     assert not card.splat_images
-    assert "rgb" not in card.observations
+    assert set(card.observations) == {"proprio", "last_output", "history", "past"}
 
 
 def test_a_teacher_that_acts_too_rarely_is_refused(teacher):

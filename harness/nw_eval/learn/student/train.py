@@ -78,8 +78,8 @@ class StudentTraining:
             self._write_policies(0)
         else:
             self._restore(state)
-        card = load_bundle(self.policy(0)).card
-        make_ready(self._scenes, card, say)
+        untrained = load_bundle(self.policy(0))
+        make_ready(self._scenes, vet_bundle(untrained, untrained.card.robot).card, say)
         self._curve = Curve(folder.path, upto=None if state is None else self._samples, say=say)
 
     def policy(self, number: int) -> Path:
@@ -218,8 +218,6 @@ class StudentTraining:
             folder = self.policy(number)
             folder = folder.with_name(f"{folder.name}-frozen") if is_blind else folder
             write_policy(folder, network, self._config, teacher, is_blind=is_blind)
-            written = load_bundle(folder)
-            vet_bundle(written, written.card.robot)
 
 
 def body_size(config: StudentConfig, teacher: Bundle) -> int:
