@@ -106,9 +106,8 @@ def test_a_student_that_drives_is_recorded_as_it_saw_the_world(planned, student,
     body = [np.concatenate([seen.observation[name] for name in BODY]) for seen in decisions]
     np.testing.assert_array_equal(one.body, np.stack(body))
     for decision, frame in zip(decisions, one.frame_of, strict=True):
-        depth = decision.observation["depth"]
-        np.testing.assert_allclose(depth[1], one.depth[frame, 0] / DEPTH_STEPS, atol=1e-6)
-        np.testing.assert_allclose(depth[0], one.depth[max(frame - 1, 0), 0] / DEPTH_STEPS, atol=1e-6)
+        stack = one.depth[[max(frame - 1, 0), frame], 0] / DEPTH_STEPS
+        np.testing.assert_allclose(decision.observation["depth"], stack, atol=1e-6)
     assert one.frame_of[-1] == (one.steps - 1) // 5  # 10 Hz.
 
 
@@ -149,18 +148,14 @@ def test_the_teacher_is_asked_about_the_states_that_the_student_comes_to(
         def reset(self, seed):
             pass
 
-        def act(self, observation):
+        def act(self, _):
             return next(labels)
 
         def close(self):
             pass
 
-    monkeypatch.setattr(
-        "nw_eval.rollout.prepare.open_policy", lambda bundle, **_: Obeys()
-    )
-    by_student = replace(
-        job, policy=student.reference, checkpoint_digest=student.checkpoint_digest
-    )
+    monkeypatch.setattr("nw_eval.rollout.prepare.open_policy", lambda *_, **__: Obeys())
+    by_student = replace(job, policy=student.reference, checkpoint_digest=student.checkpoint_digest)
     result = pair(by_student)
     assert result.status == "ok", result.error_text
     again = read_trajectory(job.mcap)
