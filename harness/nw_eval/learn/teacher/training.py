@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from nw_eval.learn.program.device import device_of, one_thread
 from nw_eval.learn.program.folder import TrainFolder
 from nw_eval.learn.program.keeper import Keeper
 from nw_eval.learn.program.progress import TrainingProgress
+from nw_eval.learn.program.trained import Trained
 from nw_eval.learn.teacher.config import TeacherConfig
 from nw_eval.learn.teacher.courses.lanes import Lanes
 from nw_eval.learn.teacher.courses.robot import training_robot
@@ -39,25 +39,6 @@ POLICY = "policy"
 """The folder of the newest policy, within a training's folder."""
 _WORLD, _NOISE, _ORDER = 2, 4, 5
 """Streams of the seed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trained:
-    """How far a training came.
-
-    Attributes:
-        folder: of the training.
-        policy: the folder of its policy.
-        step: control steps that it has learnt from.
-        is_done: whether that is all of its budget.
-        is_interrupted: whether a signal ended it.
-    """
-
-    folder: Path
-    policy: Path
-    step: int
-    is_done: bool
-    is_interrupted: bool
 
 
 def train_teacher(config: Path, out: Path, *, say: Say) -> Trained:
@@ -155,6 +136,7 @@ class _Training:
                 if is_over or keeper.is_interrupted:
                     break
         return Trained(
+            program="teacher",
             folder=self._folder.path,
             policy=self._policy,
             step=self._step,
@@ -198,13 +180,17 @@ class _Training:
         return deepcopy(self._actor).cpu(), deepcopy(self._critic).cpu()
 
     @contextmanager
-    def _hands(self) -> Iterator[Callable[..., Future[Collected]]]:
+    def _hands(self) -> Generator[Callable[..., Future[Collected]]]:
         """Give what a function is called with: a second thread, or this one at once."""
         if not self._config.overlap:
             yield _at_once
             return
         with ThreadPoolExecutor(1) as pool:
-            yield pool.submit
+
+            def submit(collect: Callable[..., Collected], *arguments: Any) -> Future[Collected]:
+                return pool.submit(collect, *arguments)
+
+            yield submit
 
     # Beginning and going on.
 

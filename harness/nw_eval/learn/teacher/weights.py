@@ -60,7 +60,7 @@ def write_actor(actor: Actor) -> bytes:
     def numbers(tensor: torch.Tensor) -> str:
         return graph.constant(tensor.detach().cpu().numpy().astype(np.float32))
 
-    low, high = (graph.constant(np.float32(limit).reshape(())) for limit in (-LIMIT, LIMIT))
+    low, high = (graph.constant(np.array(limit, dtype=np.float32)) for limit in (-LIMIT, LIMIT))
     x = graph.node("Sub", graph.input("obs", 1, OBSERVED), numbers(actor.mean))
     x = graph.node("Clip", graph.node("Mul", x, numbers(actor.inverse_std)), low, high)
     for layer in actor.linear:

@@ -15,7 +15,6 @@ from nw_eval.scenes.scene import Box, Scene
 from nw_eval.sim.actuators import Actuators
 from nw_eval.sim.binding import MjModel, mujoco
 from nw_eval.sim.model import compile_model
-from nw_eval.sim.termination import distance_to_polyline
 
 CELL = 0.025
 """Of a lane's grid of heights, metres."""
@@ -65,7 +64,8 @@ def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
     """
     corners = np.vstack([np.zeros((1, 2)), scene.trail[:, :2]])
     boxes = [solid for solid in scene.solids if isinstance(solid, Box)]
-    solids = [box for box in boxes if _is_near(box, corners)]
+    between = np.linspace(corners[:-1], corners[1:], 30).reshape(-1, 2)
+    solids = [box for box in boxes if _is_near(box, between)]
     if len(boxes) < len(scene.solids) or len(solids) > SOLIDS or len(scene.trail) > WAYPOINTS:
         raise SceneError(
             f"{scene.name} has {len(solids)} boxes near its {len(scene.trail)} waypoints, "
@@ -96,16 +96,14 @@ def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
     )
 
 
-def _is_near(box: Box, corners: NDArray[np.float64]) -> bool:
-    """Say whether any point of a box, seen from above, is within reach of the trail."""
+def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
+    """Say whether a box, seen from above, is within reach of any point (P, 2) of the trail."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, np.array(box.quat))
     half = np.abs(rotation.reshape(3, 3)) @ np.array(box.half_size)
-    x, y = (np.arange(-1.0, 1.01, 0.1)[:, None] * half[:2] + np.array(box.center[:2])).T
-    rim = [(a, b) for a in x for b in (y[0], y[-1])] + [(a, b) for a in (x[0], x[-1]) for b in y]
-    points = np.array([*rim, box.center[:2]])
-    inside = (np.abs(corners - np.array(box.center[:2])) <= half[:2]).all(axis=1).any()
-    return bool(inside) or any(distance_to_polyline(point, corners) < _REACH for point in points)
+    # Along the trail every few centimetres: how far outside the box's outline each point is.
+    outside = np.maximum(np.abs(points - np.array(box.center[:2])) - half[:2], 0.0)
+    return bool((np.hypot(*outside.T) < _REACH).any())
 
 
 def _heights(scene: Scene) -> NDArray[np.float32]:

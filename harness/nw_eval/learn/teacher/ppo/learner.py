@@ -12,7 +12,8 @@ from nw_eval.learn.teacher.ppo.networks import Actor, Critic
 from nw_eval.learn.teacher.ppo.samples import Samples, log_probability
 
 _LOWEST, _HIGHEST = 1e-5, 1.5e-3
-"""Learning rates."""
+"""Learning rates of the policy."""
+_CRITIC_RATE = 5e-4
 _SLOWER, _FASTER = 1.3, 1.15
 _LONGEST_GRADIENT = 1.0
 _FIRST_RATE = 3e-4
@@ -34,7 +35,7 @@ class Learner:
 
     Attributes:
         updates: how many there have been.
-        rate: the learning rate.
+        rate: the policy's learning rate.
     """
 
     def __init__(
@@ -47,8 +48,11 @@ class Learner:
     ) -> None:
         self._actor, self._critic = actor.to(device), critic.to(device)
         self._settings, self._generator, self._device = settings, generator, device
-        self._parameters = [*actor.parameters(), *critic.parameters()]
-        self._optimiser = torch.optim.Adam(self._parameters, _FIRST_RATE, eps=1e-5)
+        groups = [
+            {"params": list(actor.parameters()), "lr": _FIRST_RATE},
+            {"params": list(critic.parameters()), "lr": _CRITIC_RATE},
+        ]
+        self._optimiser = torch.optim.Adam(groups, eps=1e-5)
         self.rate = _FIRST_RATE
         self.updates = 0
 
@@ -109,13 +113,13 @@ class Learner:
     def set_rate(self, rate: float) -> None:
         """Go on with a learning rate."""
         self.rate = min(max(rate, _LOWEST), _HIGHEST)
-        for group in self._optimiser.param_groups:
-            group["lr"] = self.rate
+        self._optimiser.param_groups[0]["lr"] = self.rate
 
     def _step(self, loss: Tensor) -> None:
         self._optimiser.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._parameters, _LONGEST_GRADIENT)
+        for network in (self._actor, self._critic):
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _LONGEST_GRADIENT)
         self._optimiser.step()
 
     def state(self) -> dict[str, Any]:

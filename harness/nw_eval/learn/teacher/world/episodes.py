@@ -148,7 +148,7 @@ class Episodes:
         senses.take(actions.astype(np.float64))
         simulation.step(self._pose + _SCALE * np.clip(senses.applied, -_CLIP, _CLIP))
         self._steps += 1
-        broken = ~(np.isfinite(simulation.qpos).all(axis=1) & np.isfinite(simulation.qvel).all(1))
+        broken = simulation.broken()
         if broken.any():
             simulation.qpos[broken], simulation.qvel[broken] = 0.0, 0.0
             simulation.qpos[broken, 3] = 1.0
@@ -225,7 +225,7 @@ class Episodes:
         return Outcomes(
             complete=trails.is_complete & ~broken,
             fell=tilted | sunk | broken,
-            collided=(touches[:, self._monitored] > limits.monitored_force).any(axis=1),
+            collided=touches[:, self._monitored].max(axis=1) > limits.monitored_force,
             stuck=waited | lost,
             timeout=self._steps >= LONGEST,
         )

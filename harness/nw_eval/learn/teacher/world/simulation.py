@@ -86,6 +86,11 @@ class Simulation:
         forces = self._sensors.reshape(len(self._sensors), -1, 3)
         return np.sqrt(np.einsum("ngk,ngk->ng", forces, forces))
 
+    def broken(self) -> NDArray[np.bool_]:
+        """Return whose physics has left all bounds, (N,)."""
+        rows = np.concatenate([self.qpos, self.qvel], axis=1)
+        return np.asarray(~np.isfinite(rows).all(axis=1))
+
     def state(self) -> dict[str, NDArray[Any]]:
         """Return all that the future depends on, besides the lanes' models."""
         return {"rows": self._batch.state.copy(), "lanes": self.lanes.copy()}

@@ -1,0 +1,1 @@
+"""`nw-eval train`: programs that make policies, a module for each."""
