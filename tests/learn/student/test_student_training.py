@@ -13,9 +13,11 @@ from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.curve import read_curve
 from nw_eval.learn.program.folder import TrainFolder
+from nw_eval.learn.program.keeper import Keeper
 from nw_eval.learn.student.config import StudentConfig
+from nw_eval.learn.student.fit import Learner
 from nw_eval.learn.student.places import training_scenes
-from nw_eval.learn.student.train import StudentTraining
+from nw_eval.learn.student.train import StudentTraining, resume_student
 from nw_eval.policies import load_bundle
 
 PROGRAM = """
@@ -47,7 +49,8 @@ def begun(path, text):
 def whole(tmp_path_factory):
     """A training that nothing interrupts."""
     config, folder = begun(tmp_path_factory.mktemp("student") / "whole", SMALL)
-    assert StudentTraining(config, folder, say=lambda _: None, workers=1).run()
+    trained = StudentTraining(config, folder, say=lambda _: None, workers=1).run()
+    assert (trained.is_done, trained.policy.name) == (True, "round-2")
     return folder
 
 
@@ -70,6 +73,39 @@ def test_a_training_does_not_go_on_under_another_config(whole):
         StudentTraining(small_config(seed=4), whole, say=lambda _: None)
 
 
+class Dies(BaseException):
+    """Ends a process where it stands."""
+
+
+def same_as(whole, cut):
+    """Whether a training that went on came to what one came to that nothing had interrupted."""
+    curves = [read_curve(folder.path / "curve.parquet") for folder in (whole, cut)]
+    files = [folder.path / "policies" / "round-2" / "policy.onnx" for folder in (whole, cut)]
+    return curves[0] == curves[1] and files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, monkeypatch):
+    _, cut = begun(tmp_path / "cut", SMALL)
+    step = Learner.step
+
+    def deadly(self, *arguments, **options):
+        if options["number"] == 2 and options["step"] == 7:
+            raise Dies
+        return step(self, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Learner, "step", deadly)
+        patched.setitem(Keeper.__init__.__kwdefaults__, "save_every", 0.0)
+        patched.setattr("nw_eval.learn.program.curve.draw", lambda *_: None)  # It takes a second.
+        with pytest.raises(Dies):
+            StudentTraining(config, cut, say=lambda _: None, workers=1).run()
+    state = cut.load_state()
+    assert (state["round"], state["step"]) == (2, 7)
+    assert resume_student(cut.path, say=lambda _: None, workers=1).is_done
+    assert same_as(whole, cut)
+
+
+@pytest.mark.nightly
 def test_a_training_goes_on_after_a_sigkill_as_if_nothing_had_happened(tmp_path, config, whole):
     _, cut = begun(tmp_path / "cut", SMALL)
     program = tmp_path / "program.py"
@@ -81,11 +117,8 @@ def test_a_training_goes_on_after_a_sigkill_as_if_nothing_had_happened(tmp_path,
     os.killpg(child.pid, signal.SIGKILL)
     child.wait()
     assert 0 < cut.load_state()["samples"] < config.budget.steps
-    StudentTraining(config, cut, say=lambda _: None, workers=1).run()
-    curves = [read_curve(folder.path / "curve.parquet") for folder in (whole, cut)]
-    assert curves[0] == curves[1]
-    files = [folder.path / "policies" / "round-2" / "policy.onnx" for folder in (whole, cut)]
-    assert files[0].read_bytes() == files[1].read_bytes()
+    assert resume_student(cut.path, say=lambda _: None, workers=1).is_done
+    assert same_as(whole, cut)
 
 
 def test_nobody_learns_in_a_scene_that_evaluations_are_for():
