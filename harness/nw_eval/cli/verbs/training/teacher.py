@@ -4,40 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import tyro
+from nw_eval.cli.verbs.training.program import Program
+
+if TYPE_CHECKING:
+    from nw_eval.learn.program.trained import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
-class Teacher:
+class Teacher(Program):
     """Train a teacher: PPO on random courses and in the training scenes, from scandots."""
 
-    config: tyro.conf.Positional[str | None] = None
-    """A config file, or the name of a shipped one such as `teacher`; a folder to resume has its
-    own."""
-    out: Path | None = None
-    """The folder of the training; `training/runs/<config's name>` when absent."""
-    resume: Path | None = None
-    """Go on with the training in this folder."""
+    def _train(self, config: Path, out: Path) -> Trained:
+        from nw_eval.learn.teacher.training import train_teacher
 
-    def __call__(self) -> int:
-        from nw_eval.cli.verbs.training.ends import end_of_training
-        from nw_eval.errors import UsageError
-        from nw_eval.learn.program.config import find_config
-        from nw_eval.learn.teacher.training import resume_teacher, train_teacher
+        return train_teacher(config, out, say=self._say)
 
-        if self.resume is not None:
-            if self.config is not None or self.out is not None:
-                raise UsageError(
-                    "--resume goes on as its folder says", fix="leave CONFIG and --out out"
-                )
-            return end_of_training(resume_teacher(self.resume, say=_say))
-        if self.config is None:
-            raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
-        config = find_config(self.config)
-        out = self.out or Path("training", "runs", config.stem)
-        return end_of_training(train_teacher(config, out, say=_say))
+    def _go_on(self, folder: Path) -> Trained:
+        from nw_eval.learn.teacher.training import resume_teacher
 
-
-def _say(line: str) -> None:
-    print(line, flush=True)
+        return resume_teacher(folder, say=self._say)

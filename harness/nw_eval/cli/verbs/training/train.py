@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from nw_eval.cli.verbs.training.export import Export
+from nw_eval.cli.verbs.training.student import Student
 from nw_eval.cli.verbs.training.teacher import Teacher
 
 
@@ -17,6 +18,7 @@ class Train:
 
     action: (
         Annotated[Teacher, tyro.conf.subcommand("teacher")]
+        | Annotated[Student, tyro.conf.subcommand("student")]
         | Annotated[Export, tyro.conf.subcommand("export")]
     )
 
