@@ -1,5 +1,7 @@
 """The arithmetic of PPO, and the network as a file."""
 
+from dataclasses import replace
+
 import numpy as np
 import onnx
 import pytest
@@ -62,6 +64,22 @@ def test_a_policy_moves_towards_what_was_better_and_its_critic_towards_what_was_
     assert moved[0] > 0.02
     assert moved[0] > 2 * moved[1:].abs().max()
     assert figures[-1]["critic/loss"] < 0.5 * figures[0]["critic/loss"]
+
+
+def test_samples_of_an_older_policy_move_the_present_one_no_further_than_its_own():
+    """Bounded around the older policy, an update would pull the present one back to it."""
+    actor, critic = new_networks(1)
+    generator = torch.Generator().manual_seed(0)
+    learner = PpoLearner(actor, critic, settings(), generator, torch.device("cpu"))
+    old = samples(actor, generator)
+    old = replace(old, advantages=torch.randn(64, generator=generator))
+    with torch.no_grad():
+        actor.linear[-1].bias += 0.1  # Half a standard deviation, in every action.
+    present = actor(old.observations).detach()
+    divergence = learner.learn(old)["divergence/mean"]
+    moved = (actor(old.observations) - present).mean().item()
+    assert abs(moved) < 0.02
+    assert divergence < 0.1  # From the older policy it is 12 x 0.125 = 1.5.
 
 
 def test_the_critic_learns_alone_at_first():

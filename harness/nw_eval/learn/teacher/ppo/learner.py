@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -18,6 +19,8 @@ _SLOWER, _FASTER = 1.25, 1.15
 _BAND = 1.5
 """Times the divergence that is aimed at, up and down, within which the rate stays."""
 _LONGEST_GRADIENT = 1.0
+_HEAVIEST = 2.0
+"""Weight of a sample that the present policy would take more often than the one that took it."""
 _FIRST_RATE = 3e-4
 _TOO_FAR = 4.0
 """Times the divergence that is aimed at: beyond it a batch teaches the critic alone."""
@@ -61,7 +64,7 @@ class PpoLearner:
     def learn(self, samples: Samples) -> dict[str, float]:
         """Improve both networks; the critic alone at first. Return figures of the update."""
         settings = self._settings
-        there = samples.to(self._device)
+        there = self._anchored(samples.to(self._device))
         count = len(there.returns)
         size = count // settings.minibatches
         critic_alone = self.updates < settings.critic_first
@@ -93,12 +96,28 @@ class PpoLearner:
             self._adapt(figures["divergence/mean"])
         return figures
 
+    @torch.no_grad()
+    def _anchored(self, samples: Samples) -> Samples:
+        """Return samples of an older policy as seen from the present one.
+
+        Ratios are bounded around the present policy, and samples weigh by how much likelier their
+        actions are now (decoupled PPO: Hilton et al. 2022, arXiv 2110.00641). Bounded around the
+        older one, each update would undo the last, overshoot, and grow.
+        """
+        means = self._actor(samples.observations)
+        now = log_probability(samples.actions, means, samples.std)
+        likelier = (now - samples.log_probabilities).exp().clamp(max=_HEAVIEST)
+        advantages = samples.advantages
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        return replace(
+            samples, means=means, log_probabilities=now, advantages=likelier * advantages
+        )
+
     def _policy_loss(self, some: Samples) -> tuple[Tensor, float]:
         clip, std = self._settings.clip, some.std
         means = self._actor(some.observations)
         ratio = (log_probability(some.actions, means, std) - some.log_probabilities).exp()
         advantage = some.advantages
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         bounded = ratio.clamp(1.0 - clip, 1.0 + clip) * advantage
         loss = -torch.min(ratio * advantage, bounded).mean()
         # Between two normal densities of one width.
@@ -106,7 +125,7 @@ class PpoLearner:
         return loss, apart.item()
 
     def _adapt(self, divergence: float) -> None:
-        """Adapt the rate once an update: samples are one update old, and more would overshoot."""
+        """Adapt the rate once an update; more often it would overshoot."""
         target = self._settings.divergence
         if divergence > _BAND * target:
             self.set_rate(self.rate / _SLOWER)
