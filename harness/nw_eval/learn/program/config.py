@@ -34,7 +34,23 @@ class Budget(ConfigModel):
     training sooner; it never changes what a step learns."""
 
 
-class TrainingConfig(ConfigModel):
+class ConfigFile(ConfigModel):
+    """A config as a file; it knows where it was read from."""
+
+    _file: Path = PrivateAttr(default_factory=Path)
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative paths of the file start from."""
+        return self._file.parent
+
+    def read_from(self, path: Path) -> Self:
+        """Remember the file; it is no setting."""
+        self._file = path
+        return self
+
+
+class TrainingConfig(ConfigFile):
     """What the config of every training program says."""
 
     version: Literal[1] = Field(alias="nw-train")
@@ -48,13 +64,6 @@ class TrainingConfig(ConfigModel):
     """Steps from one kept checkpoint to the next. The state to go on with is written every few
     minutes anyway."""
 
-    _file: Path = PrivateAttr(default_factory=Path)
-
-    @property
-    def base(self) -> Path:
-        """The folder that relative paths of the file start from."""
-        return self._file.parent
-
     @property
     def digest(self) -> str:
         """Hex sha256 of what decides the curve: all but the device and the minutes."""
@@ -62,13 +71,8 @@ class TrainingConfig(ConfigModel):
         del fields["budget"]["minutes"]
         return digest_of(fields)
 
-    def read_from(self, path: Path) -> Self:
-        """Remember the file; it is no setting."""
-        self._file = path
-        return self
 
-
-M = TypeVar("M", bound=TrainingConfig)
+M = TypeVar("M", bound=ConfigFile)
 
 
 def load_config(path: Path, kind: type[M]) -> M:

@@ -1,0 +1,1 @@
+"""The verbs that make policies: they call `nw_eval.learn`."""
