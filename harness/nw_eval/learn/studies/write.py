@@ -75,7 +75,7 @@ def cell(score: Score | None) -> str:
     if score is None or score.estimate is None:
         return "none" if score is not None and score.errors else ""
     found = score.estimate
-    sign = "+" if score.against else ""
+    sign = "+z" if score.against else ""
     low, high = found.interval
     text = f"{found.mean:{sign}.2f} ({low:{sign}.2f} to {high:{sign}.2f}), {found.n}"
     return f"{text}, {plural(score.errors, 'error')}" if score.errors else text

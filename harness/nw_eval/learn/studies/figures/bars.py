@@ -47,12 +47,13 @@ def draw_bars(
             axes.bar(at, mean, _BAR, color=COLOURS[part])
         axes.plot([at, at], [low, high], color="black", linewidth=1.3)
         axes.annotate(
-            f"{mean:+.2f}" if is_difference else f"{mean:.2f}",
+            f"{mean:+z.2f}" if is_difference else f"{mean:.2f}",
             (at, high),
             (0, 2),
             textcoords="offset points",
             ha="center",
             fontsize=size,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
         )
     axes.set_xticks(range(len(places)), places, parse_math=False)
     axes.set_xlim(-0.6, len(places) - 0.4)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
     from nw_eval.learn.studies.scores import Score
 
-_CELL = 1.05
+_CELL = 0.88
 """inches; a cell's numbers take three quarters of it."""
 _NAMES = 1.7
-_DARK = 0.6
+_DARK = 0.5
 """Below this success a cell is dark and its numbers white."""
 
 
@@ -58,7 +58,7 @@ def draw_matrix(
     title, down, across = titles
     axes.set_title(title, parse_math=False, fontsize="medium")
     axes.set_yticks(range(len(rows)), [folded(name, 18) for name in rows], parse_math=False)
-    names = [folded(name, 12) for name in columns]
+    names = [folded(name, 11) for name in columns]
     axes.set_xticks(range(len(columns)), names, parse_math=False)
     axes.tick_params(labelsize=9, length=0)
     axes.set_ylabel(down)
