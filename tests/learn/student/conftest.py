@@ -7,13 +7,13 @@ import pytest
 
 from nw_eval.policies import load_bundle
 
-sys.path.append(str(Path(__file__).parent))  # For `student_parts`.
-
-from student_parts import small_config  # noqa: E402 - found by the line above.
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
 def config():
+    from student_parts import small_config
+
     return small_config()
 
 

@@ -38,7 +38,7 @@ def test_a_quarter_turn_turns_a_square_image_by_a_quarter():
     assert turned.max() == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_crop_shows_a_part_of_the_image_larger(images):
+def test_a_crop_shows_a_part_of_the_image_larger():
     ramp = torch.linspace(0, 1, 16).expand(6, 6, 9, 16)
     shown = resampled(ramp, randomiser(crop=0.4).view(6, (9, 16)))
     spans = (shown[:, 0, 4].amax(1) - shown[:, 0, 4].amin(1)).tolist()

@@ -11,6 +11,12 @@ from nw_eval.learn.student.network import StudentNetwork
 from nw_eval.policies.networks.chunks import ChunkQueue
 
 BODY = 20
+SEES = {"width": 16, "height": 16, "frames": 2}
+
+
+@pytest.fixture
+def config():
+    return small_config(sees=SEES)
 
 
 @pytest.fixture
@@ -41,7 +47,8 @@ def test_many_at_a_time_are_what_the_adapter_answers_one_by_one(config, network)
 
 @pytest.mark.parametrize("m", [0.0, 0.2])
 def test_the_graph_blends_predictions_as_the_adapter_act_does(network, m):
-    config = small_config(network=small_config().network.model_dump() | {"ensemble": m})
+    sizes = small_config().network.model_dump() | {"ensemble": m}
+    config = small_config(network=sizes, sees=SEES)
     session = onnxruntime.InferenceSession(graph_of(network, config))
     queue = ChunkQueue(ensemble=m)
     sums = np.zeros((1, config.network.chunk, 13), np.float32)

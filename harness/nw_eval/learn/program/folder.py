@@ -110,6 +110,22 @@ class TrainFolder:
         save(path, state)
         return path
 
+    def checkpoint(self, number: int | None) -> Path:
+        """Return the file of a kept checkpoint; None = of the newest state.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if number is None:
+            if not self.state.is_file():
+                raise UsageError(f"{self.path} has no state yet", fix="wait a few minutes")
+            return self.state
+        for path in self.checkpoints:
+            if int(path.stem) == number:
+                return path
+        known = ", ".join(str(int(path.stem)) for path in self.checkpoints) or "none yet"
+        raise UsageError(f"{self.path} has no checkpoint {number}", fix=f"there are: {known}")
+
     def forget_after(self, number: int) -> None:
         """Remove checkpoints beyond a number: a training that went back will make them again."""
         for path in self.checkpoints:

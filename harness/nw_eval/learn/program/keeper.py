@@ -65,13 +65,16 @@ class Keeper:
         """Whether a signal asked for an end."""
         return self._interrupts.requested is not None
 
-    def after(self, step: int, state: Callable[[], State], *, is_last: bool = False) -> None:
+    def after(self, step: int, state: Callable[[], State], *, is_last: bool = False) -> bool:
         """Write what is due after a step.
 
         Args:
             step: steps done.
             state: everything to go on with; called only if it is written.
             is_last: whether nothing comes after it.
+
+        Returns:
+            Whether the state was written.
 
         Raises:
             StoreError: a file cannot be written.
@@ -80,8 +83,10 @@ class Keeper:
             self._kept = step // self._keep_every
             self._folder.keep(self._kept, state())
         now = self._clock()
-        if is_last or self.is_interrupted or now - self._saved_at >= self._save_every:
+        is_due = is_last or self.is_interrupted or now - self._saved_at >= self._save_every
+        if is_due:
             # The curve first: rows beyond a state are dropped, rows that are missing are lost.
             self._curve.flush()
             self._folder.save_state(state())
             self._saved_at = now
+        return is_due

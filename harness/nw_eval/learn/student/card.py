@@ -95,9 +95,7 @@ def student_card(
         sha256: of its network, which lies beside the card.
         is_blind: whether its network has one image for good, and takes none.
     """
-    seen = {
-        name: spec for name, spec in observations(sees).items() if name in BODY or not is_blind
-    }
+    seen = {name: spec for name, spec in observations(sees).items() if name in BODY or not is_blind}
     eyes = " and ".join(sees.cameras)
     title = f"ACT student of {teacher.name}, {eyes}"
     control = teacher.control.model_dump(mode="json", exclude_defaults=True)

@@ -12,7 +12,7 @@ import math
 import warnings
 from copy import deepcopy
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -96,7 +96,7 @@ def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool =
     """
     acting = Acting(deepcopy(network).cpu().eval(), config, is_blind=is_blind)
     inputs = acting.example(config)
-    file = io.BytesIO()
+    file: Any = io.BytesIO()  # Its type is said too narrowly there: a file's path.
     with warnings.catch_warnings(), torch.inference_mode():
         # Sizes are constant here on purpose, and the exporter that takes no other package is old.
         warnings.simplefilter("ignore")

@@ -75,9 +75,24 @@ class StudentNetwork(nn.Module):
         tokens = torch.cat([latent[:, None], state[:, None], seen], dim=1)
         own = act.encoder_1d_feature_pos_embed.weight
         place = torch.cat([own, image_places(maps.shape[2], maps.shape[3], width).to(own)])[None]
-        memory = act.encoder(tokens, place)
-        ahead = act.decoder_pos_embed.weight[None].expand(len(body), -1, -1)
-        return act.action_head(act.decoder(memory, place, ahead))
+        return act.action_head(self._decoded(act.encoder(tokens, place), place))
+
+    def _decoded(self, memory: Tensor, place: Tensor) -> Tensor:
+        """Return what the decoder makes of a memory, (N, chunk, width).
+
+        Nothing of the memory has come to the first layer when it attends to itself: that is the
+        same for all, and worked out once.
+        """
+        decoder, ahead = self.act.decoder, self.act.decoder_pos_embed.weight[None]
+        first, *others = decoder.layers
+        same = first.norm1(first.self_attn(ahead, ahead, torch.zeros_like(ahead)))
+        ahead = ahead.expand(len(memory), -1, -1)
+        x = same.expand(len(memory), -1, -1)
+        x = first.norm2(x + first.multihead_attn(x + ahead, memory + place, memory))
+        x = first.norm3(x + first.linear2(torch.relu(first.linear1(x))))
+        for layer in others:
+            x = layer(x, ahead, memory, place)
+        return decoder.norm(x)
 
     def actions(self, chunks: Tensor) -> Tensor:
         """Return raw actions of normalised ones."""

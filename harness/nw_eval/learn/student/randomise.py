@@ -83,12 +83,13 @@ class Randomiser:
         sigma = (self._amounts.blur * self._uniform(len(images))).clamp(min=1e-3)
         beside = torch.exp(-0.5 / sigma**2) * (self._uniform(len(images)) < _BLURRED)
         middle = 1.0 / (1.0 + 2.0 * beside)
+        own, others = (x.to(images)[:, None, None, None] for x in (middle, middle * beside))
         for axis in (2, 3):
             size = images.shape[axis]  # Edges go on.
-            before = torch.cat([images.narrow(axis, 0, 1), images.narrow(axis, 0, size - 1)], axis)
-            after = torch.cat([images.narrow(axis, 1, size - 1), images.narrow(axis, size - 1, 1)], axis)
-            m, b = (x.to(images)[:, None, None, None] for x in (middle, middle * beside))
-            images = m * images + b * (before + after)
+            first, last = images.narrow(axis, 0, 1), images.narrow(axis, size - 1, 1)
+            before = torch.cat([first, images.narrow(axis, 0, size - 1)], axis)
+            after = torch.cat([images.narrow(axis, 1, size - 1), last], axis)
+            images = own * images + others * (before + after)
         return images
 
     def _gain(self, *size: int) -> Tensor:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.cards.file.load import card_of
-from nw_eval.errors import IncomparableError
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.curve import Curve
 from nw_eval.learn.program.device import device_of, one_thread
+from nw_eval.learn.program.folder import TrainFolder
 from nw_eval.learn.program.keeper import Keeper
 from nw_eval.learn.program.progress import TrainingProgress
+from nw_eval.learn.program.trained import Trained
 from nw_eval.learn.student.card import BODY, check_teacher, student_card
 from nw_eval.learn.student.collect.driving import Driving
 from nw_eval.learn.student.collect.round import Round, plan_round
+from nw_eval.learn.student.config import StudentConfig
 from nw_eval.learn.student.data.dataset import Dataset
 from nw_eval.learn.student.export import write_policy
 from nw_eval.learn.student.fit import Learner
@@ -25,8 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.learn.program.folder import TrainFolder
-    from nw_eval.learn.student.config import StudentConfig
     from nw_eval.policies import Bundle
 
 _ROW_EVERY = 50
@@ -34,6 +36,40 @@ _ROW_EVERY = 50
 _SMOOTH = 0.98
 """Share of the loss before in the smoothed one that the curve shows."""
 _GIB = 2**30
+
+
+def train_student(
+    config: Path, out: Path, *, say: Callable[[str], None], workers: int | None = None
+) -> Trained:
+    """Train a student.
+
+    Args:
+        config: the file of a `StudentConfig`.
+        out: the folder to make.
+        say: takes lines of progress.
+        workers: processes that drive; one for each core if None.
+
+    Raises:
+        UsageError: the config has problems, or a training is in the folder already.
+        NwEvalError: as `StudentTraining` and its `run`.
+    """
+    settings = load_config(config, StudentConfig)
+    folder = TrainFolder.begin(out, config)
+    return StudentTraining(settings, folder, say=say, workers=workers).run()
+
+
+def resume_student(
+    folder: Path, *, say: Callable[[str], None], workers: int | None = None
+) -> Trained:
+    """Go on with a training where its last state is; its curve is an uninterrupted one's.
+
+    Raises:
+        UsageError: no training is in the folder.
+        NwEvalError: as `StudentTraining` and its `run`.
+    """
+    there = TrainFolder.resume(folder)
+    settings = load_config(there.config, StudentConfig)
+    return StudentTraining(settings, there, say=say, workers=workers).run()
 
 
 class StudentTraining:
@@ -78,19 +114,16 @@ class StudentTraining:
             self._write_policies(0)
         else:
             self._restore(state)
-        card = load_bundle(self.policy(0)).card
-        make_ready(self._scenes, card, say)
+        untrained = load_bundle(self.policy(0))
+        make_ready(self._scenes, vet_bundle(untrained, untrained.card.robot).card, say)
         self._curve = Curve(folder.path, upto=None if state is None else self._samples, say=say)
 
     def policy(self, number: int) -> Path:
         """Return the folder of the policy that a round has left; 0 = untrained."""
         return self._folder.path / "policies" / f"round-{number}"
 
-    def run(self) -> bool:
+    def run(self) -> Trained:
         """Train until the budget is used up, the minutes are over or a signal comes.
-
-        Returns:
-            Whether all rounds are done.
 
         Raises:
             StoreError: a file cannot be written, or a trajectory is damaged.
@@ -120,8 +153,10 @@ class StudentTraining:
                 self._write_policies(number)
                 self._round, self._step = number + 1, 0
                 keeper.after(self._samples, self.state, is_last=True)
-            keeper.after(self._samples, self.state, is_last=True)
-        return self._round > self._config.rounds
+            is_done = self._round > self._config.rounds
+            if not is_done:
+                keeper.after(self._samples, self.state, is_last=True)
+            return self._ended(is_done=is_done)
 
     def state(self) -> dict[str, Any]:
         """Return everything to go on with; trajectories are files of their own."""
@@ -135,6 +170,16 @@ class StudentTraining:
             **self._learner.state(),
         }
 
+    def _ended(self, *, is_done: bool) -> Trained:
+        return Trained(
+            program="student",
+            folder=self._folder.path,
+            policy=self.policy(self._round - 1),
+            step=self._samples,
+            is_done=is_done,
+            is_interrupted=self._keeper.is_interrupted,
+        )
+
     def _restore(self, state: dict[str, Any]) -> None:
         for name, ours in (("config", self._config.digest), ("teacher", self._teacher.digest)):
             if state.get(name) != ours:
@@ -143,9 +188,15 @@ class StudentTraining:
                     f"it is {ours[:8]}",
                     fix="train in a new folder, or restore what it began with",
                 )
-        self._round, self._step = int(state["round"]), int(state["step"])
-        self._samples, self._loss = int(state["samples"]), float(state["loss"])
-        self._learner.restore(state)
+        try:
+            self._round, self._step = int(state["round"]), int(state["step"])
+            self._samples, self._loss = int(state["samples"]), float(state["loss"])
+            self._learner.restore(state)
+        except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+            raise StoreError(
+                f"{self._folder.state} is no state of this training: {error!r}",
+                fix="train in a new folder",
+            ) from None
 
     def _planned(self, number: int) -> Round:
         return plan_round(
@@ -218,8 +269,6 @@ class StudentTraining:
             folder = self.policy(number)
             folder = folder.with_name(f"{folder.name}-frozen") if is_blind else folder
             write_policy(folder, network, self._config, teacher, is_blind=is_blind)
-            written = load_bundle(folder)
-            vet_bundle(written, written.card.robot)
 
 
 def body_size(config: StudentConfig, teacher: Bundle) -> int:

@@ -9,9 +9,7 @@ from nw_eval.cards.file.load import CARD_FILE
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.program.config import load_config
-from nw_eval.learn.program.folder import TrainFolder
 from nw_eval.learn.student.card import card_text as yaml_text
-from nw_eval.learn.student.config import StudentConfig
 from nw_eval.learn.studies.config import StudyConfig
 
 if TYPE_CHECKING:
@@ -105,28 +103,13 @@ class StudyFolder:
         """Return where a student's config is."""
         return self.path / "students" / f"{name}.yaml"
 
-    def training(self, name: str) -> TrainFolder:
-        """Return the folder of a student's training, which is begun if it was not.
-
-        Raises:
-            StoreError: it cannot be written.
-        """
-        folder = TrainFolder(self.path / "students" / name)
-        if folder.config.is_file():
-            return folder
-        return TrainFolder.begin(folder.path, self.student_config(name))
-
-    def config_of(self, name: str) -> StudentConfig:
-        """Return the config of a student.
-
-        Raises:
-            UsageError: its file is missing or damaged.
-        """
-        return load_config(self.student_config(name), StudentConfig)
+    def training(self, name: str) -> Path:
+        """Return the folder of a student's training."""
+        return self.path / "students" / name
 
     def policy(self, name: str, number: int) -> Path:
         """Return the folder of the policy that a student's round leaves."""
-        return self.path / "students" / name / "policies" / f"round-{number}"
+        return self.training(name) / "policies" / f"round-{number}"
 
     def is_trained(self, name: str, rounds: int) -> bool:
         """Say whether all rounds of a student have left their policy."""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import UsageError
 from nw_eval.learn.program.config import load_config
-from nw_eval.learn.student.train import StudentTraining
+from nw_eval.learn.program.folder import TrainFolder
+from nw_eval.learn.student.train import resume_student, train_student
 from nw_eval.learn.studies.evaluate import evaluate, outcomes_of, suite_of
 from nw_eval.learn.studies.folder import StudyFolder
 from nw_eval.learn.studies.plan import settled
@@ -76,7 +77,7 @@ class Study:
             Whether all is done; if not, a signal came or a training's minutes are over.
 
         Raises:
-            NwEvalError: as `StudentTraining` and `api.run`; what was done stays.
+            NwEvalError: as `train_student` and `api.run`; what was done stays.
         """
         stages = [
             _Stage(student=student, round=number)
@@ -138,14 +139,17 @@ class Study:
                 listening=self._listening,
                 workers=self._workers,
             )
-        name = stage.student.name
-        training = StudentTraining(
-            self.folder.config_of(name),
-            self.folder.training(name),
-            say=self._say,
-            workers=self._workers,
-        )
-        return training.run()
+        return self._train(stage.student.name)
+
+    def _train(self, name: str) -> bool:
+        """Train a student, or what is missing of it; return whether it has come to its end."""
+        folder = self.folder.training(name)
+        if TrainFolder(folder).config.is_file():
+            trained = resume_student(folder, say=self._say, workers=self._workers)
+        else:
+            config = self.folder.student_config(name)
+            trained = train_student(config, folder, say=self._say, workers=self._workers)
+        return trained.is_done
 
 
 def open_study(

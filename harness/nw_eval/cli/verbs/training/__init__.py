@@ -1,1 +1,1 @@
-"""The verbs that make policies: they call `nw_eval.learn`."""
+"""The verbs of learning: `nw-eval train`, a module for each program, and `nw-eval study`."""

@@ -92,8 +92,9 @@ class Driving:
         count, all_ = len(self._successes), len(self._round.jobs)
         minutes = max(self._said - self._began, 1e-3) / 60.0
         left = len(self._round.missing)
+        trajectories = plural(all_, "trajectory", "trajectories")
         words = [
-            f"round {self._round.number}: {all_ - left:,} of {plural(all_, 'trajectory')} driven",
+            f"round {self._round.number}: {all_ - left} of {trajectories} driven",
             f"{count / minutes:.0f} a minute",
         ]
         if count:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-
 if TYPE_CHECKING:
     from nw_eval.learn.student.data.trajectory import Trajectory
 
@@ -134,4 +133,3 @@ def _rows(one: Trajectory, frame: int, place: int, chunk: int) -> _Rows:
         labels=one.labels[np.minimum(ahead, one.steps - 1)],
         is_there=ahead < one.steps,
     )
-

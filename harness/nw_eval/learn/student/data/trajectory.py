@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -69,8 +70,9 @@ def read_trajectory(path: Path) -> Trajectory:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {field.name: file[field.name] for field in fields(Trajectory)}
-        read = Trajectory(**{**arrays, "success": float(arrays["success"])})
+            arrays: dict[str, Any] = {each.name: file[each.name] for each in fields(Trajectory)}
+        arrays["success"] = float(arrays["success"])
+        read = Trajectory(**arrays)
         _check(read)
     except (OSError, ValueError, LookupError, TypeError, EOFError, BadZipFile) as error:
         raise StoreError(
