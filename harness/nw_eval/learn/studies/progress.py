@@ -36,7 +36,7 @@ class StudyProgress:
         """Say that a stage begins."""
         self._stage_began = self._clock()
         words = [f"study: {place + 1} of {len(self._kinds)}", doing]
-        if self._stage_began > self._began:
+        if self._took:
             words.append(f"{_minutes(self._stage_began - self._began)} so far")
         left = self._seconds_left()
         if left is not None:
