@@ -56,6 +56,15 @@ NOT_RUN = MappingProxyType(
         "nw-eval plan hurdles --detect 0.05 --run reports/hurdles": (
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"
         ),
+        "nw-eval study single-scene training/studies/single-scene-reduced.yaml": (
+            "the better part of an hour; test_study_resumption.py runs a small one"
+        ),
+        "nw-eval study single-scene --resume reports/studies/single-scene-reduced": (
+            "goes on with that"
+        ),
+        "nw-eval study observations mine.yaml --out my-study": (
+            "some minutes; test_study_configs.py reads the config of the page"
+        ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
     }
 )

@@ -14,6 +14,7 @@ from nw_eval.learn.studies.config import (
 )
 from nw_eval.learn.studies.folder import StudyFolder
 from nw_eval.learn.studies.kinds.multi_scene import MultiScene
+from nw_eval.learn.studies.kinds.observations import Observations
 from nw_eval.learn.studies.kinds.single_scene import SingleScene
 from nw_eval.learn.studies.plan import settled, slug
 
@@ -89,6 +90,13 @@ def test_names_of_scenes_become_names_of_students():
     assert slug("hurdles/one_low_carpet") == "hurdles-one_low_carpet"
     assert slug("/A b/Ünder $x") == "a-b-nder-x"
     assert slug("///") == "scene"
+
+
+def test_the_config_of_the_page_on_studies_is_one(written):
+    page = (PRESETS.parents[1] / "docs" / "studies.md").read_text(encoding="utf-8")
+    text = page.partition("```yaml mine.yaml\n")[2].partition("```")[0]
+    config = settled(load_config(written(text), ObservationsConfig))
+    assert [student.name for student in Observations().students(config)] == list(config.variants)
 
 
 @pytest.mark.parametrize("kind", KINDS)
