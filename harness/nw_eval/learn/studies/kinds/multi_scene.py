@@ -118,7 +118,7 @@ class MultiScene:
         figure = Figure(figsize=(WIDTH, 0.9 + 2.5 * down), layout="constrained")
         all_axes = figure.subplots(down, across, squeeze=False, sharey=True).flatten()
         for axes, (student, name) in zip(all_axes, panels, strict=False):
-            wanted = {_group(name, part): part for part in PARTS}
+            wanted: dict[str, Part] = {_group(name, part): part for part in PARTS}
             draw_bars(
                 axes,
                 [str(number) for number in student.rounds],
