@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
-from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.folder import TrainFolder
 from nw_eval.learn.student.train import resume_student, train_student
-from nw_eval.learn.studies.evaluate import evaluate, outcomes_of, suite_of
-from nw_eval.learn.studies.folder import StudyFolder
-from nw_eval.learn.studies.plan import settled
+from nw_eval.learn.studies.evaluate import evaluate, outcomes_of
 from nw_eval.learn.studies.progress import StudyProgress
 from nw_eval.learn.studies.write import write_page, write_scores
 from nw_eval.plural import plural
@@ -22,11 +17,10 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from nw_eval.engine.listener import Listener
+    from nw_eval.learn.studies.folder import StudyFolder
     from nw_eval.learn.studies.kinds.kind import Kind
     from nw_eval.learn.studies.plan import PlannedStudent
     from nw_eval.learn.studies.scores import Outcome
-
-_REPORTS = Path("reports/studies")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +102,7 @@ class Study:
         """
         found = [each for student in self.students for each in self._outcomes(student)]
         scores = self.kind.scores(self.students, found)
-        if not any(each.estimate for each in scores):
+        if not scores:
             return
         write_scores(self.folder.table, scores)
         write_page(self.folder.page, self.kind.tables(self.students, scores))
@@ -150,59 +144,6 @@ class Study:
             config = self.folder.student_config(name)
             trained = train_student(config, folder, say=self._say, workers=self._workers)
         return trained.is_done
-
-
-def open_study(
-    kind: Kind,
-    config: Path | None,
-    *,
-    out: Path | None,
-    resume: Path | None,
-    say: Callable[[str], None],
-    listening: Callable[[], AbstractContextManager[Listener]],
-    workers: int | None = None,
-) -> Study:
-    """Begin a study, or take one up again.
-
-    Args:
-        kind: of the study.
-        config: its file; None only with `resume`.
-        out: its folder; `reports/studies/NAME` if None.
-        resume: the folder of a study to go on with.
-        say: takes a line for people.
-        listening: makes what hears of one evaluation.
-        workers: processes; one for each core if None.
-
-    Raises:
-        UsageError: what is wrong with the config, by file and line; there is no config, or no
-            study to go on with; or one is there already.
-        IncomparableError: the study to go on with is of another config.
-        SceneError, PolicyError: scenes or teacher cannot be used.
-        StoreError: the folder cannot be written.
-    """
-    if config is None and resume is None:
-        raise UsageError("no config", fix="name one, or go on with a study: --resume FOLDER")
-    if out is not None and resume is not None:
-        raise UsageError("--out and --resume exclude each other", fix="drop --out")
-    settings = None if config is None else settled(load_config(config, kind.config))
-    if resume is not None:
-        folder = StudyFolder(resume)
-        settings = folder.saved(kind.config, settings)
-        students = kind.students(settings)
-    else:
-        assert settings is not None
-        folder = StudyFolder(out or _REPORTS / settings.name)
-        students = kind.students(settings)
-        folder.begin(settings, students, suite_of(settings, students))
-    return Study(
-        kind,
-        folder,
-        students,
-        trials=settings.evaluation.trials,
-        say=say,
-        listening=listening,
-        workers=workers,
-    )
 
 
 def _doing(stage: _Stage) -> str:

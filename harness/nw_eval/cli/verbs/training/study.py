@@ -30,7 +30,7 @@ class _Options:
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.learn.studies.study import open_study
+        from nw_eval.learn.studies.opening import open_study
 
         study = open_study(
             kind,

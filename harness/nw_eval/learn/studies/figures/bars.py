@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from nw_eval.learn.studies.scores import Score
 
-_BAR = 0.38
+_BAR = 0.36
 PARTS: tuple[Part, ...] = get_args(Part)
 
 
@@ -38,13 +38,14 @@ def draw_bars(
     for (place, part), score in scores.items():
         if score.estimate is None:
             continue
-        at = place + (PARTS.index(part) - 0.5) * _BAR * 1.05
+        at = place + (PARTS.index(part) - 0.5) * _BAR * 1.1
         low, high = score.estimate.interval
         mean = score.estimate.mean
         if is_difference:
             axes.plot(at, mean, "o", color=COLOURS[part], markersize=6)
         else:
-            axes.bar(at, mean, _BAR, color=COLOURS[part])
+            # The edge is what is seen of a bar of no height.
+            axes.bar(at, mean, _BAR, color=COLOURS[part], edgecolor=COLOURS[part], linewidth=3)
         axes.plot([at, at], [low, high], color="black", linewidth=1.3)
         axes.annotate(
             f"{mean:+z.2f}" if is_difference else f"{mean:.2f}",
