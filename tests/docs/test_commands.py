@@ -66,6 +66,14 @@ NOT_RUN = MappingProxyType(
             "some minutes; test_study_configs.py reads the config of the page"
         ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
+        "nw-eval train student training/student-rgb-small.yaml": (
+            "minutes; tests/learn/student trains smaller ones"
+        ),
+        "nw-eval train student training/student-rgb.yaml": "hours",
+        "nw-eval train student --resume training/runs/student-rgb": "hours",
+        "nw-eval run hurdles --policy training/runs/student-rgb/policies/round-4": (
+            "the policy is there after hours; tests/learn/student runs smaller ones"
+        ),
     }
 )
 """Commands that are left out, and why."""

@@ -44,6 +44,9 @@ def test_files_that_are_no_trajectories_are_told_from_those_that_are(tmp_path):
     np.savez(path, **(arrays | {"labels": np.array([{"a": 1}], dtype=object)}))
     with pytest.raises(StoreError, match="allow_pickle"):
         read_trajectory(path)
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(StoreError, match="compressed"):
+        read_trajectory(path)
 
 
 @pytest.fixture

@@ -93,10 +93,10 @@ def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, mo
             raise Dies
         return step(self, *arguments, **options)
 
+    monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda *_: None)  # It takes a second.
     with monkeypatch.context() as patched:
         patched.setattr(Learner, "step", deadly)
         patched.setitem(Keeper.__init__.__kwdefaults__, "save_every", 0.0)
-        patched.setattr("nw_eval.learn.program.curve.draw", lambda *_: None)  # It takes a second.
         with pytest.raises(Dies):
             StudentTraining(config, cut, say=lambda _: None, workers=1).run()
     state = cut.load_state()

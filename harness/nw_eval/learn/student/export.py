@@ -112,7 +112,7 @@ def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool =
             )
         except torch.onnx.OnnxExporterError as error:
             raise PrerequisiteError(
-                f"a student cannot be exported: {error}", fix="pip install onnx"
+                f"a student cannot be exported: {error}", fix="pip install nw-eval[train]"
             ) from None
     return file.getvalue()
 

@@ -6,12 +6,12 @@ for good: one teacher answers one way.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import torch
 from torch import Tensor, nn
 
-from nw_eval.policies.networks.act import Act, ActSizes, image_places
+from nw_eval.policies.networks.act import Act, ActSizes, DecoderLayer, image_places
 
 if TYPE_CHECKING:
     from nw_eval.learn.student.config import NetworkSizes, Sees
@@ -84,7 +84,7 @@ class StudentNetwork(nn.Module):
         same for all, and worked out once.
         """
         decoder, ahead = self.act.decoder, self.act.decoder_pos_embed.weight[None]
-        first, *others = decoder.layers
+        first, *others = cast("list[DecoderLayer]", list(decoder.layers))
         same = first.norm1(first.self_attn(ahead, ahead, torch.zeros_like(ahead)))
         ahead = ahead.expand(len(memory), -1, -1)
         x = same.expand(len(memory), -1, -1)

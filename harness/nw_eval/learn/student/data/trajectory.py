@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
+
+# What a damaged file may cause in the library that reads it.
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, MemoryError, BadZipFile)
 
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.float32]
@@ -69,12 +72,15 @@ def read_trajectory(path: Path) -> Trajectory:
         StoreError: it is missing, damaged or something else.
     """
     try:
+        with ZipFile(path) as archive:  # Ours are as large as what is in them: no bomb is one.
+            if any(member.compress_type != ZIP_STORED for member in archive.infolist()):
+                raise ValueError("its arrays are compressed")
         with np.load(path, allow_pickle=False) as file:
             arrays: dict[str, Any] = {each.name: file[each.name] for each in fields(Trajectory)}
         arrays["success"] = float(arrays["success"])
         read = Trajectory(**arrays)
         _check(read)
-    except (OSError, ValueError, LookupError, TypeError, EOFError, BadZipFile) as error:
+    except _DAMAGE as error:
         raise StoreError(
             f"{path} is no trajectory: {error}", fix="remove it; it will be driven again"
         ) from None
