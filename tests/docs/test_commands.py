@@ -29,6 +29,7 @@ REDUCED = MappingProxyType(
         "nw-eval run my-suite.yaml --out mine": _ONE_TRIAL,
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
         "nw-eval run my-place.yaml --out my-run": "--record none",
+        "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
     }
 )
 """Options that make a command cheap and leave it what it is."""
@@ -57,10 +58,10 @@ NOT_RUN = MappingProxyType(
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"
         ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
-        "nw-eval train student training/student-rgb-small.yaml": (
+        "nw-eval train student student-rgb-small": (
             "minutes; tests/learn/student trains smaller ones"
         ),
-        "nw-eval train student training/student-rgb.yaml": "hours",
+        "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume training/runs/student-rgb": "hours",
         "nw-eval run hurdles --policy training/runs/student-rgb/policies/round-4": (
             "the policy is there after hours; tests/learn/student runs smaller ones"

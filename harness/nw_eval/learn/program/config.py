@@ -7,7 +7,9 @@ from typing import Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import UsageError, nearest
+from nw_eval.files.inside import what_is
+from nw_eval.files.shipped import shipped
 from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.digest import digest_of
 
@@ -66,6 +68,23 @@ class TrainingConfig(ConfigModel):
         """Remember the file; it is no setting."""
         self._file = path
         return self
+
+
+def find_config(name_or_path: str | Path) -> Path:
+    """Return the path of a config: `teacher` is `training/teacher.yaml`, here or as shipped.
+
+    Raises:
+        UsageError: there is no such config; names the nearest one.
+    """
+    path = Path(name_or_path)
+    if what_is(path) == "file":
+        return path
+    # Packed beside the suites, in the wheel as in a checkout.
+    folders = (shipped("suites").parent / "training", Path("training"))
+    known = {file.stem: file for folder in folders for file in folder.glob("*.yaml")}
+    if str(name_or_path) in known:
+        return known[str(name_or_path)]
+    raise UsageError(f"no config {str(name_or_path)!r}", fix=nearest(path.stem, known))
 
 
 M = TypeVar("M", bound=TrainingConfig)
