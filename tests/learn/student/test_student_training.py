@@ -63,8 +63,8 @@ def test_a_training_leaves_a_policy_of_each_round_and_a_frozen_one_beside_it(con
     rows = read_curve(whole.path / "curve.parquet")
     assert rows[-1][0] >= config.budget.steps
     rounds = [row for _, row in rows if "driving/all" in row]
-    assert [row["learning/round"] for row in rounds] == [1.0, 2.0]
-    assert [row["dataset/trajectories"] for row in rounds] == [2.0, 4.0]
+    assert [row["round/number"] for row in rounds] == [1.0, 2.0]
+    assert [row["trajectories/so far"] for row in rounds] == [2.0, 4.0]
     assert rows[-1][1]["learning/loss"] < rounds[0]["learning/loss"]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.learn.program.config import load_config
+from nw_eval.learn.program.config import find_config, load_config
 from nw_eval.learn.studies.config import (
     MultiSceneConfig,
     ObservationsConfig,
@@ -101,7 +101,7 @@ def test_the_config_of_the_page_on_studies_is_one(written):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_presets_of_the_papers_size_have_its_trajectories_and_rollouts(kind):
-    config = load_config(PRESETS / f"{kind}-paper.yaml", KINDS[kind])
+    config = load_config(find_config(f"{kind}-paper", folder="studies"), KINDS[kind])
     assert (config.student.trajectories, config.student.rounds) == (1000, 4)
     assert config.evaluation.trials == 50
 

@@ -7,7 +7,9 @@ from typing import Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import UsageError, nearest
+from nw_eval.files.inside import what_is
+from nw_eval.files.shipped import shipped
 from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.digest import digest_of
 
@@ -70,6 +72,27 @@ class TrainingConfig(ConfigFile):
         fields = self.model_dump(mode="json", by_alias=True, exclude={"device"})
         del fields["budget"]["minutes"]
         return digest_of(fields)
+
+
+def find_config(name_or_path: str | Path, *, folder: str = "") -> Path:
+    """Return the path of a config: `teacher` is `training/teacher.yaml`, here or as shipped.
+
+    Args:
+        name_or_path: of the config.
+        folder: within `training/`, in which names are looked up.
+
+    Raises:
+        UsageError: there is no such config; names the nearest one.
+    """
+    path = Path(name_or_path)
+    if what_is(path) == "file":
+        return path
+    # Packed beside the suites, in the wheel as in a checkout.
+    folders = (shipped("suites").parent / "training" / folder, Path("training") / folder)
+    known = {file.stem: file for each in folders for file in each.glob("*.yaml")}
+    if str(name_or_path) in known:
+        return known[str(name_or_path)]
+    raise UsageError(f"no config {str(name_or_path)!r}", fix=nearest(path.stem, known))
 
 
 M = TypeVar("M", bound=ConfigFile)

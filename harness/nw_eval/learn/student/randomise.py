@@ -81,16 +81,20 @@ class Randomiser:
     def _blurred(self, images: Tensor) -> Tensor:
         """Return images of which some are blurred, by a Gaussian of three pixels each way."""
         sigma = (self._amounts.blur * self._uniform(len(images))).clamp(min=1e-3)
-        beside = torch.exp(-0.5 / sigma**2) * (self._uniform(len(images)) < _BLURRED)
+        chosen = (self._uniform(len(images)) < _BLURRED).nonzero()[:, 0]
+        beside = torch.exp(-0.5 / sigma[chosen] ** 2)
         middle = 1.0 / (1.0 + 2.0 * beside)
         own, others = (x.to(images)[:, None, None, None] for x in (middle, middle * beside))
+        chosen = chosen.to(images.device)
+        some = images[chosen]
         for axis in (2, 3):
-            size = images.shape[axis]  # Edges go on.
-            first, last = images.narrow(axis, 0, 1), images.narrow(axis, size - 1, 1)
-            before = torch.cat([first, images.narrow(axis, 0, size - 1)], axis)
-            after = torch.cat([images.narrow(axis, 1, size - 1), last], axis)
-            images = own * images + others * (before + after)
-        return images
+            size = some.shape[axis]
+            around, some = others * some, own * some
+            some.narrow(axis, 1, size - 1).add_(around.narrow(axis, 0, size - 1))
+            some.narrow(axis, 0, size - 1).add_(around.narrow(axis, 1, size - 1))
+            for edge in (0, size - 1):  # They go on.
+                some.narrow(axis, edge, 1).add_(around.narrow(axis, edge, 1))
+        return images.index_copy(0, chosen, some)
 
     def _gain(self, *size: int) -> Tensor:
         """Return factors around 1."""

@@ -227,8 +227,8 @@ class StudentTraining:
                 successes.setdefault(group, []).append(one.success)
         figures = {f"driving/{group}": sum(all_) / len(all_) for group, all_ in successes.items()}
         return figures | {
-            "dataset/trajectories": float(len(self._dataset.trajectories)),
-            "dataset/steps": float(self._dataset.steps),
+            "trajectories/so far": float(len(self._dataset.trajectories)),
+            "control steps/so far": float(self._dataset.steps),
         }
 
     def _learn(self, figures: dict[str, float]) -> bool:
@@ -248,7 +248,7 @@ class StudentTraining:
             loss = found["loss"]
             self._loss = loss if self._step == 1 else _SMOOTH * self._loss + (1 - _SMOOTH) * loss
             if self._step == 1 or self._step % _ROW_EVERY == 0 or self._samples >= last:
-                row = {"learning/loss": self._loss, "learning/round": float(number)}
+                row = {"learning/loss": self._loss, "round/number": float(number)}
                 self._curve.append(self._samples, row | (figures if self._step == 1 else {}))
             self._progress.update(
                 self._samples,

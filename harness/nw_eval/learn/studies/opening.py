@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.learn.studies.kinds.kind import Kind
 
-_REPORTS = Path("reports/studies")
+_RUNS = Path("training", "runs")
 
 
 def open_study(
@@ -37,7 +37,7 @@ def open_study(
     Args:
         kind: of the study.
         config: its file; None only with `resume`.
-        out: its folder; `reports/studies/NAME` if None.
+        out: its folder; `training/runs/NAME` if None.
         resume: the folder of a study to go on with.
         say: takes a line for people.
         listening: makes what hears of one evaluation.
@@ -61,7 +61,7 @@ def open_study(
         students = kind.students(settings)
     else:
         assert settings is not None
-        folder = StudyFolder(out or _REPORTS / settings.name)
+        folder = StudyFolder(out or _RUNS / settings.name)
         students = kind.students(settings)
         folder.begin(settings, students, suite_of(settings, students))
     return Study(

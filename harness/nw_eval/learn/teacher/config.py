@@ -5,8 +5,11 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from nw_eval.built_in.splits import split_of
+from nw_eval.catalogue import names
+from nw_eval.errors import nearest
 from nw_eval.learn.program.config import ConfigModel, TrainingConfig
 
 Ground = Literal["hurdles", "gaps", "ramps", "stairs", "flat"]
@@ -15,6 +18,16 @@ GROUNDS: tuple[Ground, ...] = get_args(Ground)
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+def _known(timestep: float) -> float:
+    if timestep not in {0.005, 0.01}:
+        raise ValueError(f"a time step of {timestep:g} s is not known; use 0.005 or 0.01")
+    return timestep
+
+
+Timestep = Annotated[float, AfterValidator(_known)]
+"""s; a contact's time constant of 0.02 s is two of the longer ones, and no more would do."""
 
 
 class TaskShares(ConfigModel):
@@ -43,7 +56,7 @@ class TrainingPhase(ConfigModel):
 
     share: Annotated[float, Field(gt=0.0, le=1.0)]
     """Of the budget's steps."""
-    timestep: Literal[0.005, 0.01]
+    timestep: Timestep
     """Of the physics, s: 0.01 is faster, 0.005 is what evaluation has."""
     std: Annotated[float, Field(gt=0.0, le=2.0)]
     """Standard deviation of the noise on actions, by which the policy explores."""
@@ -98,6 +111,17 @@ class CourseSettings(ConfigModel):
     """Updates between two courses that are drawn anew; 0 = never."""
     scenes: tuple[str, ...] | None = None
     """Built-in scenes of the training split to train in; all of them when absent."""
+
+    @field_validator("scenes")
+    @classmethod
+    def _for_training(cls, scenes: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        known = names("train")
+        for name in scenes or ():
+            if split_of(name) == "eval":
+                raise ValueError(f"{name!r} is kept for evaluation; name scenes to train in")
+            if name not in known:
+                raise ValueError(f"{name!r} is no training scene; {nearest(name, known)}")
+        return scenes
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.learn.program.folder import read_state
 from nw_eval.learn.teacher.config import TeacherConfig
 from nw_eval.learn.teacher.ppo.networks import Actor, Critic, new_networks
@@ -46,6 +46,7 @@ def begin(config: TeacherConfig) -> Beginning:
     """Return the networks that `start` names.
 
     Raises:
+        UsageError: there is no such checkpoint.
         PolicyError: there is no such policy, or it is no such network.
         StoreError: a checkpoint is damaged, or of other networks.
     """
@@ -55,6 +56,8 @@ def begin(config: TeacherConfig) -> Beginning:
         return Beginning(actor=actor, critic=critic, sees=False)
     path = config.base / config.start
     if path.suffix == ".pt":
+        if not path.is_file():
+            raise UsageError(f"start: no checkpoint {path}", fix="name a .pt file of a training")
         state = read_state(path)
         load_network(actor, state, "actor", path)
         load_network(critic, state, "critic", path)
@@ -66,6 +69,8 @@ def begin(config: TeacherConfig) -> Beginning:
             levels=levels.numpy() if isinstance(levels, torch.Tensor) else None,
         )
     bundle = load_bundle(path if path.exists() else config.start)
+    if bundle.checkpoint is None:
+        raise PolicyError(f"start: {config.start!r} has no weights", fix="name a teacher's policy")
     actor = read_actor(bundle.read_checkpoint(), str(bundle.checkpoint))
     critic.see_as(actor)
     return Beginning(actor=actor, critic=critic)

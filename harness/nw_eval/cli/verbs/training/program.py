@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 class Program:
     """A training program. Subclasses have `_train` and `_go_on`."""
 
-    config: tyro.conf.Positional[Path | None] = None
-    """What to train, a file as in training/; with --resume the folder has its own."""
+    config: tyro.conf.Positional[str | None] = None
+    """A config file, or the name of a shipped one such as `teacher` or `student-rgb`; a folder to
+    resume has its own."""
     out: Path | None = None
     """The folder of the training; `training/runs/<config's name>` when absent."""
     resume: Path | None = None
@@ -26,6 +27,7 @@ class Program:
     def __call__(self) -> int:
         from nw_eval.cli.verbs.training.ends import end_of_training
         from nw_eval.errors import UsageError
+        from nw_eval.learn.program.config import find_config
 
         if self.resume is not None:
             if self.config is not None or self.out is not None:
@@ -35,8 +37,9 @@ class Program:
             return end_of_training(self._go_on(self.resume))
         if self.config is None:
             raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
-        out = self.out or Path("training", "runs", self.config.stem)
-        return end_of_training(self._train(self.config, out))
+        config = find_config(self.config)
+        out = self.out or Path("training", "runs", config.stem)
+        return end_of_training(self._train(config, out))
 
     def _train(self, config: Path, out: Path) -> Trained:
         raise NotImplementedError

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 class _Options:
     """What all studies are given."""
 
-    config: tyro.conf.Positional[Path | None] = None
-    """The study's config. Only --resume can do without."""
+    config: tyro.conf.Positional[str | None] = None
+    """A config file, or the name of a shipped one such as `single-scene-reduced`. Only --resume can
+    do without."""
     out: Path | None = None
-    """The study's folder; `reports/studies/<name>` when absent."""
+    """The study's folder; `training/runs/<name>` when absent."""
     resume: Path | None = None
     """The folder of a study to go on with: what is trained and evaluated there is kept."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
@@ -30,11 +31,12 @@ class _Options:
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
+        from nw_eval.learn.program.config import find_config
         from nw_eval.learn.studies.opening import open_study
 
         study = open_study(
             kind,
-            self.config,
+            None if self.config is None else find_config(self.config, folder="studies"),
             out=self.out,
             resume=self.resume,
             say=tell,

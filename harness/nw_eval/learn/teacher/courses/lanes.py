@@ -7,9 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import get_scene, names
-from nw_eval.errors import UsageError
 from nw_eval.learn.teacher.config import GROUNDS, CourseSettings
 from nw_eval.learn.teacher.courses.draw import draw_course
 from nw_eval.learn.teacher.courses.lane import SHAPE, Lane, lane_of
@@ -40,7 +38,6 @@ class Lanes:
         generations: (L,) how often each lane was drawn anew.
 
     Raises:
-        UsageError: a scene of the settings is none of the training split.
         SceneError: a scene does not fit a lane.
     """
 
@@ -54,7 +51,7 @@ class Lanes:
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._settings, self._robot, self._seed = settings, robot, seed
-        self.scenes = training_scenes(settings)
+        self.scenes = names("train") if settings.scenes is None else settings.scenes
         flat_from = _FLAT * settings.levels * settings.variants
         self.random_count = flat_from + settings.variants
         count = self.random_count + len(self.scenes)
@@ -108,22 +105,3 @@ class Lanes:
     def _fill(self, number: int, lane: Lane) -> None:
         self.heights[number], self.edges[number] = lane.heights, lane.edges
         self.floors[number], self.noises[number] = lane.floor, lane.noise
-
-
-def training_scenes(settings: CourseSettings) -> tuple[str, ...]:
-    """Return the scenes to train in.
-
-    Raises:
-        UsageError: one of them is none of the training split.
-    """
-    known = names("train")
-    if settings.scenes is None:
-        return known
-    for name in settings.scenes:
-        if name not in known:
-            kept = " is kept for evaluation" if split_of(name) == "eval" else ""
-            raise UsageError(
-                f"courses.scenes: {name!r}{kept or ' is no training scene'}",
-                fix="`nw-eval scenes list --split train` lists those to train in",
-            )
-    return settings.scenes

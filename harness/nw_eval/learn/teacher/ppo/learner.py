@@ -11,10 +11,12 @@ from nw_eval.learn.teacher.config import PpoSettings
 from nw_eval.learn.teacher.ppo.networks import Actor, Critic
 from nw_eval.learn.teacher.ppo.samples import Samples, log_probability
 
-_LOWEST, _HIGHEST = 1e-5, 1.5e-3
+_LOWEST, _HIGHEST = 3e-6, 1e-3
 """Learning rates of the policy."""
 _CRITIC_RATE = 5e-4
-_SLOWER, _FASTER = 1.3, 1.15
+_SLOWER, _FASTER = 1.25, 1.15
+_BAND = 1.5
+"""Times the divergence that is aimed at, up and down, within which the rate stays."""
 _LONGEST_GRADIENT = 1.0
 _FIRST_RATE = 3e-4
 _TOO_FAR = 4.0
@@ -75,7 +77,6 @@ class Learner:
                 if not critic_alone:
                     policy_loss, divergence = self._policy_loss(some)
                     divergences.append(divergence)
-                    self._adapt(divergence)
                     if divergence <= _TOO_FAR * settings.divergence:
                         loss = loss + policy_loss
                 self._step(loss)
@@ -84,11 +85,12 @@ class Learner:
         figures = {
             "critic/loss": sum(losses) / len(losses),
             "critic/explained": 1.0 - losses[0] / variance if variance > 0.0 else 0.0,
-            "policy/rate": self.rate,
-            "policy/std": float(samples.std),
+            "rate/policy": self.rate,
+            "noise/std": float(samples.std),
         }
         if divergences:
-            figures["policy/divergence"] = sum(divergences) / len(divergences)
+            figures["divergence/mean"] = sum(divergences) / len(divergences)
+            self._adapt(figures["divergence/mean"])
         return figures
 
     def _policy_loss(self, some: Samples) -> tuple[Tensor, float]:
@@ -104,10 +106,11 @@ class Learner:
         return loss, apart.item()
 
     def _adapt(self, divergence: float) -> None:
+        """Adapt the rate once an update: samples are one update old, and more would overshoot."""
         target = self._settings.divergence
-        if divergence > 2.0 * target:
+        if divergence > _BAND * target:
             self.set_rate(self.rate / _SLOWER)
-        elif divergence < target / 2.0:
+        elif divergence < target / _BAND:
             self.set_rate(self.rate * _FASTER)
 
     def set_rate(self, rate: float) -> None:
