@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from nw_eval.learn.studies.scores import Score
 
 _BAR = 0.36
+_UNSEEN = 0.01
+"""A bar of less height is drawn as a line."""
+_OVER_A_LINE = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
 PARTS: tuple[Part, ...] = get_args(Part)
 
 
@@ -44,8 +47,9 @@ def draw_bars(
         if is_difference:
             axes.plot(at, mean, "o", color=COLOURS[part], markersize=6)
         else:
-            # The edge is what is seen of a bar of no height.
-            axes.bar(at, mean, _BAR, color=COLOURS[part], edgecolor=COLOURS[part], linewidth=3)
+            axes.bar(at, mean, _BAR, color=COLOURS[part])
+            if mean < _UNSEEN:
+                axes.hlines(mean, at - _BAR / 2, at + _BAR / 2, color=COLOURS[part], linewidth=4)
         axes.plot([at, at], [low, high], color="black", linewidth=1.3)
         axes.annotate(
             f"{mean:+z.2f}" if is_difference else f"{mean:.2f}",
@@ -54,7 +58,7 @@ def draw_bars(
             textcoords="offset points",
             ha="center",
             fontsize=size,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
+            bbox=_OVER_A_LINE if is_difference else None,
         )
     axes.set_xticks(range(len(places)), places, parse_math=False)
     axes.set_xlim(-0.6, len(places) - 0.4)
