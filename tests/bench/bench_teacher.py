@@ -19,8 +19,8 @@ from nw_eval.learn.program.device import one_thread
 from nw_eval.learn.teacher.config import CourseSettings, TeacherConfig
 from nw_eval.learn.teacher.courses.lanes import Lanes
 from nw_eval.learn.teacher.courses.robot import training_robot
-from nw_eval.learn.teacher.ppo.learner import Learner
-from nw_eval.learn.teacher.ppo.samples import Collector
+from nw_eval.learn.teacher.ppo.learner import PpoLearner
+from nw_eval.learn.teacher.ppo.samples import SampleCollector
 from nw_eval.learn.teacher.start import begin
 from nw_eval.learn.teacher.world.curriculum import Curriculum
 from nw_eval.learn.teacher.world.episodes import Episodes
@@ -52,9 +52,9 @@ def main():
     episodes = Episodes(robot, lanes, curriculum, config.rewards, rng, threads=1)
     generator = torch.Generator().manual_seed(0)
     seen = episodes.begin(config.phases[0])
-    collector = Collector(episodes, ppo, generator, seen)
+    collector = SampleCollector(episodes, ppo, generator, seen)
     networks = beginning.actor, beginning.critic
-    learner = Learner(*networks, ppo, generator, torch.device("cpu"))
+    learner = PpoLearner(*networks, ppo, generator, torch.device("cpu"))
     learner.updates = ppo.critic_first
     samples = collector.collect(*networks, 0.2).samples
     learning = cost(lambda: learner.learn(samples)) / ppo.samples

@@ -8,9 +8,9 @@ from onnx import numpy_helper
 
 from nw_eval.errors import PolicyError
 from nw_eval.learn.teacher.config import PpoSettings
-from nw_eval.learn.teacher.ppo.learner import Learner
+from nw_eval.learn.teacher.ppo.learner import PpoLearner
 from nw_eval.learn.teacher.ppo.networks import Actor, Critic, new_networks
-from nw_eval.learn.teacher.ppo.samples import Collector, Samples, log_probability
+from nw_eval.learn.teacher.ppo.samples import SampleCollector, Samples, log_probability
 from nw_eval.learn.teacher.weights import read_actor, write_actor
 from nw_eval.learn.teacher.world.privileged import PRIVILEGED
 from nw_eval.policies import load_bundle
@@ -24,7 +24,7 @@ def settings(**changes):
 
 
 def test_advantages_are_discounted_sums_that_end_with_their_episode():
-    collector = Collector(None, settings(discount=0.9, trace=0.8), None, None)
+    collector = SampleCollector(None, settings(discount=0.9, trace=0.8), None, None)
     values = np.array([[1.0], [2.0], [3.0], [4.0]], dtype=np.float32)
     earned = np.array([[1.0], [0.5], [0.2]], dtype=np.float32)
     over = np.array([[False], [True], [False]])
@@ -55,7 +55,7 @@ def samples(actor, generator):
 def test_a_policy_moves_towards_what_was_better_and_its_critic_towards_what_was_earned():
     actor, critic = new_networks(1)
     generator = torch.Generator().manual_seed(0)
-    learner = Learner(actor, critic, settings(), generator, torch.device("cpu"))
+    learner = PpoLearner(actor, critic, settings(), generator, torch.device("cpu"))
     some = samples(actor, generator)
     figures = [learner.learn(some) for _ in range(5)]
     moved = (actor(some.observations) - some.means).mean(dim=0)
@@ -67,7 +67,7 @@ def test_a_policy_moves_towards_what_was_better_and_its_critic_towards_what_was_
 def test_the_critic_learns_alone_at_first():
     actor, critic = new_networks(1)
     generator = torch.Generator().manual_seed(0)
-    learner = Learner(actor, critic, settings(critic_first=1), generator, torch.device("cpu"))
+    learner = PpoLearner(actor, critic, settings(critic_first=1), generator, torch.device("cpu"))
     some, before = samples(actor, generator), actor.linear[0].weight.clone()
     assert "divergence/mean" not in learner.learn(some)
     assert (actor.linear[0].weight == before).all()
@@ -79,7 +79,7 @@ def test_the_rate_falls_where_an_update_went_too_far_and_rises_where_it_went_now
     for target, rises in ((1e-9, False), (1e3, True)):
         actor, critic = new_networks(1)
         generator = torch.Generator().manual_seed(0)
-        learner = Learner(
+        learner = PpoLearner(
             actor, critic, settings(divergence=target), generator, torch.device("cpu")
         )
         before = learner.rate

@@ -8,7 +8,7 @@ import pytest
 from nw_eval.learn.teacher.config import GROUNDS, CourseSettings, RewardWeights, TrainingPhase
 from nw_eval.learn.teacher.world.body import bodies
 from nw_eval.learn.teacher.world.curriculum import Curriculum
-from nw_eval.learn.teacher.world.rewards import POINTS, Moments, rewards
+from nw_eval.learn.teacher.world.rewards import POINTS, RobotMoments, rewards
 from nw_eval.robots import get_robot
 
 SETTINGS = CourseSettings.model_validate({"variants": 2, "levels": 4, "start": [1, 1]})
@@ -72,7 +72,7 @@ def moment(*, velocity=0.0, height=0.3, joints=POSE, **changes):
     qvel = np.zeros((1, 18))
     qvel[0, 0] = velocity
     nothing = np.zeros(1)
-    now = Moments(
+    now = RobotMoments(
         body=bodies(qpos, qvel),
         direction=np.array([[1.0, 0.0]]),
         delta_yaw=nothing,

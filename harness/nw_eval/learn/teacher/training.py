@@ -24,13 +24,13 @@ from nw_eval.learn.teacher.config import TeacherConfig
 from nw_eval.learn.teacher.courses.lanes import Lanes
 from nw_eval.learn.teacher.courses.robot import training_robot
 from nw_eval.learn.teacher.export import export_teacher
-from nw_eval.learn.teacher.ppo.learner import Learner
+from nw_eval.learn.teacher.ppo.learner import PpoLearner
 from nw_eval.learn.teacher.ppo.networks import Actor, Critic, normalise
-from nw_eval.learn.teacher.ppo.samples import Collected, Collector, Samples
+from nw_eval.learn.teacher.ppo.samples import Collected, SampleCollector, Samples
 from nw_eval.learn.teacher.start import Beginning, begin, load_network
 from nw_eval.learn.teacher.trees import as_arrays, as_tensors
 from nw_eval.learn.teacher.world.curriculum import Curriculum
-from nw_eval.learn.teacher.world.episodes import Episodes, Seen
+from nw_eval.learn.teacher.world.episodes import Episodes, Sights
 from nw_eval.robots import get_robot
 
 Say = Callable[[str], None]
@@ -91,11 +91,11 @@ class _Training:
         self._rng = np.random.default_rng(self._seeds(_WORLD))
         self._noise, self._order = (self._generator(stream) for stream in (_NOISE, _ORDER))
         self._actor, self._critic = Actor(), Critic()
-        self._learner: Learner
+        self._learner: PpoLearner
         self._lanes: Lanes
         self._curriculum: Curriculum
         self._episodes: Episodes
-        self._collector: Collector
+        self._collector: SampleCollector
         self._step = 0  # learnt from
         self._collected = 0
         self._pending: Collected
@@ -214,7 +214,7 @@ class _Training:
     def _build(self, *, generations: np.ndarray | None) -> None:
         config = self._config
         robot = training_robot(get_robot("go1"))
-        self._learner = Learner(self._actor, self._critic, config.ppo, self._order, self._device)
+        self._learner = PpoLearner(self._actor, self._critic, config.ppo, self._order, self._device)
         self._lanes = Lanes(
             config.courses, robot, config.seed, generations=generations, say=self._say
         )
@@ -223,7 +223,9 @@ class _Training:
             robot, self._lanes, self._curriculum, config.rewards, self._rng, threads=config.threads
         )
         nothing = np.zeros((0, 0), dtype=np.float32)
-        self._collector = Collector(self._episodes, config.ppo, self._noise, Seen(nothing, nothing))
+        self._collector = SampleCollector(
+            self._episodes, config.ppo, self._noise, Sights(nothing, nothing)
+        )
 
     def state(self) -> dict[str, Any]:
         """Return everything to go on with."""
@@ -259,7 +261,7 @@ class _Training:
         self._curriculum.begin(phase)
         self._curriculum.levels, self._curriculum.tasks = levels, tasks
         self._episodes.restore(as_arrays(state["episodes"]), phase)
-        self._collector.seen = Seen(**as_arrays(state["seen"]))
+        self._collector.seen = Sights(**as_arrays(state["seen"]))
         self._pending = Collected(samples=Samples(**state["pending"]), figures=state["figures"])
         self._rng.bit_generator.state = state["rng"]
         self._noise.set_state(state["noise"])

@@ -17,8 +17,7 @@ class Program:
     """A training program. Subclasses have `_train` and `_go_on`."""
 
     config: tyro.conf.Positional[str | None] = None
-    """A config file, or the name of a shipped one such as `teacher` or `student-rgb`; a folder to
-    resume has its own."""
+    """A config file, or the name of a shipped one; a folder to resume has its own."""
     out: Path | None = None
     """The folder of the training; `training/runs/<config's name>` when absent."""
     resume: Path | None = None

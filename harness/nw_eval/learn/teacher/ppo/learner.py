@@ -23,7 +23,7 @@ _TOO_FAR = 4.0
 """Times the divergence that is aimed at: beyond it a batch teaches the critic alone."""
 
 
-class Learner:
+class PpoLearner:
     """Improves a policy, and a critic, by proximal policy optimisation.
 
     The noise is the phase's: at these learning rates its own gradient hardly moves it.

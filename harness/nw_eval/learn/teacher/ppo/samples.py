@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nw_eval.learn.teacher.config import PpoSettings
 from nw_eval.learn.teacher.ppo.networks import Actor, Critic
-from nw_eval.learn.teacher.world.episodes import Episodes, Outcomes, Seen
+from nw_eval.learn.teacher.world.episodes import Episodes, Outcomes, Sights
 
 Single = NDArray[np.float32]
 
@@ -63,7 +63,7 @@ def log_probability(actions: Tensor, means: Tensor, std: Tensor) -> Tensor:
     return (-0.5 * ((actions - means) / std) ** 2 - std.log()).sum(dim=1)
 
 
-class Collector:
+class SampleCollector:
     """Runs the policy with noise.
 
     Args:
@@ -74,7 +74,7 @@ class Collector:
     """
 
     def __init__(
-        self, episodes: Episodes, settings: PpoSettings, noise: torch.Generator, seen: Seen
+        self, episodes: Episodes, settings: PpoSettings, noise: torch.Generator, seen: Sights
     ) -> None:
         self._episodes, self._settings, self._noise = episodes, settings, noise
         self.seen = seen

@@ -14,7 +14,7 @@ from nw_eval.learn.teacher.world import privileged
 from nw_eval.learn.teacher.world.body import Bodies, bodies
 from nw_eval.learn.teacher.world.curriculum import Curriculum
 from nw_eval.learn.teacher.world.heights import heights_under, read_cells
-from nw_eval.learn.teacher.world.rewards import Moments, clearance_points, rewards
+from nw_eval.learn.teacher.world.rewards import RobotMoments, clearance_points, rewards
 from nw_eval.learn.teacher.world.senses import Senses
 from nw_eval.learn.teacher.world.simulation import CONTROL_PERIOD, Simulation
 from nw_eval.learn.teacher.world.trails import Trails
@@ -40,7 +40,7 @@ _DROP = (0.33, 0.41)  # m, the trunk above the ground at the start
 _FLAT, _RAMPS = GROUNDS.index("flat"), GROUNDS.index("ramps")
 
 
-class Seen(NamedTuple):
+class Sights(NamedTuple):
     """What actor and critic see: observations (n, 332), and what the critic alone may know."""
 
     observation: Single
@@ -79,8 +79,8 @@ class Stepped:
         outcomes: of episodes.
     """
 
-    seen: Seen
-    last: Seen
+    seen: Sights
+    last: Sights
     rewards: Single
     outcomes: Outcomes
 
@@ -118,7 +118,7 @@ class Episodes:
         self._steps = np.zeros(count, dtype=np.intp)
         self._everybody = np.arange(count)
 
-    def begin(self, phase: TrainingPhase) -> Seen:
+    def begin(self, phase: TrainingPhase) -> Sights:
         """Begin the first episodes; later phases call `enter`."""
         self.enter(phase)
         self._start(self._everybody)
@@ -165,7 +165,7 @@ class Episodes:
         if len(over):
             self._curriculum.judge(over, simulation.lanes[over], self._trails.fraction[over])
             self._start(over)
-            seen = Seen(last.observation.copy(), last.privileged.copy())
+            seen = Sights(last.observation.copy(), last.privileged.copy())
             again = self._see(over, self._bodies(over))
             seen.observation[over], seen.privileged[over] = again
         return Stepped(seen=seen, last=last, rewards=value.astype(np.float32), outcomes=outcomes)
@@ -193,7 +193,7 @@ class Episodes:
     def _bodies(self, robots: NDArray[np.intp]) -> Bodies:
         return bodies(self._simulation.qpos, self._simulation.qvel, robots)
 
-    def _see(self, robots: NDArray[np.intp], body: Bodies) -> Seen:
+    def _see(self, robots: NDArray[np.intp], body: Bodies) -> Sights:
         lanes = self._simulation.lanes[robots]
         bearing = self._bearing(robots, body)
         feet = self._simulation.feet[robots]
@@ -206,7 +206,7 @@ class Episodes:
             grounds=self._lanes.grounds[lanes],
             levels=self._lanes.levels[lanes],
         )
-        return Seen(self._senses.see(body, bearing, lanes, self._lanes.heights, robots), known)
+        return Sights(self._senses.see(body, bearing, lanes, self._lanes.heights, robots), known)
 
     def _bearing(self, robots: NDArray[np.intp], body: Bodies) -> Array:
         """Return the angle to the next waypoint, (n,) rad in [-pi, pi)."""
@@ -239,7 +239,7 @@ class Episodes:
         edges = np.empty(contacts.shape)
         read_cells(self._lanes.edges, lanes, self._simulation.feet, edges)
         grounds = self._lanes.grounds[lanes]
-        now = Moments(
+        now = RobotMoments(
             body=body,
             direction=to_target / (distance + 1e-5),
             delta_yaw=self._bearing(self._everybody, body),

@@ -26,7 +26,7 @@ POINTS = 2 + len(_BELLY)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Moments:
+class RobotMoments:
     """What rewards look at: robots after a control step.
 
     Attributes:
@@ -65,7 +65,7 @@ def clearance_points(body: Bodies) -> Array:
     return np.stack([face, ahead, *(body.at(point) for point in _BELLY)], axis=1)
 
 
-def rewards(now: Moments, weights: RewardWeights, pose: Array, period: float) -> Array:
+def rewards(now: RobotMoments, weights: RewardWeights, pose: Array, period: float) -> Array:
     """Return the rewards of one control step, (N,); a failure's is not among them.
 
     Args:
