@@ -82,6 +82,7 @@ def test_moments_are_those_of_all_trajectories(dataset):
     moments = dataset.moments()
     body = np.concatenate([one.body for one in dataset.trajectories])
     np.testing.assert_allclose(moments["body_mean"], body.mean(0), rtol=1e-6)
+    np.testing.assert_allclose(moments["body_std"], body.std(0), rtol=1e-6)
     images = np.concatenate([one.rgb for one in dataset.trajectories]) / 255.0
     np.testing.assert_allclose(moments["image"][:3], images.mean(0), rtol=1e-6)
     np.testing.assert_array_equal(moments["image"][:3], moments["image"][3:])

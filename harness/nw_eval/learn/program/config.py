@@ -36,7 +36,23 @@ class Budget(ConfigModel):
     training sooner; it never changes what a step learns."""
 
 
-class TrainingConfig(ConfigModel):
+class ConfigFile(ConfigModel):
+    """A config as a file; it knows where it was read from."""
+
+    _file: Path = PrivateAttr(default_factory=Path)
+
+    @property
+    def base(self) -> Path:
+        """The folder that relative paths of the file start from."""
+        return self._file.parent
+
+    def read_from(self, path: Path) -> Self:
+        """Remember the file; it is no setting."""
+        self._file = path
+        return self
+
+
+class TrainingConfig(ConfigFile):
     """What the config of every training program says."""
 
     version: Literal[1] = Field(alias="nw-train")
@@ -50,13 +66,6 @@ class TrainingConfig(ConfigModel):
     """Steps from one kept checkpoint to the next. The state to go on with is written every few
     minutes anyway."""
 
-    _file: Path = PrivateAttr(default_factory=Path)
-
-    @property
-    def base(self) -> Path:
-        """The folder that relative paths of the file start from."""
-        return self._file.parent
-
     @property
     def digest(self) -> str:
         """Hex sha256 of what decides the curve: all but the device and the minutes."""
@@ -64,14 +73,13 @@ class TrainingConfig(ConfigModel):
         del fields["budget"]["minutes"]
         return digest_of(fields)
 
-    def read_from(self, path: Path) -> Self:
-        """Remember the file; it is no setting."""
-        self._file = path
-        return self
 
-
-def find_config(name_or_path: str | Path) -> Path:
+def find_config(name_or_path: str | Path, *, folder: str = "") -> Path:
     """Return the path of a config: `teacher` is `training/teacher.yaml`, here or as shipped.
+
+    Args:
+        name_or_path: of the config.
+        folder: within `training/`, in which names are looked up.
 
     Raises:
         UsageError: there is no such config; names the nearest one.
@@ -80,14 +88,14 @@ def find_config(name_or_path: str | Path) -> Path:
     if what_is(path) == "file":
         return path
     # Packed beside the suites, in the wheel as in a checkout.
-    folders = (shipped("suites").parent / "training", Path("training"))
-    known = {file.stem: file for folder in folders for file in folder.glob("*.yaml")}
+    folders = (shipped("suites").parent / "training" / folder, Path("training") / folder)
+    known = {file.stem: file for each in folders for file in each.glob("*.yaml")}
     if str(name_or_path) in known:
         return known[str(name_or_path)]
     raise UsageError(f"no config {str(name_or_path)!r}", fix=nearest(path.stem, known))
 
 
-M = TypeVar("M", bound=TrainingConfig)
+M = TypeVar("M", bound=ConfigFile)
 
 
 def load_config(path: Path, kind: type[M]) -> M:

@@ -102,7 +102,7 @@ class StudentConfig(TrainingConfig):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,55}$")]
     """Name of the policy that comes out: a-z, 0-9, '.', '_' and '-'."""
     teacher: str = "go1-parkour"
-    """The policy that is asked: a shipped one, or a path from the config's folder."""
+    """The policy that is asked, named as for `nw-eval run --policy`."""
     scenes: list[str] = Field(default=["split:train"], min_length=1)
     """Where trajectories are driven: names, globs and folders as in suites. Evaluation scenes are
     left out."""

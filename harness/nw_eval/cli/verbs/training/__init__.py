@@ -1,1 +1,1 @@
-"""`nw-eval train`: programs that make policies, a module for each."""
+"""The verbs of learning: `nw-eval train`, a module for each program, and `nw-eval study`."""

@@ -70,16 +70,16 @@ class Dataset:
 
         What hardly varies is divided by a little more than its deviation.
         """
-        body = np.concatenate([one.body for one in self.trajectories]).astype(np.float64)
-        labels = np.concatenate([one.labels for one in self.trajectories]).astype(np.float64)
-        found = {
-            "body_mean": body.mean(0),
-            "body_std": np.maximum(body.std(0), _LEAST),
-            "label_mean": labels.mean(0),
-            "label_std": np.maximum(labels.std(0), _LEAST),
-        }
+        body = _moments([one.body for one in self.trajectories])
+        labels = _moments([one.labels for one in self.trajectories])
         means = [self._mean_image(name) for name in self._cameras]
-        found["image"] = np.concatenate([np.tile(m, (self._frames, 1, 1)) for m in means])
+        found = {
+            "body_mean": body[0],
+            "body_std": body[1],
+            "label_mean": labels[0],
+            "label_std": labels[1],
+            "image": np.concatenate([np.tile(m, (self._frames, 1, 1)) for m in means]),
+        }
         return {name: array.astype(np.float32) for name, array in found.items()}
 
     def _mean_image(self, camera: str) -> NDArray[np.float64]:
@@ -112,6 +112,15 @@ class Dataset:
 
 
 _LEAST = 1e-2
+"""Standard deviation below which a number is taken not to vary."""
+
+
+def _moments(rows: list[NDArray[np.float32]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean and standard deviation over all rows, without a copy of all of them."""
+    count = sum(map(len, rows))
+    mean = np.sum([part.sum(0, dtype=np.float64) for part in rows], axis=0) / count
+    squares = np.sum([((part - mean) ** 2).sum(0) for part in rows], axis=0) / count
+    return mean, np.maximum(np.sqrt(squares), _LEAST)
 
 
 @dataclass(frozen=True, kw_only=True)
