@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.episode.digest import observation_digest
+from nw_eval.rollout.mcap.steps import Call
 from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
@@ -66,6 +66,7 @@ class Recorder(Observer):
         )
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
+        self._moving = trial.episode.world.moving()
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
@@ -83,6 +84,7 @@ class Recorder(Observer):
             trail=self._episode.progress.waypoints,
             bodies=self._episode.world.bodies,
             cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
+            seen=self._seen.rows,
             metadata={
                 TRIAL: trial_metadata(job),
                 PROVENANCE: provenance(),
@@ -123,7 +125,8 @@ class Recorder(Observer):
         if not self._log.is_open:
             return
         episode = self._episode
-        self._write_body(is_last=True)
+        self._write_path(is_shown=True)
+        self._log.step(episode.world.time, self._body_row())
         if result.status == "ok":
             self._log.state(episode.world.time, episode.state())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
@@ -137,37 +140,31 @@ class Recorder(Observer):
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
 
     def _write(self, decision: Decision) -> None:
-        episode = self._episode
-        self._write_body()
-        self._log.policy(
-            episode.world.time,
+        episode, moment = self._episode, decision.moment
+        command = ()
+        if moment is not None:
+            asked = velocity_command(self._trial.bundle.card.command, moment)
+            command = (*asked, moment.delta_yaw)
+        call = Call(
             step=episode.step,
-            observation_digest=observation_digest(decision.observation),
             state_digest=self._policy_digest,
-            action=decision.action,
-            applied=decision.applied,
-            targets=decision.targets,
+            numbers=np.concatenate((decision.action, decision.applied, decision.targets)),
+            command=command,
+            given=self._seen.given(decision.observation),
         )
         self._policy_digest = b""
-        if decision.moment is not None:
-            moment, command = decision.moment, self._trial.bundle.card.command
-            numbers = (*velocity_command(command, moment), moment.delta_yaw)
-            self._log.command(episode.world.time, numbers)
-        self._seen.record(decision.observation)
+        if episode.step % PATH_PERIOD == 0:
+            self._write_path(is_shown=episode.step % PATH_SHOWN == 0)
+        self._log.step(episode.world.time, self._body_row(), call)
+        self._seen.record_images(decision.observation)
         self._camera.record(episode.step)
 
-    def _write_body(self, *, is_last: bool = False) -> None:
+    def _body_row(self) -> NDArray[np.float64]:
+        return np.concatenate((*self._moving, self._episode.world.torques), axis=None)
+
+    def _write_path(self, *, is_shown: bool) -> None:
         world = self._episode.world
-        self._log.body(
-            world.time,
-            poses=world.body_poses,
-            joints=(world.joint_positions, world.joint_velocities, world.torques),
-            velocity=world.trunk_velocity,
-        )
-        step = self._episode.step
-        if is_last or step % PATH_PERIOD == 0:
-            is_shown = is_last or step % PATH_SHOWN == 0
-            self._log.path(world.time, world.trunk_position, is_shown=is_shown)
+        self._log.path(world.time, world.trunk_position, is_shown=is_shown)
 
 
 def _pose(camera: CameraMount) -> NDArray[np.float64]:

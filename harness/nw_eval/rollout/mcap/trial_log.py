@@ -13,43 +13,22 @@ from typing import Any, Concatenate, Literal, ParamSpec
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.mcap.content.body import (
-    Poses,
-    command_form,
-    joint_rows,
-    joints_form,
-    odom_form,
-    odom_rows,
-    transform_rows,
-    transforms_form,
-    twist_form,
-    twist_rows,
-)
-from nw_eval.rollout.mcap.content.clouds import (
-    path_cloud,
-    place_cloud,
-    robot_clouds,
-    trail_cloud,
-    waypoints_cloud,
-)
-from nw_eval.rollout.mcap.content.entities import (
-    place_update,
-    robot_entities,
-    trail_entity,
-    waypoints_update,
-)
+from nw_eval.rollout.mcap.content.body import BodyForms
+from nw_eval.rollout.mcap.content.clouds import TrailClouds, path_cloud, place_cloud, robot_clouds
+from nw_eval.rollout.mcap.content.entities import Discs, place_update, robot_update, trail_update
 from nw_eval.rollout.mcap.content.images import Form as PixelForm
 from nw_eval.rollout.mcap.content.images import calibration_message, image_message
-from nw_eval.rollout.mcap.content.numbers import observation_form, observation_message
-from nw_eval.rollout.mcap.content.policy_step import policy_step
+from nw_eval.rollout.mcap.content.numbers import observation_message
+from nw_eval.rollout.mcap.content.seen import SeenRow
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.messages import Event, PolicyStep
-from nw_eval.rollout.mcap.sheet import Sheet, rounded_rows, single_rows
+from nw_eval.rollout.mcap.messages import Event
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
+from nw_eval.rollout.mcap.steps import Call, Steps
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 
@@ -84,9 +63,8 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
-        self._sheets: dict[str, Sheet] = {}  # by topic, or by an observation's name
-        self._body: tuple[Sheet, ...] = ()  # of the robot's own topics
-        self._place: tuple[np.ndarray, np.ndarray] | None = None  # start (3,) and trail (K, 3)
+        self._steps: Steps | None = None
+        self._place: tuple[Discs, TrailClouds] | None = None
         self._walked: list[list[float]] = []
         self._file: McapFile | None = None
         if path is not None:
@@ -133,6 +111,7 @@ class TrialLog:
         trail: np.ndarray,
         bodies: Sequence[int],
         cameras: Mapping[str, np.ndarray],
+        seen: Mapping[str, SeenRow],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
     ) -> None:
@@ -146,6 +125,7 @@ class TrialLog:
             bodies: numbers of the robot's bodies, trunk first, among those of `body`.
             cameras: those that have a frame, by name: position and quaternion wxyz in the trunk,
                 (7,).
+            seen: the policy's observations that are rows of numbers, by name.
             metadata: records of texts by name.
             attachments: name and text of each.
         """
@@ -153,44 +133,25 @@ class TrialLog:
             self._out.add_metadata(name, dict(values))
         for name, text in attachments:
             self._out.attach(name, "text/plain", text.encode())
-        self._place = np.asarray(start), trail
-        moving = SceneUpdate(entities=[*robot_entities(robot), trail_entity(start, trail)])
-        scene = place_update(mesh) + moving.SerializeToString(deterministic=True)
+        self._place = Discs(trail), TrailClouds(start, trail)
+        parts = robot.bodies, robot.visuals
+        scene = place_update(mesh) + robot_update(*parts) + trail_update(start, trail)
         self._out.add_bytes("/scene", 0, SceneUpdate, scene)
-        self._out.add("/points/place", 0, place_cloud(mesh))
-        for body, cloud in robot_clouds(robot).items():
-            self._out.add(f"/points/robot/{body}", 0, cloud)
+        self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
+        for body, cloud in robot_clouds(*parts).items():
+            self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
         self._waypoints(0, 0)
-        self._body = _body_sheets(robot, bodies, cameras)
+        frames = {camera_frame(name): pose for name, pose in cameras.items()}
+        body = BodyForms(names=robot.bodies, bodies=bodies, joints=robot.joints, cameras=frames)
+        self._steps = Steps(body, seen)
 
     @_costs_only_the_log
-    def body(
-        self,
-        time: float,
-        *,
-        poses: Poses,
-        joints: tuple[np.ndarray, np.ndarray, np.ndarray],
-        velocity: np.ndarray,
-    ) -> None:
-        """Write where the robot is and how it moves; all arrays must be the log's own.
-
-        Args:
-            time: simulated, s.
-            poses: of all bodies of the model.
-            joints: angles (12) rad, velocities (12) rad/s, torques (12) N m.
-            velocity: of the trunk: in the world, m/s, and angular in its own frame, rad/s, (6,).
-        """
-        notes = (poses, joints, poses, (poses, velocity))
-        self._out.add_rows(self._body, nanoseconds(time), notes)
-
-    @_costs_only_the_log
-    def command(self, time: float, numbers: Sequence[float]) -> None:
-        """Write what is asked for: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
-        sheet = self._sheets.get("/robot/command")
-        if sheet is None:
-            sheet = Sheet("/robot/command", command_form(), rounded_rows)
-            self._sheets[sheet.topic] = sheet
-        self._out.add_rows((sheet,), nanoseconds(time), (numbers,))
+    def step(self, time: float, row: np.ndarray, call: Call | None = None) -> None:
+        """Write a control step; see `Steps.note`, whose arrays must be the log's own."""
+        assert self._steps is not None, "start comes first"
+        when = nanoseconds(time)
+        self._steps.note(when, row, call)
+        self._out.add_noted(self._steps, when)
 
     @_costs_only_the_log
     def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
@@ -198,29 +159,8 @@ class TrialLog:
         self._walked.append(position.tolist())
         if is_shown:
             when = nanoseconds(time)
-            self._out.add("/robot/path", when, path_cloud(when, self._walked))
-
-    @_costs_only_the_log
-    def policy(
-        self,
-        time: float,
-        *,
-        step: int,
-        observation_digest: bytes,
-        state_digest: bytes,
-        action: np.ndarray,
-        applied: np.ndarray,
-        targets: np.ndarray,
-    ) -> None:
-        """Write one call of the policy: raw, applied (12) and joint targets (12) rad."""
-        data = policy_step(
-            nanoseconds(time),
-            step=step,
-            observation_digest=observation_digest,
-            state_digest=state_digest,
-            numbers=(action, applied, targets),
-        )
-        self._out.add_bytes("/nw/policy", nanoseconds(time), PolicyStep, data)
+            cloud = path_cloud(when, self._walked)
+            self._out.add_bytes("/robot/path", when, PointCloud, cloud)
 
     @_costs_only_the_log
     def state(self, time: float, message: Any) -> None:
@@ -228,17 +168,6 @@ class TrialLog:
         when = nanoseconds(time)
         message.timestamp.CopyFrom(stamp(when))
         self._out.add("/nw/state", when, message)
-
-    @_costs_only_the_log
-    def numbers(
-        self, time: float, name: str, array: np.ndarray, *, terms: Sequence[tuple[str, int]]
-    ) -> None:
-        """Write an observation of the policy's, with name and size of its parts."""
-        sheet = self._sheets.get(name)
-        if sheet is None:
-            form = observation_form(array.shape, terms)
-            sheet = self._sheets[name] = Sheet(f"/observation/{name}", form, single_rows)
-        self._out.add_rows((sheet,), nanoseconds(time), (array.copy(),))
 
     @_costs_only_the_log
     def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:
@@ -323,25 +252,13 @@ class TrialLog:
 
     def _waypoints(self, when: int, reached: int) -> None:
         assert self._place is not None, "start comes first"
-        start, trail = self._place
-        self._out.add("/waypoints", when, waypoints_update(when, trail, reached=reached))
-        self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
-        self._out.add("/points/waypoints", when, waypoints_cloud(when, trail, reached=reached))
-
-
-def _body_sheets(
-    robot: RobotSpec, bodies: Sequence[int], cameras: Mapping[str, np.ndarray]
-) -> tuple[Sheet, ...]:
-    """Return the sheets of the robot's own topics."""
-    names = (*robot.bodies, *map(camera_frame, cameras))
-    mounted, trunk = tuple(cameras.values()), bodies[0]
-    transforms = partial(transform_rows, bodies=bodies, cameras=mounted)
-    return (
-        Sheet("/tf", transforms_form(names), transforms),
-        Sheet("/robot/joints", joints_form(robot.joints), joint_rows),
-        Sheet("/robot/odom", odom_form(), partial(odom_rows, trunk=trunk)),
-        Sheet("/robot/twist", twist_form(robot.bodies[0]), partial(twist_rows, trunk=trunk)),
-    )
+        discs, clouds = self._place
+        self._out.add_bytes("/waypoints", when, SceneUpdate, discs.update(when, reached=reached))
+        for topic, cloud in (
+            ("/points/trail", clouds.trail(when, reached=reached)),
+            ("/points/waypoints", clouds.waypoints(when, reached=reached)),
+        ):
+            self._out.add_bytes(topic, when, PointCloud, cloud)
 
 
 def camera_frame(camera: str) -> str:
