@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 
 from nw_eval.robots import get_robot
-from nw_eval.rollout.mcap.content.seen import Given, Layout, SeenRow, bytes_of
-from nw_eval.rollout.mcap.messages import SimState, StatePart
+from nw_eval.rollout.mcap.content.seen import SeenRow, SeenRows
+from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
 from nw_eval.rollout.mcap.steps import Call
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.scenes.mesh import box_mesh
@@ -17,7 +17,7 @@ from nw_eval.scenes.mesh import box_mesh
 STEPS = 400
 # Recorded from the code of before, which made every message by itself. A message that changes on
 # purpose changes this, and the CHANGELOG says so.
-BEFORE = "be11b3f36d1dbcee44c9dbc754ade76b2b008f74cc42dff272f9afba52dcf4d7"
+BEFORE = "d33287d107ae98b083d8c170f0f75024a1221dbef4040aaa2e33b67fd80ccc61"
 SEEN = {
     "body": SeenRow("/observation/body", (15,), (("gravity", 3), ("joint_pos", 12))),
     "map": SeenRow("/observation/map", (4, 5), (("map", 20),)),
@@ -39,7 +39,7 @@ def turned(step, count):
 def write(path, record):
     """Write a log of all kinds of messages but pictures."""
     robot = get_robot("go1")
-    log = TrialLog(path, record=record)
+    log, seen = TrialLog(path, record=record), SeenRows(SEEN, is_all=True)
     trail = np.array([[1.0, 0.25, 0.0], [2.5, -0.5, 0.1], [4.0, 0.0, 0.0]])
     log.start(
         robot=robot,
@@ -48,38 +48,36 @@ def write(path, record):
         trail=trail,
         bodies=tuple(range(1, 1 + len(robot.bodies))),
         cameras={"ego": np.array([0.3, 0.0, 0.1, 0.6, 0.8, 0.0, 0.0])},
-        seen=SEEN,
+        seen=seen,
+        command=lambda error: (0.5, error / 4.0, 2.0 * error),
         metadata={"nw.trial": {"a": "b"}},
         attachments=(("suite.yaml", "nw-eval: 1\n"),),
     )
     for step in range(STEPS):
-        one_step(log, step, len(robot.bodies) + 2)
+        one_step(log, seen, step, len(robot.bodies) + 2)
     log.event(STEPS / 50, "end", "completed", step=STEPS)
     log.finish(keep_images=True, verdict={"status": "ok"})
     assert not log.error
 
 
-def one_step(log, step, bodies):
+def one_step(log, seen, step, bodies):
     time = step / 50
     if step % 5 == 0:
-        parts = [StatePart(name="trail", data=b"x" * (step % 9)), StatePart(name="delay")]
-        log.state(time, SimState(step=step, world=bytes(900), policy=b"p", parts=parts))
+        parts = {"trail": b"x" * (step % 9), "delay": b""}
+        log.state(time, sim_state(Saved(step, world=bytes(900), policy=b"p", parts=parts)))
         log.path(time, numbers(step, 3), is_shown=step % 25 == 0)
     motion = [numbers(step, bodies, 3), turned(step, bodies)]
     motion += [numbers(step, 12), numbers(step + 1, 12), numbers(step, 6), numbers(step + 2, 12)]
+    motion += [numbers(step, 36)]
     observation = {"body": numbers(step, 15).astype(np.float32), "map": numbers(step, 4, 5)}
+    digest, data = seen.note(observation if step else {})  # The first step is blind.
     call = Call(
         step=step,
         state_digest=b"" if step % 5 else bytes([step % 251] * 32),
-        numbers=numbers(step, 36),
-        command=tuple(numbers(step, 4).tolist()) if step else (),
-        given=Given(
-            digest=bytes([step % 256] * 32) if step % 3 else b"",
-            data=bytes_of(observation),
-            layout=Layout(observation),
-            # The first step is blind; a map comes at 25 Hz.
-            new=() if step == 0 else ("body",) if step % 2 else ("body", "map"),
-        ),
+        heading_error=float(numbers(step, 1)[0]) if step else None,
+        digest=bytes([step % 256] * 32) if step % 3 else digest,
+        data=data,
+        new=(True, step % 2 == 0),  # a map at 25 Hz
     )
     log.step(time, np.concatenate(motion, axis=None), call)
     if step % 150 == 149:

@@ -24,8 +24,9 @@ from nw_eval.rollout.mcap.content.body import (
 )
 from nw_eval.rollout.mcap.content.numbers import observation_form, values_of
 from nw_eval.rollout.mcap.content.policy_step import policy_steps
+from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
 from nw_eval.rollout.mcap.form import BLANK_TIME, Form, long_times
-from nw_eval.rollout.mcap.messages import Observation, PolicyStep
+from nw_eval.rollout.mcap.messages import Observation, PolicyStep, SimState, StatePart
 from nw_eval.rollout.mcap.stamps import stamp
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
@@ -272,4 +273,17 @@ def test_a_policy_step_by_hand_is_what_protobuf_writes(time_ns, step, digests, s
         states=[b"", digests[1]],
         numbers=np.stack([rng.normal(size=3 * size), numbers.ravel()]),
     )
+    assert written == message.SerializeToString(deterministic=True)
+
+
+@given(
+    step=st.integers(0, 2**32 - 1),
+    world=st.binary(max_size=400),
+    policy=st.binary(max_size=3),
+    parts=st.dictionaries(st.text(max_size=4), st.binary(max_size=200), max_size=3),
+)
+def test_a_state_by_hand_is_what_protobuf_writes(step, world, policy, parts):
+    listed = [StatePart(name=name, data=data) for name, data in parts.items()]
+    message = SimState(step=step, world=world, policy=policy, parts=listed)
+    written = sim_state(Saved(step, world, policy, parts))
     assert written == message.SerializeToString(deterministic=True)

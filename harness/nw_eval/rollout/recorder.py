@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
+from nw_eval.rollout.mcap.content.sim_state import sim_state
 from nw_eval.rollout.mcap.steps import Call
 from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed.events import Events
@@ -16,7 +18,7 @@ from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
-from nw_eval.sensors.body.command import velocity_command
+from nw_eval.sensors.body.command import velocity_at
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
+
+Array = NDArray[np.float64]
 
 # Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
 # stacks of images, which would otherwise be most of the file.
@@ -66,7 +70,8 @@ class Recorder(Observer):
         )
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
-        self._moving = trial.episode.world.moving()
+        self._moving = [each.reshape(-1) for each in trial.episode.world.moving()]
+        self._has_pictures = self._seen.shows_pictures or self._camera.is_on
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
@@ -85,6 +90,7 @@ class Recorder(Observer):
             bodies=self._episode.world.bodies,
             cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
             seen=self._seen.rows,
+            command=partial(velocity_at, self._trial.bundle.card.command),
             metadata={
                 TRIAL: trial_metadata(job),
                 PROVENANCE: provenance(),
@@ -101,11 +107,12 @@ class Recorder(Observer):
         episode = self._episode
         if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
             with self._clock("log"):
-                state = episode.state()
-                if state.ByteSize() > LARGE_STATE:
+                saved = episode.saved()
+                data = sim_state(saved)
+                if len(data) > LARGE_STATE:
                     self._state_period = LARGE_STATE_PERIOD
-                self._log.state(episode.world.time, state)
-                self._policy_digest = sha256(state.policy).digest()
+                self._log.state(episode.world.time, data)
+                self._policy_digest = sha256(saved.policy).digest()
                 self._state_due = False
 
     def decided(self, decision: Decision) -> None:
@@ -128,7 +135,7 @@ class Recorder(Observer):
         self._write_path(is_shown=True)
         self._log.step(episode.world.time, self._body_row())
         if result.status == "ok":
-            self._log.state(episode.world.time, episode.state())
+            self._log.state(episode.world.time, sim_state(episode.saved()))
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
             self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
@@ -140,34 +147,35 @@ class Recorder(Observer):
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
 
     def _write(self, decision: Decision) -> None:
-        episode, moment = self._episode, decision.moment
-        command = ()
-        if moment is not None:
-            asked = velocity_command(self._trial.bundle.card.command, moment)
-            command = (*asked, moment.delta_yaw)
+        step, moment = self._episode.step, decision.moment
+        time = self._episode.world.time
+        if step % PATH_PERIOD == 0:
+            self._write_path(is_shown=step % PATH_SHOWN == 0)
+        digest, data = self._seen.rows.note(decision.observation)
         call = Call(
-            step=episode.step,
-            state_digest=self._policy_digest,
-            numbers=np.concatenate((decision.action, decision.applied, decision.targets)),
-            command=command,
-            given=self._seen.given(decision.observation),
+            step,
+            self._policy_digest,
+            None if moment is None else moment.delta_yaw,
+            digest,
+            data,
+            self._seen.new,
         )
         self._policy_digest = b""
-        if episode.step % PATH_PERIOD == 0:
-            self._write_path(is_shown=episode.step % PATH_SHOWN == 0)
-        self._log.step(episode.world.time, self._body_row(), call)
-        self._seen.record_images(decision.observation)
-        self._camera.record(episode.step)
+        row = self._body_row(decision.action, decision.applied, decision.targets)
+        self._log.step(time, row, call)
+        if self._has_pictures:
+            self._seen.record_images(decision.observation)
+            self._camera.record(step)
 
-    def _body_row(self) -> NDArray[np.float64]:
-        return np.concatenate((*self._moving, self._episode.world.torques), axis=None)
+    def _body_row(self, *others: Array) -> Array:
+        return np.concatenate((*self._moving, self._episode.world.torques, *others))
 
     def _write_path(self, *, is_shown: bool) -> None:
         world = self._episode.world
         self._log.path(world.time, world.trunk_position, is_shown=is_shown)
 
 
-def _pose(camera: CameraMount) -> NDArray[np.float64]:
+def _pose(camera: CameraMount) -> Array:
     """Return position and quaternion wxyz of a camera in the trunk, (7,)."""
     pose = np.empty(7)
     pose[:3] = camera.position

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, Concatenate, Literal, ParamSpec
+from typing import Concatenate, Literal, ParamSpec
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -24,11 +24,12 @@ from nw_eval.rollout.mcap.content.entities import Discs, place_update, robot_upd
 from nw_eval.rollout.mcap.content.images import Form as PixelForm
 from nw_eval.rollout.mcap.content.images import calibration_message, image_message
 from nw_eval.rollout.mcap.content.numbers import observation_message
-from nw_eval.rollout.mcap.content.seen import SeenRow
+from nw_eval.rollout.mcap.content.seen import SeenRows
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.messages import Event
+from nw_eval.rollout.mcap.messages import Event, SimState
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
 from nw_eval.rollout.mcap.steps import Call, Steps
+from nw_eval.rollout.mcap.wire import time_field
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 
@@ -111,7 +112,8 @@ class TrialLog:
         trail: np.ndarray,
         bodies: Sequence[int],
         cameras: Mapping[str, np.ndarray],
-        seen: Mapping[str, SeenRow],
+        seen: SeenRows,
+        command: Callable[[float], tuple[float, float, float]],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
     ) -> None:
@@ -125,7 +127,8 @@ class TrialLog:
             bodies: numbers of the robot's bodies, trunk first, among those of `body`.
             cameras: those that have a frame, by name: position and quaternion wxyz in the trunk,
                 (7,).
-            seen: the policy's observations that are rows of numbers, by name.
+            seen: the policy's observations that are rows of numbers.
+            command: from a heading error, rad, to what is asked for: see `Steps`.
             metadata: records of texts by name.
             attachments: name and text of each.
         """
@@ -143,7 +146,7 @@ class TrialLog:
         self._waypoints(0, 0)
         frames = {camera_frame(name): pose for name, pose in cameras.items()}
         body = BodyForms(names=robot.bodies, bodies=bodies, joints=robot.joints, cameras=frames)
-        self._steps = Steps(body, seen)
+        self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
 
     @_costs_only_the_log
     def step(self, time: float, row: np.ndarray, call: Call | None = None) -> None:
@@ -163,11 +166,10 @@ class TrialLog:
             self._out.add_bytes("/robot/path", when, PointCloud, cloud)
 
     @_costs_only_the_log
-    def state(self, time: float, message: Any) -> None:
-        """Write a restartable state, an `nw.SimState`."""
+    def state(self, time: float, data: bytes) -> None:
+        """Write a restartable state: a `sim_state`."""
         when = nanoseconds(time)
-        message.timestamp.CopyFrom(stamp(when))
-        self._out.add("/nw/state", when, message)
+        self._out.add_bytes("/nw/state", when, SimState, time_field(when) + data)
 
     @_costs_only_the_log
     def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:

@@ -12,6 +12,7 @@ from nw_eval.rollout.mcap.stamps import stamp
 _FIRST = b"\x0a"  # field 1, of a length that is said
 
 
+@lru_cache(maxsize=4096)  # Most are lengths, and the same from message to message.
 def varint(value: int) -> bytes:
     """Return a number, at least 0, as a varint."""
     digits: list[int] = []

@@ -23,6 +23,7 @@ class Events:
     def __init__(self, episode: Episode, log: TrialLog) -> None:
         self._episode = episode
         self._log = log
+        self._cameras = [each for each in episode.sensors.values() if each.is_image]
         self._touching = False
         self._covered = True
 
@@ -59,8 +60,9 @@ class Events:
         )
 
     def _notice_coverage(self) -> None:
-        sensors = self._episode.sensors.values()
-        shares = [sensor.coverage for sensor in sensors if sensor.coverage is not None]
+        if not self._cameras:
+            return
+        shares = [camera.coverage for camera in self._cameras if camera.coverage is not None]
         share = min(shares, default=1.0)
         covered = share >= LOW_COVERAGE
         if self._covered and not covered:

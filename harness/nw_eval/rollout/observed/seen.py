@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from nw_eval.rollout.mcap.content.seen import (
-    NOTHING,
-    Given,
-    Layout,
-    SeenRow,
-    bytes_of,
-    observation_digest,
-)
+from nw_eval.rollout.mcap.content.seen import SeenRow, SeenRows
 from nw_eval.rollout.observed.names import action_names, element_names, term_sizes
 from nw_eval.rollout.observed.views import View, topic_names, views_of
 
@@ -44,7 +37,7 @@ class Seen:
         log: where it is written.
 
     Attributes:
-        rows: the observations that are rows of numbers, by name.
+        rows: the observations that are rows of numbers.
     """
 
     def __init__(
@@ -63,8 +56,7 @@ class Seen:
         self._names = topic_names(card)
         sizes = {name: prod(sensors[name].shape) for name in card.observations}
         self._images = [n for n in sizes if n in self._views or sizes[n] > MANY]
-        self._layout: Layout | None = None
-        self.rows = {
+        rows = {
             name: SeenRow(
                 topic=f"/observation/{self._names[name]}",
                 shape=sensors[name].shape,
@@ -73,6 +65,8 @@ class Seen:
             for name, spec in card.observations.items()
             if name not in self._images
         }
+        self.rows = SeenRows(rows, is_all=not self._images)
+        self._sensors_of_rows = [sensors[name] for name in rows]
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -105,20 +99,15 @@ class Seen:
                     center=(pinhole.cx, pinhole.cy),
                 )
 
-    def given(self, observation: Mapping[str, NDArray[Any]]) -> Given:
-        """Return what is noted of a control step's observations."""
-        if not observation:
-            return NOTHING
-        is_whole = len(self.rows) == len(observation)
-        rows = observation if is_whole else {name: observation[name] for name in self.rows}
-        if self._layout is None:
-            self._layout = Layout(rows)
-        return Given(
-            digest=b"" if is_whole else observation_digest(observation),
-            data=bytes_of(rows),
-            layout=self._layout,
-            new=tuple([name for name in rows if self._sensors[name].fresh]),
-        )
+    @property
+    def shows_pictures(self) -> bool:
+        """Whether there is anything for `record_images`."""
+        return bool(self._images)
+
+    @property
+    def new(self) -> tuple[bool, ...]:
+        """Which of `rows` are new in the observation of now."""
+        return tuple([sensor.fresh for sensor in self._sensors_of_rows])
 
     def record_images(self, observation: Mapping[str, NDArray[Any]]) -> None:
         """Write what is new of a control step's pictures, and of rows as large as those."""

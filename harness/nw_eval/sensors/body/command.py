@@ -11,11 +11,15 @@ from nw_eval.sensors.sensor import Moment
 
 def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
     """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s)."""
+    return velocity_at(command, moment.delta_yaw)
+
+
+def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
+    """Return the same for a heading error: the angle to the next waypoint, rad to the left."""
     match command:
         case ConstantCommand():
             return command.velocity
         case TrailFollower():
-            error = moment.delta_yaw
             forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
             turn = command.yaw_gain * error
             limit = command.yaw_limit

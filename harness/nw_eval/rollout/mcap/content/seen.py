@@ -23,24 +23,6 @@ class SeenRow(NamedTuple):
     shape: tuple[int, ...]
     terms: Terms
 
-    @property
-    def form(self) -> Form:
-        """The form of its messages."""
-        return observation_form(self.shape, self.terms)
-
-
-class Given(NamedTuple):
-    """What is noted of a control step's observations."""
-
-    digest: bytes
-    """Of all of them; empty if `data` holds them all."""
-    data: bytes
-    """`bytes_of` those that are rows of numbers."""
-    layout: Layout
-    """Of `data`."""
-    new: tuple[str, ...]
-    """Those in `data` that are new."""
-
 
 def observation_digest(observation: Mapping[str, NDArray[Any]]) -> bytes:
     """Return the SHA-256 of observations: names in order, types, shapes and bytes."""
@@ -52,51 +34,79 @@ def observation_digest(observation: Mapping[str, NDArray[Any]]) -> bytes:
     return total.digest()
 
 
-def bytes_of(observation: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the bytes of observations one behind the other, for a `Layout`."""
-    return b"".join([array.tobytes() for array in observation.values()])
-
-
-class Layout:
-    """Where what lies in the `bytes_of` observations, at every control step.
+class SeenRows:
+    """The observations of one policy that are rows of numbers, noted as bytes.
 
     Args:
-        observation: those of one step.
+        rows: by name, in the order in which they are given.
+        is_all: whether the policy is given nothing else.
     """
 
-    def __init__(self, observation: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, rows: Mapping[str, SeenRow], *, is_all: bool) -> None:
+        self._rows = rows
+        self._is_all = is_all
+        # Where each lies in the bytes, its type and shape: the same in every step.
         self._places: dict[str, tuple[slice, np.dtype[Any], tuple[int, ...]]] = {}
-        start = 0
-        for name, array in observation.items():
-            end = start + array.nbytes
-            self._places[name] = slice(start, end), array.dtype, np.ascontiguousarray(array).shape
-            start = end
 
-    def digests(self, data: Sequence[bytes]) -> list[bytes]:
-        """Return the `observation_digest` of each step's bytes."""
-        rows = rows_of_bytes(data)
+    def note(self, observation: Mapping[str, NDArray[Any]]) -> tuple[bytes, bytes]:
+        """Return the digest of all observations and the bytes of the rows among them.
+
+        The digest is empty where it follows from those bytes: see `digests`.
+        """
+        if not observation:
+            return _NOTHING, b""
+        arrays = [observation[name] for name in self._rows]
+        if not self._places:
+            self._place(arrays)
+        digest = b"" if self._is_all else observation_digest(observation)
+        return digest, b"".join([array.tobytes() for array in arrays])
+
+    def digests(self, noted: Sequence[bytes]) -> list[bytes]:
+        """Return the `observation_digest` of the steps that were noted, N."""
+        rows = stacked_bytes(noted)
         parts: list[Rows] = []
         for name in sorted(self._places):
             place, kind, shape = self._places[name]
             title = np.frombuffer(_title(name, kind, shape), np.uint8)
             parts += np.broadcast_to(title, (len(rows), len(title))), rows[:, place]
-        return [sha256(row.data).digest() for row in np.concatenate(parts, axis=1)]
+        return [sha256(row).digest() for row in np.concatenate(parts, axis=1)]
 
-    def values(self, name: str, rows: Rows) -> NDArray[np.float32]:
-        """Return the numbers of an observation in each row of bytes, in single precision."""
-        place, kind, _ = self._places[name]
-        return np.ascontiguousarray(rows[:, place]).view(kind).astype("<f4", copy=False)
+    def numbers(
+        self, new: Sequence[bool], noted: Sequence[bytes]
+    ) -> tuple[dict[str, Form], list[NDArray[np.float32]]]:
+        """Return the forms of rows by topic, and what is filled in, (N, ...) each.
+
+        Args:
+            new: which rows are wanted.
+            noted: the bytes of N steps.
+        """
+        forms: dict[str, Form] = {}
+        numbers: list[NDArray[np.float32]] = []
+        rows = stacked_bytes(noted) if any(new) else np.empty((0, 0), np.uint8)
+        for (name, row), is_new in zip(self._rows.items(), new, strict=True):
+            if is_new:
+                place, kind, _ = self._places[name]
+                forms[row.topic] = observation_form(row.shape, row.terms)
+                values = np.ascontiguousarray(rows[:, place]).view(kind)
+                numbers.append(values.astype("<f4", copy=False))
+        return forms, numbers
+
+    def _place(self, arrays: Sequence[NDArray[Any]]) -> None:
+        start = 0
+        for name, array in zip(self._rows, arrays, strict=True):
+            end = start + array.nbytes
+            self._places[name] = slice(start, end), array.dtype, np.ascontiguousarray(array).shape
+            start = end
 
 
-NOTHING = Given(digest=observation_digest({}), data=b"", layout=Layout({}), new=())
-"""What is noted where nothing was observed."""
-
-
-def rows_of_bytes(notes: Sequence[bytes]) -> Rows:
+def stacked_bytes(noted: Sequence[bytes]) -> Rows:
     """Return bytes of one length as rows."""
-    return np.frombuffer(b"".join(notes), np.uint8).reshape(len(notes), -1)
+    return np.frombuffer(b"".join(noted), np.uint8).reshape(len(noted), -1)
 
 
 @lru_cache(maxsize=256)  # They are the same in every control step.
 def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     return f"{name} {kind.str} {shape}".encode()
+
+
+_NOTHING = observation_digest({})

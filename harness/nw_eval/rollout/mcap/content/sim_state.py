@@ -1,0 +1,41 @@
+"""A restartable state as an `nw.SimState` message, put together by hand: it has a dozen parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+from nw_eval.rollout.mcap.wire import sized, varint
+
+# Fields of `SimState` and of its `Part`s, as in `messages._MESSAGES`.
+_STEP, _WORLD, _POLICY, _PART = b"\x10", b"\x1a", b"\x22", b"\x2a"
+_NAME, _DATA = b"\x0a", b"\x12"
+
+
+class Saved(NamedTuple):
+    """What a trial needs to go on from a control step; see `messages` for each."""
+
+    step: int
+    world: bytes
+    policy: bytes
+    parts: Mapping[str, bytes]
+
+
+def sim_state(saved: Saved) -> bytes:
+    """Return the message without its time; what is zero or empty is left out, as protobuf does."""
+    found: list[bytes] = []
+    if saved.step:
+        found += _STEP, varint(saved.step)
+    for field, data in ((_WORLD, saved.world), (_POLICY, saved.policy)):
+        if data:
+            found += field, sized(data)
+    for name, data in saved.parts.items():
+        part = _name(name) + _DATA + sized(data) if data else _name(name)
+        found += _PART, sized(part)
+    return b"".join(found)
+
+
+@lru_cache(maxsize=256)  # They are the same in every state.
+def _name(name: str) -> bytes:
+    return _NAME + sized(name.encode()) if name else b""
