@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from nw_eval.robots import get_robot
 from nw_eval.rollout.mcap.content.seen import SeenRow, SeenRows
 from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
-from nw_eval.rollout.mcap.steps import Call
+from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.scenes.mesh import box_mesh
 
@@ -47,6 +47,7 @@ def write(path, record):
         start=(0.1, -0.2, 0.0),
         trail=trail,
         bodies=tuple(range(1, 1 + len(robot.bodies))),
+        in_model=len(robot.bodies) + 2,
         cameras={"ego": np.array([0.3, 0.0, 0.1, 0.6, 0.8, 0.0, 0.0])},
         seen=seen,
         command=lambda error: (0.5, error / 4.0, 2.0 * error),
@@ -70,16 +71,16 @@ def one_step(log, seen, step, bodies):
     motion += [numbers(step, 12), numbers(step + 1, 12), numbers(step, 6), numbers(step + 2, 12)]
     motion += [numbers(step, 36)]
     observation = {"body": numbers(step, 15).astype(np.float32), "map": numbers(step, 4, 5)}
-    digest, data = seen.note(observation if step else {})  # The first step is blind.
+    digest, rows = seen.note(observation if step else {})  # The first step is blind.
+    data = b"".join((*(part.tobytes() for part in motion), *rows))
     call = Call(
         step=step,
         state_digest=b"" if step % 5 else bytes([step % 251] * 32),
         heading_error=float(numbers(step, 1)[0]) if step else None,
         digest=bytes([step % 256] * 32) if step % 3 else digest,
-        data=data,
         new=(True, step % 2 == 0),  # a map at 25 Hz
     )
-    log.step(time, np.concatenate(motion, axis=None), call)
+    log.step(StepNote(time, data, call))
     if step % 150 == 149:
         log.waypoints(time, reached=step // 149)
         log.event(time, "waypoint", "a waypoint", step=step, waypoint=step // 150, value=0.5)

@@ -186,11 +186,16 @@ def test_merged_records_are_found_where_the_index_says():
 def test_a_row_of_the_body_becomes_the_numbers_of_its_four_messages():
     mount = np.array([0.3, 0, 0, 1, 0, 0, 0])
     body = BodyForms(
-        names=("trunk", "leg"), bodies=(2, 1), joints=("hip", "knee"), cameras={"eye": mount}
+        names=("trunk", "leg"),
+        bodies=(2, 1),
+        in_model=3,
+        joints=("hip", "knee"),
+        cameras={"eye": mount},
     )
     # A model of three bodies, of which the first one is the world; nothing is turned.
     poses = np.arange(9.0), np.tile([1.0, 0, 0, 0], 3)
     row = np.concatenate((*poses, [0.1, 3, 1, 4], np.arange(10.0, 16.0), [2, 5]))
+    assert len(row) == body.width
     filled_in = zip(body.forms.values(), body.numbers(row[np.newaxis]), strict=True)
     tf, joints, odom, twist = (
         form.kind.FromString(filled_once(form, 20, numbers[0])) for form, numbers in filled_in

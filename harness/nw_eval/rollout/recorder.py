@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.mcap.content.sim_state import sim_state
-from nw_eval.rollout.mcap.steps import Call
+from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
@@ -70,8 +70,8 @@ class Recorder(Observer):
         )
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
-        self._moving = [each.reshape(-1) for each in trial.episode.world.moving()]
-        self._has_pictures = self._seen.shows_pictures or self._camera.is_on
+        # Views of the simulation's memory.
+        self._moving = [memoryview(each).cast("B") for each in trial.episode.world.moving()]
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
@@ -88,6 +88,7 @@ class Recorder(Observer):
             start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.progress.waypoints,
             bodies=self._episode.world.bodies,
+            in_model=self._episode.world.model.nbody,
             cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
             seen=self._seen.rows,
             command=partial(velocity_at, self._trial.bundle.card.command),
@@ -113,7 +114,6 @@ class Recorder(Observer):
                     self._state_period = LARGE_STATE_PERIOD
                 self._log.state(episode.world.time, data)
                 self._policy_digest = sha256(saved.policy).digest()
-                self._state_due = False
 
     def decided(self, decision: Decision) -> None:
         """Write where the robot is, what the policy saw and what it answered."""
@@ -123,7 +123,8 @@ class Recorder(Observer):
 
     def advanced(self, step: Step) -> None:
         """Write what happened in the step."""
-        if self._log.is_open:
+        self._state_due = False
+        if self._log.is_open and self._events.is_due(credited=step.credited):
             with self._clock("log"):
                 self._state_due = self._events.notice(credited=step.credited)
 
@@ -133,7 +134,9 @@ class Recorder(Observer):
             return
         episode = self._episode
         self._write_path(is_shown=True)
-        self._log.step(episode.world.time, self._body_row())
+        world = episode.world
+        data = b"".join((*self._moving, world.torques.tobytes()))
+        self._log.step(StepNote(world.time, data))
         if result.status == "ok":
             self._log.state(episode.world.time, sim_state(episode.saved()))
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
@@ -148,27 +151,19 @@ class Recorder(Observer):
 
     def _write(self, decision: Decision) -> None:
         step, moment = self._episode.step, decision.moment
-        time = self._episode.world.time
         if step % PATH_PERIOD == 0:
             self._write_path(is_shown=step % PATH_SHOWN == 0)
-        digest, data = self._seen.rows.note(decision.observation)
-        call = Call(
-            step,
-            self._policy_digest,
-            None if moment is None else moment.delta_yaw,
-            digest,
-            data,
-            self._seen.new,
-        )
+        digest, rows = self._seen.rows.note(decision.observation)
+        world = self._episode.world
+        said = world.torques, decision.action, decision.applied, decision.targets
+        data = b"".join((*self._moving, *map(np.ndarray.tobytes, said), *rows))
+        error = None if moment is None else moment.delta_yaw
+        call = Call(step, self._policy_digest, error, digest, self._seen.new)
         self._policy_digest = b""
-        row = self._body_row(decision.action, decision.applied, decision.targets)
-        self._log.step(time, row, call)
-        if self._has_pictures:
+        self._log.step(StepNote(world.time, data, call))
+        if self._seen.shows_pictures:
             self._seen.record_images(decision.observation)
-            self._camera.record(step)
-
-    def _body_row(self, *others: Array) -> Array:
-        return np.concatenate((*self._moving, self._episode.world.torques, *others))
+        self._camera.record(step)
 
     def _write_path(self, *, is_shown: bool) -> None:
         world = self._episode.world

@@ -23,8 +23,8 @@ _MOST_HELD = 64 * 2**20
 """Bytes of a trial's images that wait as they are; what comes later is compressed at once. A policy
 with two cameras of 160 x 90 at 10 Hz has 10 MB in 12 s."""
 
-_LONGEST = 2_000_000_000
-"""How long messages wait for each other, ns of a trial, where nothing else makes them wait."""
+_LONGEST = 2.0
+"""How long messages wait for each other, s of a trial, where nothing else makes them wait."""
 
 
 class McapFile:
@@ -45,7 +45,7 @@ class McapFile:
         self._images = images
         self._size = 0  # bytes of messages that wait as they will be written
         self._held = 0  # bytes of images that wait
-        self._since = 0  # time of the first message that waits, ns
+        self._since = 0.0  # time of the first message that waits, s
         self._pending: list[_Entry | _Image | Notes] = []
         self._channels: dict[str, int] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,11 +66,13 @@ class McapFile:
     def add_bytes(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
         """Append a message of one kind that is serialised already."""
         self._size += len(data)
-        self._wait((topic, time_ns, kind, data), time_ns)
+        self._pending.append((topic, time_ns, kind, data))
+        self._write_if_due(1e-9 * time_ns)
 
-    def add_noted(self, notes: Notes, time_ns: int) -> None:
-        """Append the messages of what was just noted at a time; they are made later."""
-        self._wait(notes, time_ns)
+    def add_noted(self, notes: Notes, time: float) -> None:
+        """Append the messages of what was just noted, at a time in s; they are made later."""
+        self._pending.append(notes)
+        self._write_if_due(time)
 
     def add_image(
         self, topic: str, time_ns: int, make: Callable[[], Any], *, holds: int = 0
@@ -122,12 +124,12 @@ class McapFile:
         with suppress(OSError):
             self.partial.unlink(missing_ok=True)
 
-    def _wait(self, entry: _Entry | Notes, time_ns: int) -> None:
-        if not self._pending:
-            self._since = time_ns
-        self._pending.append(entry)
-        is_due = time_ns - self._since >= _LONGEST or self._size > CHUNK_BYTES
-        if is_due and self._images != "decide":
+    def _write_if_due(self, time: float) -> None:
+        if self._images == "decide":
+            return
+        if len(self._pending) == 1:
+            self._since = time
+        if time - self._since >= _LONGEST or self._size > CHUNK_BYTES:
             self._flush()
 
     def _flush(self) -> None:

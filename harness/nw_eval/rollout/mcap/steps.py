@@ -18,12 +18,24 @@ from nw_eval.rollout.mcap.content.policy_step import policy_steps
 from nw_eval.rollout.mcap.content.seen import SeenRows
 from nw_eval.rollout.mcap.form import Form
 from nw_eval.rollout.mcap.messages import PolicyStep
+from nw_eval.rollout.mcap.stamps import nanoseconds
 
 Array = NDArray[np.float64]
 
 
+class StepNote(NamedTuple):
+    """What is noted of one control step, all of it the note's own."""
+
+    time: float
+    """Simulated, s."""
+    data: bytes
+    """Float64 numbers: a row for `BodyForms.numbers`; then, where the policy was called, its raw
+    output, the applied action and the joint targets, (J) each; then what `SeenRows.note` gave."""
+    call: Call | None = None
+
+
 class Call(NamedTuple):
-    """What is noted of one call of the policy."""
+    """What else is noted of a call of the policy."""
 
     step: int
     """Number of the control step."""
@@ -32,10 +44,9 @@ class Call(NamedTuple):
     heading_error: float | None
     """To the next waypoint, rad to the left; None where nothing was observed."""
     digest: bytes
-    """Of what it was given, and the bytes of the rows in it: see `SeenRows.note`."""
-    data: bytes
+    """Of what it was given: see `SeenRows.note`."""
     new: tuple[bool, ...]
-    """Which of those rows are new; empty where nothing was observed."""
+    """Which rows of that are new."""
 
 
 class Steps:
@@ -57,49 +68,45 @@ class Steps:
         command: Callable[[float], tuple[float, float, float]],
     ) -> None:
         self._body = body
-        self._actions = 3 * joints
         self._seen = seen
         self._command = command
-        self._notes: list[tuple[int, Array, Call | None]] = []
+        # Where the numbers of the body end in a step's bytes, and those of the actions.
+        self._ends = 8 * body.width, 8 * (body.width + 3 * joints)
+        self._notes: list[StepNote] = []
 
-    def note(self, time_ns: int, row: Array, call: Call | None = None) -> None:
-        """Keep what the messages of one step need: nothing that changes afterwards.
-
-        Args:
-            time_ns: simulated.
-            row: for `BodyForms.numbers`; behind it, where the policy was called, its raw output,
-                the applied action and the joint targets, (J) each.
-            call: of the policy, if it was called.
-        """
-        self._notes.append((time_ns, row, call))
+    def note(self, step: StepNote) -> None:
+        """Keep what the messages of one step need."""
+        self._notes.append(step)
 
     def take(self, channels: Channels) -> Batch:
         """Return the messages of all notes so far, a piece for each, and forget them."""
         notes, self._notes = self._notes, []
-        parts: list[tuple[Sequence[int], Batch]] = []
-        called = [number for number, (_, _, call) in enumerate(notes) if call is not None]
+        body, actions = self._ends
+        times = np.array([nanoseconds(note.time) for note in notes])
+        rows = _numbers([note.data[:body] for note in notes])
+        messages = _filled(channels, self._body.forms, times, self._body.numbers(rows))
+        parts: list[tuple[Sequence[int], Batch]] = [(range(len(notes)), messages)]
+        called = [number for number, note in enumerate(notes) if note.call is not None]
         if called:
-            calls = [call for _, _, call in notes if call is not None]
-            times = np.array([notes[number][0] for number in called])
-            rows = _stacked([notes[number][1] for number in called])
-            parts.append((called, self._bodies(times, rows[:, : -self._actions], channels)))
-            actions = rows[:, -self._actions :]
-            parts.append((called, self._policy(times, calls, actions, channels)))
-            for which, batch in self._given(times, calls, channels):
+            times = times[called]
+            calls = [note.call for note in notes if note.call is not None]
+            said = _numbers([notes[number].data[body:actions] for number in called])
+            given = [notes[number].data[actions:] for number in called]
+            parts.append((called, self._policy(times, calls, said, given, channels)))
+            for which, batch in self._given(times, calls, given, channels):
                 parts.append(([called[number] for number in which], batch))
-        for number, (time_ns, row, call) in enumerate(notes):
-            if call is None:
-                batch = self._bodies(np.array([time_ns]), row[np.newaxis], channels)
-                parts.append(([number], batch))
         return merged(len(notes), parts)
 
-    def _bodies(self, times: Integers, rows: Array, channels: Channels) -> Batch:
-        return _filled(channels, self._body.forms, times, self._body.numbers(rows))
-
     def _policy(
-        self, times: Integers, calls: Sequence[Call], actions: Array, channels: Channels
+        self,
+        times: Integers,
+        calls: Sequence[Call],
+        said: Array,
+        given: Sequence[bytes],
+        channels: Channels,
     ) -> Batch:
-        missing = [call.data for call in calls if not call.digest]
+        each = zip(calls, given, strict=True)
+        missing = [data for call, data in each if not call.digest]
         digests = iter(self._seen.digests(missing) if missing else ())
         at = times.tolist()
         messages = policy_steps(
@@ -107,12 +114,16 @@ class Steps:
             [call.step for call in calls],
             observations=[call.digest or next(digests) for call in calls],
             states=[call.state_digest for call in calls],
-            numbers=actions,
+            numbers=said,
         )
         return records([channels("/nw/policy", PolicyStep)] * len(at), at, messages)
 
     def _given(
-        self, times: Integers, calls: Sequence[Call], channels: Channels
+        self,
+        times: Integers,
+        calls: Sequence[Call],
+        given: Sequence[bytes],
+        channels: Channels,
     ) -> Iterator[tuple[list[int], Batch]]:
         """Yield commands and observations, those together that came together: which, and what."""
         groups: dict[tuple[bool, ...], list[int]] = {}
@@ -120,10 +131,9 @@ class Steps:
             if call.heading_error is not None:
                 groups.setdefault(call.new, []).append(number)
         for new, which in groups.items():
-            of_group = [calls[number] for number in which]
-            errors = [call.heading_error or 0.0 for call in of_group]
+            errors = [calls[number].heading_error or 0.0 for number in which]
             asked = np.array([(*self._command(error), error) for error in errors])
-            forms, numbers = self._seen.numbers(new, [call.data for call in of_group])
+            forms, numbers = self._seen.numbers(new, [given[number] for number in which])
             yield (
                 which,
                 _filled(
@@ -142,6 +152,6 @@ def _filled(
     return filled(numbered, tuple(forms.values()), times, numbers)
 
 
-def _stacked(rows: Sequence[Array]) -> Array:
-    """Return vectors of one length as rows; faster than `np.array`."""
-    return np.concatenate(rows).reshape(len(rows), -1)
+def _numbers(data: Sequence[bytes]) -> Array:
+    """Return float64 numbers of N steps as rows."""
+    return np.frombuffer(b"".join(data)).reshape(len(data), -1)

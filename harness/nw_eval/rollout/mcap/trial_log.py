@@ -28,7 +28,7 @@ from nw_eval.rollout.mcap.content.seen import SeenRows
 from nw_eval.rollout.mcap.file import Images, McapFile
 from nw_eval.rollout.mcap.messages import Event, SimState
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
-from nw_eval.rollout.mcap.steps import Call, Steps
+from nw_eval.rollout.mcap.steps import StepNote, Steps
 from nw_eval.rollout.mcap.wire import time_field
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
@@ -111,6 +111,7 @@ class TrialLog:
         start: Sequence[float],
         trail: np.ndarray,
         bodies: Sequence[int],
+        in_model: int,
         cameras: Mapping[str, np.ndarray],
         seen: SeenRows,
         command: Callable[[float], tuple[float, float, float]],
@@ -124,7 +125,8 @@ class TrialLog:
             mesh: of the place.
             start: ground under the robot, (3,) m.
             trail: waypoints, (K, 3) m.
-            bodies: numbers of the robot's bodies, trunk first, among those of `body`.
+            bodies: numbers of the robot's bodies, trunk first, among those of the model.
+            in_model: how many bodies the model has.
             cameras: those that have a frame, by name: position and quaternion wxyz in the trunk,
                 (7,).
             seen: the policy's observations that are rows of numbers.
@@ -145,16 +147,21 @@ class TrialLog:
             self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
         self._waypoints(0, 0)
         frames = {camera_frame(name): pose for name, pose in cameras.items()}
-        body = BodyForms(names=robot.bodies, bodies=bodies, joints=robot.joints, cameras=frames)
+        body = BodyForms(
+            names=robot.bodies,
+            bodies=bodies,
+            in_model=in_model,
+            joints=robot.joints,
+            cameras=frames,
+        )
         self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
 
     @_costs_only_the_log
-    def step(self, time: float, row: np.ndarray, call: Call | None = None) -> None:
-        """Write a control step; see `Steps.note`, whose arrays must be the log's own."""
+    def step(self, step: StepNote) -> None:
+        """Write a control step."""
         assert self._steps is not None, "start comes first"
-        when = nanoseconds(time)
-        self._steps.note(when, row, call)
-        self._out.add_noted(self._steps, when)
+        self._steps.note(step)
+        self._out.add_noted(self._steps, step.time)
 
     @_costs_only_the_log
     def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:

@@ -27,6 +27,11 @@ class Events:
         self._touching = False
         self._covered = True
 
+    def is_due(self, *, credited: bool) -> bool:
+        """Whether `notice` might find anything: it is cheaper to ask."""
+        touches = self._episode.world.monitored_force() > 0.0
+        return credited or touches != self._touching or bool(self._cameras)
+
     def notice(self, *, credited: bool) -> bool:
         """Write what began in the step that was just made.
 

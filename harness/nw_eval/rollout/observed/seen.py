@@ -7,6 +7,7 @@ wrappers. What is held between two samples is not repeated.
 from __future__ import annotations
 
 from math import prod
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
 
+_IS_NEW = attrgetter("fresh")  # of a sensor
+
 MANY = 4096
 """More numbers than this, as a laser scanner gives, are kept where images are."""
 
@@ -38,6 +41,7 @@ class Seen:
 
     Attributes:
         rows: the observations that are rows of numbers.
+        shows_pictures: whether there is anything for `record_images`.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class Seen:
             for name, spec in card.observations.items()
             if name not in self._images
         }
+        self.shows_pictures = bool(self._images)
         self.rows = SeenRows(rows, is_all=not self._images)
         self._sensors_of_rows = [sensors[name] for name in rows]
 
@@ -100,14 +105,9 @@ class Seen:
                 )
 
     @property
-    def shows_pictures(self) -> bool:
-        """Whether there is anything for `record_images`."""
-        return bool(self._images)
-
-    @property
     def new(self) -> tuple[bool, ...]:
         """Which of `rows` are new in the observation of now."""
-        return tuple([sensor.fresh for sensor in self._sensors_of_rows])
+        return tuple(map(_IS_NEW, self._sensors_of_rows))
 
     def record_images(self, observation: Mapping[str, NDArray[Any]]) -> None:
         """Write what is new of a control step's pictures, and of rows as large as those."""

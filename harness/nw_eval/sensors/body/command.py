@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import assert_never
 
-from nw_eval.cards.command import Command, ConstantCommand, TrailFollower, WaypointCommand
+from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.sensors.sensor import Moment
 
 
@@ -16,18 +15,13 @@ def velocity_command(command: Command, moment: Moment) -> tuple[float, float, fl
 
 def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
     """Return the same for a heading error: the angle to the next waypoint, rad to the left."""
-    match command:
-        case ConstantCommand():
-            return command.velocity
-        case TrailFollower():
-            forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
-            turn = command.yaw_gain * error
-            limit = command.yaw_limit
-            return command.speed * forward, 0.0, min(max(turn, -limit), limit)
-        case WaypointCommand():
-            return command.speed, 0.0, 0.0
-        case _:
-            assert_never(command)
+    if command.source == "constant":
+        return command.velocity
+    if command.source == "waypoint":
+        return command.speed, 0.0, 0.0
+    forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
+    turn, limit = command.yaw_gain * error, command.yaw_limit
+    return command.speed * forward, 0.0, min(max(turn, -limit), limit)
 
 
 def commanded_speed(command: Command) -> float:

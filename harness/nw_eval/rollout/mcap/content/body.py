@@ -81,11 +81,13 @@ class BodyForms:
     Args:
         names: of the robot's bodies, trunk first.
         bodies: their numbers among the model's.
+        in_model: how many bodies the model has.
         joints: names.
         cameras: poses in the trunk, (7,), by the name of the frame.
 
     Attributes:
         forms: by topic, in the order of `numbers`.
+        width: numbers in a row for `numbers`.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class BodyForms:
         *,
         names: tuple[str, ...],
         bodies: Sequence[int],
+        in_model: int,
         joints: tuple[str, ...],
         cameras: Mapping[str, Array],
     ) -> None:
@@ -102,6 +105,7 @@ class BodyForms:
             "/robot/odom": odom_form(),
             "/robot/twist": twist_form(names[0]),
         }
+        self.width = 7 * in_model + 3 * len(joints) + _RATES
         self._bodies = list(bodies)
         self._joints = len(joints)
         self._mounts = tuple(cameras.values())

@@ -52,7 +52,8 @@ def policy_steps(
 def _number_fields(rows: NDArray[np.float64]) -> list[bytes]:
     """Return the three fields of numbers, (N, 3 J), of each row."""
     count = len(rows)
-    values = np.frombuffer(rows.astype("<f8").tobytes(), np.uint8).reshape(count, 3, -1)
+    little = rows.astype("<f8", copy=False)
+    values = np.frombuffer(little.tobytes(), np.uint8).reshape(count, 3, -1)
     size = values.shape[2]
     if not size:
         return [b""] * count

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from hashlib import sha256
 from typing import Any, NamedTuple
@@ -48,21 +48,23 @@ class SeenRows:
         # Where each lies in the bytes, its type and shape: the same in every step.
         self._places: dict[str, tuple[slice, np.dtype[Any], tuple[int, ...]]] = {}
 
-    def note(self, observation: Mapping[str, NDArray[Any]]) -> tuple[bytes, bytes]:
-        """Return the digest of all observations and the bytes of the rows among them.
+    def note(self, observation: Mapping[str, NDArray[Any]]) -> tuple[bytes, Iterable[bytes]]:
+        """Return the digest of all observations, and the bytes of each row among them.
 
         The digest is empty where it follows from those bytes: see `digests`.
         """
         if not observation:
-            return _NOTHING, b""
-        arrays = [observation[name] for name in self._rows]
+            return _NOTHING, ()
+        digest, rows = b"", observation
+        if not self._is_all:
+            digest = observation_digest(observation)
+            rows = {name: observation[name] for name in self._rows}
         if not self._places:
-            self._place(arrays)
-        digest = b"" if self._is_all else observation_digest(observation)
-        return digest, b"".join([array.tobytes() for array in arrays])
+            self._place(rows)
+        return digest, map(np.ndarray.tobytes, rows.values())
 
     def digests(self, noted: Sequence[bytes]) -> list[bytes]:
-        """Return the `observation_digest` of the steps that were noted, N."""
+        """Return the `observation_digest` of N steps, of which the joined rows were noted."""
         rows = stacked_bytes(noted)
         parts: list[Rows] = []
         for name in sorted(self._places):
@@ -78,7 +80,7 @@ class SeenRows:
 
         Args:
             new: which rows are wanted.
-            noted: the bytes of N steps.
+            noted: the joined rows of N steps.
         """
         forms: dict[str, Form] = {}
         numbers: list[NDArray[np.float32]] = []
@@ -91,9 +93,9 @@ class SeenRows:
                 numbers.append(values.astype("<f4", copy=False))
         return forms, numbers
 
-    def _place(self, arrays: Sequence[NDArray[Any]]) -> None:
+    def _place(self, rows: Mapping[str, NDArray[Any]]) -> None:
         start = 0
-        for name, array in zip(self._rows, arrays, strict=True):
+        for name, array in rows.items():
             end = start + array.nbytes
             self._places[name] = slice(start, end), array.dtype, np.ascontiguousarray(array).shape
             start = end

@@ -31,11 +31,14 @@ def sim_state(saved: Saved) -> bytes:
         if data:
             found += field, sized(data)
     for name, data in saved.parts.items():
-        part = _name(name) + _DATA + sized(data) if data else _name(name)
-        found += _PART, sized(part)
+        found += _part_head(name, len(data)), data
     return b"".join(found)
 
 
-@lru_cache(maxsize=256)  # They are the same in every state.
-def _name(name: str) -> bytes:
-    return _NAME + sized(name.encode()) if name else b""
+@lru_cache(maxsize=1024)  # They are the same in most states.
+def _part_head(name: str, size: int) -> bytes:
+    """Return what stands before the data of a part."""
+    found = _NAME + sized(name.encode()) if name else b""
+    if size:
+        found += _DATA + varint(size)
+    return _PART + varint(len(found) + size) + found
