@@ -124,7 +124,7 @@ class Counted:
         both = [channels(topic, PoseInFrame) for topic in ("/a", "/b")]
         rows = np.repeat(times, 7).reshape(-1, 7).astype(float)
         self.notes = []
-        return filled(both, [odom_form()] * 2, times, (rows, -rows))
+        return [(range(len(times)), filled(both, [odom_form()] * 2, times, (rows, -rows)))]
 
 
 def test_messages_of_notes_stand_where_they_were_noted(tmp_path):

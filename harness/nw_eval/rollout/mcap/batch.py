@@ -30,6 +30,9 @@ class Batch(NamedTuple):
     """Channel, time (ns), number of its piece and place in it (bytes) of each record, (M, 4)."""
 
 
+Part = tuple[Sequence[int], Batch]
+"""Pieces that go into larger ones: the number of the larger one for each, and the pieces."""
+
 Channels = Callable[[str, type[Any]], int]
 """From a topic and the protobuf class of its messages to the number of its channel."""
 
@@ -37,8 +40,8 @@ Channels = Callable[[str, type[Any]], int]
 class Notes(Protocol):
     """What is noted of messages until they are made, many at a time."""
 
-    def take(self, channels: Channels) -> Batch:
-        """Return the messages of all notes so far, a piece for each note, and forget them."""
+    def take(self, channels: Channels) -> list[Part]:
+        """Return the messages of all notes so far, N, as parts of N pieces, and forget them."""
         ...
 
 
@@ -82,14 +85,8 @@ def filled(
     return Batch([row.tobytes() for row in rows], _index(channels, times, starts))
 
 
-def merged(count: int, parts: Sequence[tuple[Sequence[int], Batch]]) -> Batch:
-    """Return pieces that are put together from those of several batches.
-
-    Args:
-        count: of the new pieces.
-        parts: batches in the order in which they stand in a piece; for each of a batch's pieces, to
-            which new one it goes.
-    """
+def merged(count: int, parts: Sequence[Part]) -> Batch:
+    """Return pieces that are put together from parts, in the order of these."""
     pieces: list[list[bytes]] = [[] for _ in range(count)]
     sizes = np.zeros(count, np.int64)
     found = [np.empty((0, 4), np.int64)]
@@ -103,7 +100,7 @@ def merged(count: int, parts: Sequence[tuple[Sequence[int], Batch]]) -> Batch:
         found.append(index)
         sizes[numbers] += np.array([len(piece) for piece in batch.pieces], np.int64)
     rows = np.concatenate(found)
-    whole = [each[0] if len(each) == 1 else b"".join(each) for each in pieces]
+    whole = [b"".join(each) for each in pieces]
     return Batch(whole, rows[np.lexsort((rows[:, 3], rows[:, 2]))])
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from nw_eval import __version__
-from nw_eval.rollout.mcap.batch import Notes, merged, records
+from nw_eval.rollout.mcap.batch import Notes, Part, merged, records
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
 Images = Literal["keep", "decide", "drop"]
@@ -150,8 +150,10 @@ class McapFile:
         channels = [self._channel(topic, kind) for _, (topic, _, kind, _) in alone]
         data = [entry[3] for _, entry in alone]
         single = records(channels, [entry[1] for _, entry in alone], data)
-        parts = [(places, notes.take(self._channel)) for notes, places in noted.items()]
-        parts.append(([place for place, _ in alone], single))
+        parts: list[Part] = [([place for place, _ in alone], single)]
+        for notes, places in noted.items():
+            for numbers, batch in notes.take(self._channel):
+                parts.append(([places[number] for number in numbers], batch))
         self._writer.write(*merged(len(waiting), parts))
 
     def _channel(self, topic: str, kind: type[Any]) -> int:

@@ -16,6 +16,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 _SECOND = 1_000_000_000
+_DOUBLE = np.dtype(np.float64)
 # A time that no trial has, whose varints are as long as any of a trial: 3 and 5 bytes.
 BLANK_TIME = Timestamp(seconds=2**21 - 1, nanos=2**30 - 1)
 _TIME = BLANK_TIME.SerializeToString()
@@ -70,8 +71,15 @@ class Form:
         values = np.frombuffer(numbers.tobytes(), np.uint8).reshape(len(rows), -1)
         start = 0
         for at, size in self._runs:
-            rows[:, at : at + size] = values[:, start : start + size]
+            _copy(values[:, start : start + size], rows[:, at : at + size])
             start += size
+
+
+def _copy(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> None:
+    if source.shape[1] == _DOUBLE.itemsize:  # Whole numbers are copied three times as fast.
+        target.view(_DOUBLE)[:] = source.view(_DOUBLE)
+    else:
+        target[:] = source
 
 
 def long_times(times: NDArray[np.int64]) -> NDArray[np.uint8]:

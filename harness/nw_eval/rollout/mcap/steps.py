@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.mcap.batch import Batch, Channels, Integers, filled, merged, records
+from nw_eval.rollout.mcap.batch import Batch, Channels, Integers, Part, filled, records
 from nw_eval.rollout.mcap.content.body import BodyForms, command_form, rounded
 from nw_eval.rollout.mcap.content.policy_step import policy_steps
 from nw_eval.rollout.mcap.content.seen import SeenRows
@@ -78,14 +78,14 @@ class Steps:
         """Keep what the messages of one step need."""
         self._notes.append(step)
 
-    def take(self, channels: Channels) -> Batch:
-        """Return the messages of all notes so far, a piece for each, and forget them."""
+    def take(self, channels: Channels) -> list[Part]:
+        """Return the messages of all notes so far as parts of a piece for each; forget them."""
         notes, self._notes = self._notes, []
         body, actions = self._ends
         times = np.array([nanoseconds(note.time) for note in notes])
         rows = _numbers([note.data[:body] for note in notes])
         messages = _filled(channels, self._body.forms, times, self._body.numbers(rows))
-        parts: list[tuple[Sequence[int], Batch]] = [(range(len(notes)), messages)]
+        parts: list[Part] = [(range(len(notes)), messages)]
         called = [number for number, note in enumerate(notes) if note.call is not None]
         if called:
             times = times[called]
@@ -95,7 +95,7 @@ class Steps:
             parts.append((called, self._policy(times, calls, said, given, channels)))
             for which, batch in self._given(times, calls, given, channels):
                 parts.append(([called[number] for number in which], batch))
-        return merged(len(notes), parts)
+        return parts
 
     def _policy(
         self,

@@ -27,7 +27,7 @@ def sized(data: bytes) -> bytes:
     return varint(len(data)) + data
 
 
-@lru_cache(maxsize=4096)  # The steps of every trial have the same times.
+@lru_cache(maxsize=4096)
 def time_field(time_ns: int) -> bytes:
     """Return the timestamp that is field 1 of all our messages, as of Foxglove's."""
     return _FIRST + sized(stamp(time_ns).SerializeToString(deterministic=True))

@@ -8,6 +8,7 @@ protobuf does.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +39,17 @@ def policy_steps(
     fields = _number_fields(numbers)
     each = zip(times, steps, observations, states, fields, strict=True)
     for time_ns, step, observation, state, values in each:
-        parts = [time_field(time_ns)]
-        if step:
-            parts += _STEP, varint(step)
-        if observation:
-            parts += _OBSERVATION, sized(observation)
-        parts.append(values)
-        if state:
-            parts += _STATE, sized(state)
-        yield b"".join(parts)
+        parts = _head(time_ns, step), _field(_OBSERVATION, observation), values
+        yield b"".join((*parts, _field(_STATE, state)) if state else parts)
+
+
+@lru_cache(maxsize=4096)  # The steps of every trial have the same times.
+def _head(time_ns: int, step: int) -> bytes:
+    return time_field(time_ns) + (_STEP + varint(step) if step else b"")
+
+
+def _field(field: bytes, digest: bytes) -> bytes:
+    return field + sized(digest) if digest else b""
 
 
 def _number_fields(rows: NDArray[np.float64]) -> list[bytes]:
