@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from nw_eval.robots import get_robot
 from nw_eval.rollout.mcap.content.seen import SeenRow, SeenRows
-from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
+from nw_eval.rollout.mcap.content.sim_state import Saved
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.scenes.mesh import box_mesh
@@ -17,7 +17,8 @@ from nw_eval.scenes.mesh import box_mesh
 STEPS = 400
 # Recorded from the code of before, which made every message by itself. A message that changes on
 # purpose changes this, and the CHANGELOG says so.
-BEFORE = "d33287d107ae98b083d8c170f0f75024a1221dbef4040aaa2e33b67fd80ccc61"
+COUNT = 3128
+BEFORE = "f2f46d2652879ab74d66b72298b50f192bea9cd2a80eaad5ae25b3cf480035e4"
 SEEN = {
     "body": SeenRow("/observation/body", (15,), (("gravity", 3), ("joint_pos", 12))),
     "map": SeenRow("/observation/map", (4, 5), (("map", 20),)),
@@ -56,20 +57,26 @@ def write(path, record):
     )
     for step in range(STEPS):
         one_step(log, seen, step, len(robot.bodies) + 2)
+    last = b"".join(part.tobytes() for part in body(STEPS, len(robot.bodies) + 2))
+    log.step(StepNote(STEPS / 50, last, path="shown"))
     log.event(STEPS / 50, "end", "completed", step=STEPS)
     log.finish(keep_images=True, verdict={"status": "ok"})
     assert not log.error
+
+
+def body(step, bodies):
+    """Return positions, quaternions, angles, velocities, the trunk's, and torques."""
+    joints = numbers(step, 12), numbers(step + 1, 12)
+    poses = numbers(step, bodies, 3), turned(step, bodies)
+    return [*poses, *joints, numbers(step, 6), numbers(step + 2, 12)]
 
 
 def one_step(log, seen, step, bodies):
     time = step / 50
     if step % 5 == 0:
         parts = {"trail": b"x" * (step % 9), "delay": b""}
-        log.state(time, sim_state(Saved(step, world=bytes(900), policy=b"p", parts=parts)))
-        log.path(time, numbers(step, 3), is_shown=step % 25 == 0)
-    motion = [numbers(step, bodies, 3), turned(step, bodies)]
-    motion += [numbers(step, 12), numbers(step + 1, 12), numbers(step, 6), numbers(step + 2, 12)]
-    motion += [numbers(step, 36)]
+        log.state(time, Saved(step, world=bytes(900), policy=b"p", parts=parts))
+    motion = [*body(step, bodies), numbers(step, 36)]
     observation = {"body": numbers(step, 15).astype(np.float32), "map": numbers(step, 4, 5)}
     digest, rows = seen.note(observation if step else {})  # The first step is blind.
     data = b"".join((*(part.tobytes() for part in motion), *rows))
@@ -80,7 +87,8 @@ def one_step(log, seen, step, bodies):
         digest=bytes([step % 256] * 32) if step % 3 else digest,
         new=(True, step % 2 == 0),  # a map at 25 Hz
     )
-    log.step(StepNote(time, data, call))
+    path = "none" if step % 5 else "point" if step % 25 else "shown"
+    log.step(StepNote(time, data, call, path))
     if step % 150 == 149:
         log.waypoints(time, reached=step // 149)
         log.event(time, "waypoint", "a waypoint", step=step, waypoint=step // 150, value=0.5)
@@ -98,5 +106,5 @@ def test_the_messages_of_every_topic_are_those_of_before(tmp_path, record):
             found.append((*about, message.data))
     for *about, data in sorted(found, key=itemgetter(0)):  # each topic's in their order
         digest.update(repr((*about, len(data))).encode() + data)
-    assert len(found) == 3123
+    assert len(found) == COUNT
     assert digest.hexdigest() == BEFORE

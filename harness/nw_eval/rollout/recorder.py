@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.mcap.content.sim_state import sim_state
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed.events import Events
@@ -109,10 +108,9 @@ class Recorder(Observer):
         if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
             with self._clock("log"):
                 saved = episode.saved()
-                data = sim_state(saved)
-                if len(data) > LARGE_STATE:
+                if saved.exceeds(LARGE_STATE):
                     self._state_period = LARGE_STATE_PERIOD
-                self._log.state(episode.world.time, data)
+                self._log.state(episode.world.time, saved)
                 self._policy_digest = sha256(saved.policy).digest()
 
     def decided(self, decision: Decision) -> None:
@@ -133,12 +131,11 @@ class Recorder(Observer):
         if not self._log.is_open:
             return
         episode = self._episode
-        self._write_path(is_shown=True)
         world = episode.world
         data = b"".join((*self._moving, world.torques.tobytes()))
-        self._log.step(StepNote(world.time, data))
+        self._log.step(StepNote(world.time, data, path="shown"))
         if result.status == "ok":
-            self._log.state(episode.world.time, sim_state(episode.saved()))
+            self._log.state(episode.world.time, episode.saved())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
             self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
@@ -151,8 +148,6 @@ class Recorder(Observer):
 
     def _write(self, decision: Decision) -> None:
         step, moment = self._episode.step, decision.moment
-        if step % PATH_PERIOD == 0:
-            self._write_path(is_shown=step % PATH_SHOWN == 0)
         digest, rows = self._seen.rows.note(decision.observation)
         world = self._episode.world
         said = world.torques, decision.action, decision.applied, decision.targets
@@ -160,14 +155,11 @@ class Recorder(Observer):
         error = None if moment is None else moment.delta_yaw
         call = Call(step, self._policy_digest, error, digest, self._seen.new)
         self._policy_digest = b""
-        self._log.step(StepNote(world.time, data, call))
+        path = "none" if step % PATH_PERIOD else "point" if step % PATH_SHOWN else "shown"
+        self._log.step(StepNote(world.time, data, call, path))
         if self._seen.shows_pictures:
             self._seen.record_images(decision.observation)
         self._camera.record(step)
-
-    def _write_path(self, *, is_shown: bool) -> None:
-        world = self._episode.world
-        self._log.path(world.time, world.trunk_position, is_shown=is_shown)
 
 
 def _pose(camera: CameraMount) -> Array:

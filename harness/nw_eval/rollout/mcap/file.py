@@ -69,9 +69,16 @@ class McapFile:
         self._pending.append((topic, time_ns, kind, data))
         self._write_if_due(1e-9 * time_ns)
 
-    def add_noted(self, notes: Notes, time: float) -> None:
-        """Append the messages of what was just noted, at a time in s; they are made later."""
+    def add_noted(self, notes: Notes, time: float, *, holds: int = 0) -> None:
+        """Append the messages of what was just noted; they are made later.
+
+        Args:
+            notes: of which one more was made.
+            time: when, s.
+            holds: bytes of what it is made from, if that is much.
+        """
         self._pending.append(notes)
+        self._size += holds
         self._write_if_due(time)
 
     def add_image(

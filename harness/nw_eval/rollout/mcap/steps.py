@@ -7,13 +7,15 @@ Ten messages in each control step cost more to make than a step of physics. Here
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from numpy.typing import NDArray
 
 from nw_eval.rollout.mcap.batch import Batch, Channels, Integers, Part, filled, records
 from nw_eval.rollout.mcap.content.body import BodyForms, command_form, rounded
+from nw_eval.rollout.mcap.content.clouds import path_cloud
 from nw_eval.rollout.mcap.content.policy_step import policy_steps
 from nw_eval.rollout.mcap.content.seen import SeenRows
 from nw_eval.rollout.mcap.form import Form
@@ -21,6 +23,10 @@ from nw_eval.rollout.mcap.messages import PolicyStep
 from nw_eval.rollout.mcap.stamps import nanoseconds
 
 Array = NDArray[np.float64]
+
+
+Path = Literal["none", "point", "shown"]
+"""Whether the walked path has a point there, and is written."""
 
 
 class StepNote(NamedTuple):
@@ -32,6 +38,7 @@ class StepNote(NamedTuple):
     """Float64 numbers: a row for `BodyForms.numbers`; then, where the policy was called, its raw
     output, the applied action and the joint targets, (J) each; then what `SeenRows.note` gave."""
     call: Call | None = None
+    path: Path = "none"
 
 
 class Call(NamedTuple):
@@ -72,6 +79,7 @@ class Steps:
         self._command = command
         # Where the numbers of the body end in a step's bytes, and those of the actions.
         self._ends = 8 * body.width, 8 * (body.width + 3 * joints)
+        self._walked: list[list[float]] = []
         self._notes: list[StepNote] = []
 
     def note(self, step: StepNote) -> None:
@@ -86,6 +94,7 @@ class Steps:
         rows = _numbers([note.data[:body] for note in notes])
         messages = _filled(channels, self._body.forms, times, self._body.numbers(rows))
         parts: list[Part] = [(range(len(notes)), messages)]
+        parts.append(self._path(notes, times.tolist(), rows, channels))
         called = [number for number, note in enumerate(notes) if note.call is not None]
         if called:
             times = times[called]
@@ -96,6 +105,21 @@ class Steps:
             for which, batch in self._given(times, calls, given, channels):
                 parts.append(([called[number] for number in which], batch))
         return parts
+
+    def _path(
+        self, notes: Sequence[StepNote], times: Sequence[int], rows: Array, channels: Channels
+    ) -> Part:
+        places = self._body.trunk(rows).tolist()
+        shown: list[int] = []
+        clouds: list[bytes] = []
+        for number, note in enumerate(notes):
+            if note.path != "none":
+                self._walked.append(places[number])
+            if note.path == "shown":
+                shown.append(number)
+                clouds.append(path_cloud(times[number], self._walked))
+        numbers = [channels("/robot/path", PointCloud) for _ in shown]
+        return shown, records(numbers, [times[number] for number in shown], clouds)
 
     def _policy(
         self,

@@ -19,17 +19,18 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.mcap.content.body import BodyForms
-from nw_eval.rollout.mcap.content.clouds import TrailClouds, path_cloud, place_cloud, robot_clouds
+from nw_eval.rollout.mcap.content.clouds import TrailClouds, place_cloud, robot_clouds
 from nw_eval.rollout.mcap.content.entities import Discs, place_update, robot_update, trail_update
 from nw_eval.rollout.mcap.content.images import Form as PixelForm
 from nw_eval.rollout.mcap.content.images import calibration_message, image_message
 from nw_eval.rollout.mcap.content.numbers import observation_message
 from nw_eval.rollout.mcap.content.seen import SeenRows
+from nw_eval.rollout.mcap.content.sim_state import Saved
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.messages import Event, SimState
+from nw_eval.rollout.mcap.messages import Event
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
+from nw_eval.rollout.mcap.states import States
 from nw_eval.rollout.mcap.steps import StepNote, Steps
-from nw_eval.rollout.mcap.wire import time_field
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 
@@ -64,9 +65,9 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
+        self._states = States()
         self._steps: Steps | None = None
         self._place: tuple[Discs, TrailClouds] | None = None
-        self._walked: list[list[float]] = []
         self._file: McapFile | None = None
         if path is not None:
             try:
@@ -164,19 +165,10 @@ class TrialLog:
         self._out.add_noted(self._steps, step.time)
 
     @_costs_only_the_log
-    def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
-        """Remember where the trunk is, (3,) m, and write the way so far if it is to be shown."""
-        self._walked.append(position.tolist())
-        if is_shown:
-            when = nanoseconds(time)
-            cloud = path_cloud(when, self._walked)
-            self._out.add_bytes("/robot/path", when, PointCloud, cloud)
-
-    @_costs_only_the_log
-    def state(self, time: float, data: bytes) -> None:
-        """Write a restartable state: a `sim_state`."""
-        when = nanoseconds(time)
-        self._out.add_bytes("/nw/state", when, SimState, time_field(when) + data)
+    def state(self, time: float, saved: Saved) -> None:
+        """Write a restartable state."""
+        self._states.note(nanoseconds(time), saved)
+        self._out.add_noted(self._states, time, holds=saved.size)
 
     @_costs_only_the_log
     def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:

@@ -42,8 +42,9 @@ CHUNK_BYTES = 512 * 1024
 
 # Level 3, the default, takes 1.7 times as long for 0.95 of the size, level 1 as it is 1.2 times as
 # long for 0.98: the small table stays in the first cache, and short matches are hardly missed.
+# Zstandard's own sum of a chunk is ten times as fast as MCAP's, which is left out.
 _PACKING = zstandard.ZstdCompressionParameters.from_level(
-    1, source_size=CHUNK_BYTES, hash_log=13, min_match=7
+    1, source_size=CHUNK_BYTES, hash_log=13, min_match=7, write_checksum=True
 )
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -194,7 +195,7 @@ class McapWriter:
                 data=packed,
                 message_start_time=first,
                 message_end_time=last,
-                uncompressed_crc=zlib.crc32(data),
+                uncompressed_crc=0,
                 uncompressed_size=len(data),
             )
         )

@@ -110,6 +110,11 @@ class BodyForms:
         self._joints = len(joints)
         self._mounts = tuple(cameras.values())
 
+    def trunk(self, rows: Array) -> Array:
+        """Return where the trunk is in the world, (N, 3) m, from rows as for `numbers`."""
+        first = 3 * self._bodies[0]
+        return rows[:, first : first + 3]
+
     def numbers(self, rows: Array) -> tuple[Array, ...]:
         """Return what is filled into each form, (N, ...).
 

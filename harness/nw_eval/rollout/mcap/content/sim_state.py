@@ -11,6 +11,8 @@ from nw_eval.rollout.mcap.wire import sized, varint
 # Fields of `SimState` and of its `Part`s, as in `messages._MESSAGES`.
 _STEP, _WORLD, _POLICY, _PART = b"\x10", b"\x1a", b"\x22", b"\x2a"
 _NAME, _DATA = b"\x0a", b"\x12"
+# Bytes before the data of a part at most, beside its name.
+_MOST_HEAD = 24
 
 
 class Saved(NamedTuple):
@@ -20,6 +22,16 @@ class Saved(NamedTuple):
     world: bytes
     policy: bytes
     parts: Mapping[str, bytes]
+
+    @property
+    def size(self) -> int:
+        """Bytes of the data in it."""
+        return len(self.world) + len(self.policy) + sum(map(len, self.parts.values()))
+
+    def exceeds(self, size: int) -> bool:
+        """Whether its message has more bytes than that without a time, counted where it may."""
+        heads = 4 * sum(map(len, self.parts)) + _MOST_HEAD * (len(self.parts) + 3)
+        return self.size + heads > size and len(sim_state(self)) > size
 
 
 def sim_state(saved: Saved) -> bytes:
