@@ -159,7 +159,8 @@ class Recorder(Observer):
         self._log.step(StepNote(world.time, data, call, path))
         if self._seen.shows_pictures:
             self._seen.record_images(decision.observation)
-        self._camera.record(step)
+        if self._camera.is_on:
+            self._camera.record(step)
 
 
 def _pose(camera: CameraMount) -> Array:

@@ -97,7 +97,9 @@ class Sampled:
 
     def state(self) -> bytes:
         """Return the samples on their way, and what measurement and wrappers remember."""
-        arrays = {f"memory.{key}": value for key, value in self._measurement.state().items()}
+        arrays: Arrays = {}
+        if memory := self._measurement.state():
+            arrays = {f"memory.{key}": value for key, value in memory.items()}
         if self._is_wrapped:
             arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)

@@ -67,7 +67,8 @@ class McapFile:
         """Append a message of one kind that is serialised already."""
         self._size += len(data)
         self._pending.append((topic, time_ns, kind, data))
-        self._write_if_due(1e-9 * time_ns)
+        if self._images != "decide":
+            self._write_if_due(1e-9 * time_ns)
 
     def add_noted(self, notes: Notes, time: float, *, holds: int = 0) -> None:
         """Append the messages of what was just noted; they are made later.
@@ -79,7 +80,8 @@ class McapFile:
         """
         self._pending.append(notes)
         self._size += holds
-        self._write_if_due(time)
+        if self._images != "decide":
+            self._write_if_due(time)
 
     def add_image(
         self, topic: str, time_ns: int, make: Callable[[], Any], *, holds: int = 0
@@ -132,8 +134,6 @@ class McapFile:
             self.partial.unlink(missing_ok=True)
 
     def _write_if_due(self, time: float) -> None:
-        if self._images == "decide":
-            return
         if len(self._pending) == 1:
             self._since = time
         if time - self._since >= _LONGEST or self._size > CHUNK_BYTES:
