@@ -155,7 +155,7 @@ def test_records_of_messages_that_come_together_are_those_of_each_alone():
             for channel, form, rows in zip((3, 7), forms, numbers, strict=True)
         ]
         assert batch.pieces[number] == b"".join(alone)
-        assert batch.index[2 * number :][:2].tolist() == [
+        assert batch.places[2 * number :][:2].tolist() == [
             [3, time_ns, number, 0],
             [7, time_ns, number, len(alone[0])],
         ]

@@ -70,7 +70,7 @@ class Recorder(Observer):
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         # Views of the simulation's memory.
-        self._moving = [memoryview(each).cast("B") for each in trial.episode.world.moving()]
+        self._moving = [each.data.cast("B") for each in trial.episode.world.moving()]
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state

@@ -26,7 +26,7 @@ class Batch(NamedTuple):
 
     pieces: Sequence[bytes]
     """One or more records each, N."""
-    index: Integers
+    places: Integers
     """Channel, time (ns), number of its piece and place in it (bytes) of each record, (M, 4)."""
 
 
@@ -94,8 +94,8 @@ def merged(count: int, parts: Sequence[Part]) -> Batch:
         for number, piece in zip(goes_to, batch.pieces, strict=True):
             pieces[number].append(piece)
         numbers = np.asarray(goes_to, np.int64)
-        index = batch.index.copy()
-        index[:, 2] = numbers[batch.index[:, 2]]
+        index = batch.places.copy()
+        index[:, 2] = numbers[batch.places[:, 2]]
         index[:, 3] += sizes[index[:, 2]]
         found.append(index)
         sizes[numbers] += np.array([len(piece) for piece in batch.pieces], np.int64)
