@@ -29,6 +29,7 @@ REDUCED = MappingProxyType(
         "nw-eval run my-suite.yaml --out mine": _ONE_TRIAL,
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
         "nw-eval run my-place.yaml --out my-run": "--record none",
+        "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
     }
 )
 """Options that make a command cheap and leave it what it is."""
@@ -56,7 +57,24 @@ NOT_RUN = MappingProxyType(
         "nw-eval plan hurdles --detect 0.05 --run reports/hurdles": (
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"
         ),
+        "nw-eval study single-scene single-scene-reduced": (
+            "the better part of an hour; test_study_resumption.py runs a small one"
+        ),
+        "nw-eval study single-scene --resume training/runs/single-scene-reduced": (
+            "goes on with that"
+        ),
+        "nw-eval study observations mine.yaml --out my-study": (
+            "some minutes; test_study_configs.py reads the config of the page"
+        ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
+        "nw-eval train student student-rgb-small": (
+            "minutes; tests/learn/student trains smaller ones"
+        ),
+        "nw-eval train student student-rgb": "hours",
+        "nw-eval train student --resume training/runs/student-rgb": "hours",
+        "nw-eval run hurdles --policy training/runs/student-rgb/policies/round-4": (
+            "the policy is there after hours; tests/learn/student runs smaller ones"
+        ),
     }
 )
 """Commands that are left out, and why."""

@@ -84,10 +84,46 @@ def test_a_slow_camera_renders_no_more_often_than_its_rate(look, world, moment_o
     assert len(painter.asked) == 3
 
 
+def test_sensors_that_look_the_same_way_share_one_picture(world, card_of, moment_of):
+    world.reset(position=(0.0, 0.0, 0.1), yaw=0.0)  # Cones stand 2 m and 4 m ahead.
+    painter = Painter()
+    size = {"width": 320, "height": 180}
+    card = card_of(
+        {
+            "cones": IMAGE | size | {"cones": True},
+            "bytes": IMAGE | size,
+            "floats": IMAGE | size | {"dtype": "float32", "stack": 2},
+            "small": IMAGE,
+        }
+    )
+    sensors = build_sensors(card, world, renderer=lambda _: painter)
+    for step in range(2):
+        moment = moment_of(world, step=step)
+        images = {name: sensor.read(moment) for name, sensor in sensors.items()}
+    assert [camera.width for camera, _ in painter.asked] == [320, 32, 320, 32]
+    assert np.unique(images["bytes"]).tolist() == [31]  # Of the third picture, without cones.
+    assert (images["cones"] != images["bytes"]).any()
+    assert np.unique(images["floats"] * 255).round().tolist() == [10, 31]
+
+
 def test_a_stack_is_oldest_first_and_starts_with_the_first_image(look, world, moment_of):
     sensor, _ = look(stack=3)
     seen = [sensor.read(moment_of(world, step=step))[:, 0, 0, 0].tolist() for step in range(4)]
     assert seen == [[10, 10, 10], [10, 10, 20], [10, 20, 31], [20, 31, 41]]
+
+
+def test_a_stack_of_floats_goes_on_where_it_was_restored(look, world, moment_of):
+    options = {"stack": 3, "dtype": "float32", "axes": "chw"}
+    (first, _), (second, painter) = look(**options), look(**options)
+    for step in range(4):
+        first.read(moment_of(world, step=step))
+    second.read(moment_of(world, step=0))
+    second.restore(first.state())
+    painter.asked += [None] * 3
+    following = moment_of(world, step=4), moment_of(world, step=4)
+    expected, seen = first.read(following[0]), second.read(following[1])
+    np.testing.assert_array_equal(seen, expected)
+    assert (expected[:, 0, 0, 0] * 255).round().tolist() == [31, 41, 52]
 
 
 def test_float_images_are_normalised_and_channels_come_first(look, world, moment_of):

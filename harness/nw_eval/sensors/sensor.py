@@ -39,7 +39,7 @@ class Moment:
     """Trunk origin in the world, (3,) m."""
     roll_pitch_yaw: tuple[float, float, float] = field(init=False)
     """Euler angles of the trunk, rad; as `World.roll_pitch_yaw`, on plain numbers for speed."""
-    shared: dict[str, NDArray[Any]] = field(default_factory=dict, init=False)
+    shared: dict[str, Any] = field(default_factory=dict[str, Any], init=False)
     """What one sensor has worked out and another one can use, by a key of their own."""
 
     def __post_init__(self) -> None:

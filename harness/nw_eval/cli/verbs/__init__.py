@@ -28,6 +28,8 @@ from nw_eval.cli.verbs.parts.suites import Suites
 from nw_eval.cli.verbs.replay import Replay
 from nw_eval.cli.verbs.report import Report
 from nw_eval.cli.verbs.run import Run
+from nw_eval.cli.verbs.training.study import Study
+from nw_eval.cli.verbs.training.train import Train
 from nw_eval.cli.verbs.verify import Verify
 from nw_eval.cli.verbs.warmup import Warmup
 
@@ -47,6 +49,8 @@ Verb = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Verify, tyro.conf.subcommand("verify")]
     | Annotated[Blame, tyro.conf.subcommand("blame")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Study, tyro.conf.subcommand("study")]
     | Annotated[Policies, tyro.conf.subcommand("policies")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Sensors, tyro.conf.subcommand("sensors")]

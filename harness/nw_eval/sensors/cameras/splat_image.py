@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,16 +32,19 @@ class Arrange:
     def __init__(self, observation: SplatRgbObservation) -> None:
         self._observation = observation
         self._frames: deque[Bytes] = deque(maxlen=observation.stack)
+        # What the next observations share with this one.
+        self._laid_out: deque[NDArray[Any]] = deque(maxlen=observation.stack)
 
     def __call__(self, sample: Bytes, shot: Shot) -> NDArray[Any]:  # noqa: ARG002 - as every wrapper.
         """Add an image (H, W, 3) and return the observation."""
         # The first image stands for those before it.
-        self._frames.extend([sample] * (1 if self._frames else self._observation.stack))
-        return arrange(list(self._frames), self._observation)
+        self._add([sample] * (1 if self._frames else self._observation.stack))
+        return _stacked(self._laid_out, self._observation)
 
     def reset(self, rng: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random.
         """Forget earlier images."""
         self._frames.clear()
+        self._laid_out.clear()
 
     def state(self) -> Arrays:
         """Return the images."""
@@ -49,8 +53,14 @@ class Arrange:
     def restore(self, state: Arrays) -> None:
         """Go back to images."""
         self._frames.clear()
+        self._laid_out.clear()
         if state:
-            self._frames.extend(state["frames"])
+            self._add(state["frames"])
+
+    def _add(self, frames: Iterable[Bytes]) -> None:
+        for frame in frames:
+            self._frames.append(frame)
+            self._laid_out.append(_laid_out(frame, self._observation))
 
 
 def average_blocks(image: Bytes) -> Bytes:
@@ -66,12 +76,19 @@ def average_blocks(image: Bytes) -> Bytes:
 
 def arrange(frames: list[Bytes], observation: SplatRgbObservation) -> NDArray[Any]:
     """Return frames (H, W, 3), oldest first, as the card lays them out."""
-    images: list[NDArray[Any]] = list(frames)
+    return _stacked([_laid_out(frame, observation) for frame in frames], observation)
+
+
+def _laid_out(frame: Bytes, observation: SplatRgbObservation) -> NDArray[Any]:
+    image: NDArray[Any] = frame
     if observation.dtype == "float32":
-        mean, std = np.float32(observation.mean), np.float32(observation.std)
-        images = [(image.astype(np.float32) - mean) / std for image in images]
-    if observation.axes == "chw":
-        images = [image.transpose(2, 0, 1) for image in images]
+        image = (frame.astype(np.float32) - np.float32(observation.mean)) / np.float32(
+            observation.std
+        )
+    return image.transpose(2, 0, 1) if observation.axes == "chw" else image
+
+
+def _stacked(images: Sequence[NDArray[Any]], observation: SplatRgbObservation) -> NDArray[Any]:
     if observation.stack_axis == "channel":
         return np.concatenate(images, axis=-1 if observation.axes == "hwc" else 0)
     return np.stack(images) if observation.stack > 1 else np.ascontiguousarray(images[0])

@@ -21,6 +21,7 @@ from nw_eval.sensors.sensor import Moment
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.composite import paste
+from nw_eval.splat.image import Image
 from nw_eval.splat.render import Renderer
 
 # The published image: 80 x 45 from the middles of the 16 x 16 cells of a 1280 x 720 view.
@@ -55,6 +56,8 @@ class SplatRgb(Measurement):
         self._published = observation.sampling == "published"
         self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
         pinhole = self._camera(np.eye(4))
+        size = f"{pinhole.width}x{pinhole.height}"
+        self._key = f"splat of {observation.camera}, {size}, {self._pixels}"
         self._directions = ray_directions(pinhole, self._pixels)
         self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
         self._cones = TrailCones()
@@ -79,12 +82,8 @@ class SplatRgb(Measurement):
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Render an image."""
-        assert self._renderer is not None, "attach comes before measure"
         T_world_camera = moment.world.camera_pose(self._observation.camera)
-        # The splat's scale stays in the matrix: the renderer then measures depth in metres.
-        image = self._renderer.render(
-            self._camera(self._T_splat_world @ T_world_camera), self._pixels
-        )
+        image = self._rendered(moment, T_world_camera)
         self.coverage = float(image.alpha.mean())
         trail = moment.progress.waypoints
         if self._published and self._observation.cones:
@@ -121,6 +120,16 @@ class SplatRgb(Measurement):
     def restore(self, state: Arrays) -> None:
         """Go back to a coverage."""
         self.coverage = float(state["coverage"]) if state else None
+
+    def _rendered(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> Image:
+        """Return the splat alone; sensors that look the same way at a moment share a picture."""
+        assert self._renderer is not None, "attach comes before measure"
+        image: Image | None = moment.shared.get(self._key)
+        if image is None:
+            # The splat's scale stays in the matrix: the renderer then measures depth in metres.
+            camera = self._camera(self._T_splat_world @ T_world_camera)
+            image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
+        return image
 
     def _camera(self, T: NDArray[np.float64]) -> Camera:
         width, height = self._observation.width, self._observation.height

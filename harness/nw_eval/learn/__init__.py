@@ -1,0 +1,1 @@
+"""Learning: programs that make policies. A wing above runs and gates; nothing below knows it."""

@@ -1,0 +1,1 @@
+"""What every training program shares: its config, its folder, its curve, what it says."""

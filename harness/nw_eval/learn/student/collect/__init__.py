@@ -1,0 +1,1 @@
+"""Driving trajectories: who drives, who looks on, where they run."""

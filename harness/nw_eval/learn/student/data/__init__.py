@@ -1,0 +1,1 @@
+"""What students learn from: trajectories on disk, and the samples made of them."""

@@ -1,0 +1,149 @@
+"""A student as a policy folder: its network as one ONNX file, and its card.
+
+Temporal ensembling is inside the graph, as recurrent state. Its weights exp(-m i), i = 0 for the
+oldest prediction, are to each other as exp(m age): so sums over all predictions so far are enough,
+which grow by exp(m) with each step that they age.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from copy import deepcopy
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.errors import PrerequisiteError
+from nw_eval.files.cache import atomic_path
+from nw_eval.learn.student.card import NETWORK_FILE, card_text, student_card
+from nw_eval.learn.student.network import COLOURS, JOINTS, StudentNetwork
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from nw_eval.cards import Card
+    from nw_eval.learn.student.config import StudentConfig
+
+_OPSET = 17
+_BYTE = 255.0
+
+
+class Acting(nn.Module):
+    """The network in one trial: from what the card gives to an action, step by step.
+
+    Args:
+        network: trained.
+        config: of the training.
+        is_blind: whether the mean image stands for all that would be seen.
+    """
+
+    def __init__(self, network: StudentNetwork, config: StudentConfig, *, is_blind: bool) -> None:
+        super().__init__()
+        self._network = network
+        self._eyes = () if is_blind else config.sees.cameras
+        self._growth = math.exp(config.network.ensemble)
+
+    def forward(self, proprio: Tensor, *rest: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the action, (1, 12), and the sums of predictions, (1, chunk, 13).
+
+        Args:
+            proprio: (1, proprio).
+            rest: the images of the card, (1, channels, rows, columns) each, rgb as bytes; then the
+                sums of the step before, zeros at first: predictions for this step and the next
+                ones, times their weights, and the weights.
+        """
+        *images, sums = rest
+        network = self._network
+        if images:
+            seen = torch.cat([as_numbers(image) for image in images], dim=1)
+        else:
+            seen = network.mean_image[None]
+        none = torch.zeros(1, dtype=torch.long)
+        chunk = network.actions(network(proprio, seen, none))
+        new = torch.cat([chunk, torch.ones_like(chunk[..., :1])], dim=2)
+        older = torch.cat([sums[:, 1:], torch.zeros_like(sums[:, :1])], dim=1)
+        total = new + self._growth * older
+        return total[:, 0, :JOINTS] / total[:, 0, JOINTS:], total
+
+    def example(self, config: StudentConfig) -> dict[str, Tensor]:
+        """Return inputs of the right shapes, by name."""
+        sees, sizes = config.sees, self._network.act.sizes
+        inputs = {"proprio": torch.zeros(1, sizes.proprio)}
+        size = (sees.height, sees.width)
+        for eye in self._eyes:
+            is_colour = eye == "rgb"
+            channels = sees.frames * (COLOURS if is_colour else 1)
+            kind = torch.uint8 if is_colour else torch.float32
+            inputs[eye] = torch.zeros(1, channels, *size, dtype=kind)
+        return inputs | {"sums_in": torch.zeros(1, sizes.chunk, JOINTS + 1)}
+
+
+def as_numbers(image: Tensor) -> Tensor:
+    """Return an image from 0 to 1: bytes are shares of 255, other numbers are so already."""
+    return image.to(torch.float32) / _BYTE if image.dtype == torch.uint8 else image
+
+
+def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool = False) -> bytes:
+    """Return a network as an ONNX file.
+
+    Raises:
+        PrerequisiteError: the package `onnx`, which torch exports with, is not installed.
+    """
+    acting = Acting(deepcopy(network).cpu().eval(), config, is_blind=is_blind)
+    inputs = acting.example(config)
+    file: Any = io.BytesIO()  # Its type is said too narrowly there: a file's path.
+    with warnings.catch_warnings(), torch.inference_mode():
+        # Sizes are constant here on purpose, and the exporter that takes no other package is old.
+        warnings.simplefilter("ignore")
+        try:
+            torch.onnx.export(
+                acting,
+                tuple(inputs.values()),
+                file,
+                dynamo=False,
+                opset_version=_OPSET,
+                input_names=list(inputs),
+                output_names=["action", "sums_out"],
+            )
+        except torch.onnx.OnnxExporterError as error:
+            raise PrerequisiteError(
+                f"a student cannot be exported: {error}", fix="pip install nw-eval[train]"
+            ) from None
+    return file.getvalue()
+
+
+def write_policy(
+    folder: Path,
+    network: StudentNetwork,
+    config: StudentConfig,
+    teacher: Card,
+    *,
+    is_blind: bool = False,
+) -> None:
+    """Write a student as a policy folder; both files appear whole, the card last.
+
+    Args:
+        folder: of the policy.
+        network: trained.
+        config: of the training.
+        teacher: the teacher's card.
+        is_blind: whether it is the network that has the mean image for good, to be compared with
+            the one that sees.
+
+    Raises:
+        PrerequisiteError: as `graph_of`.
+        StoreError: it cannot be written.
+    """
+    graph = graph_of(network, config, is_blind=is_blind)
+    name = f"{config.name}-frozen" if is_blind else config.name
+    digest = sha256(graph).hexdigest()
+    card = student_card(name, config.sees, teacher, sha256=digest, is_blind=is_blind)
+    with atomic_path(folder / NETWORK_FILE) as temporary:
+        temporary.write_bytes(graph)
+    with atomic_path(folder / CARD_FILE) as temporary:
+        temporary.write_text(card_text(card), encoding="utf-8")

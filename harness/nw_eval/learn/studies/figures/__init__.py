@@ -1,0 +1,1 @@
+"""Figures of studies: no screen is needed, and colours differ for everybody."""

@@ -1,0 +1,1 @@
+"""What a teacher trains on: random courses by level, and the training scenes."""

@@ -1,0 +1,123 @@
+"""A scene as the physics and the sensors of a training need it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.protocol import STRICT
+from nw_eval.robots import RobotSpec
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Box, Scene
+from nw_eval.sim.actuators import Actuators
+from nw_eval.sim.binding import MjModel, mujoco
+from nw_eval.sim.model import compile_model
+
+CELL = 0.025
+"""Of a lane's grid of heights, metres."""
+ORIGIN = (-1.5, -2.5)
+SHAPE = (480, 200)
+"""Cells ahead and across: 12 by 5 m. Points beyond have the height of the nearest cell."""
+SOLIDS = 28
+"""Boxes of every lane, so that all of them make models of one size."""
+WAYPOINTS = 8
+_REACH = 1.0
+"""Metres from the trail within which solids can be touched; a robot further away is lost."""
+_EDGE = 0.05
+"""Metres: that a step is high at least, and that a foot is near it at most."""
+_NOWHERE = -50.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lane:
+    """One place to train in.
+
+    Attributes:
+        model: robot and solids; every lane's has the same sizes.
+        heights: (X, Y) float32 of the ground in the world, m, at the middles of the cells.
+        edges: (X, Y) uint8, 1 within 5 cm of an edge across the trail.
+        trail: (K, 2) waypoints, m.
+        noise: half widths by which an episode moves them, (2,) m.
+        floor: height of the lowest ground, m.
+    """
+
+    model: MjModel
+    heights: NDArray[np.float32]
+    edges: NDArray[np.uint8]
+    trail: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    floor: float
+
+
+def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
+    """Return the lane of a scene of boxes.
+
+    Args:
+        scene: its spawn is at the origin and looks along x, as those of all built-in scenes.
+        robot: a `training_robot`.
+
+    Raises:
+        SceneError: it has other solids than boxes, too many of them, or too many waypoints.
+    """
+    corners = np.vstack([np.zeros((1, 2)), scene.trail[:, :2]])
+    boxes = [solid for solid in scene.solids if isinstance(solid, Box)]
+    between = np.linspace(corners[:-1], corners[1:], 30).reshape(-1, 2)
+    solids = [box for box in boxes if _is_near(box, between)]
+    if len(boxes) < len(scene.solids) or len(solids) > SOLIDS or len(scene.trail) > WAYPOINTS:
+        raise SceneError(
+            f"{scene.name} has {len(solids)} boxes near its {len(scene.trail)} waypoints, "
+            f"{SOLIDS} and {WAYPOINTS} fit, and no other solids",
+            fix="leave it out of `courses.scenes`",
+        )
+    parked = [
+        Box(center=(0.0, 3.0 * number, _NOWHERE), half_size=(0.1, 0.1, 0.1))
+        for number in range(SOLIDS - len(solids))
+    ]
+    model = compile_model(
+        robot,
+        replace(scene, solids=(*solids, *parked)),
+        protocol=STRICT,
+        actuators=Actuators.of(robot),
+        friction=None,
+        payload=0.0,
+        timestep=0.005,
+    )
+    heights = _heights(scene)
+    return Lane(
+        model=model,
+        heights=heights,
+        edges=_edges(heights),
+        trail=scene.trail[:, :2].copy(),
+        noise=np.array(scene.waypoint_noise),
+        floor=scene.ground.z,
+    )
+
+
+def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
+    """Say whether a box, seen from above, is within reach of any point (P, 2) of the trail."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, np.array(box.quat))
+    half = np.abs(rotation.reshape(3, 3)) @ np.array(box.half_size)
+    # Along the trail every few centimetres: how far outside the box's outline each point is.
+    outside = np.maximum(np.abs(points - np.array(box.center[:2])) - half[:2], 0.0)
+    return bool((np.hypot(*outside.T) < _REACH).any())
+
+
+def _heights(scene: Scene) -> NDArray[np.float32]:
+    axes = [start + CELL * (np.arange(n) + 0.5) for start, n in zip(ORIGIN, SHAPE, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    found = RayScene(scene.mesh()).height(points)
+    return np.maximum(found, scene.ground.z - 1.0).astype(np.float32).reshape(SHAPE)
+
+
+def _edges(heights: NDArray[np.float32]) -> NDArray[np.uint8]:
+    steps = np.abs(np.diff(heights, axis=0)) > _EDGE
+    edges = np.zeros(heights.shape, dtype=np.uint8)
+    reach = round(_EDGE / CELL)
+    for shift in range(-reach, reach):
+        low, high = max(0, -shift), min(len(steps), len(edges) - 1 - shift)
+        edges[low + shift + 1 : high + shift + 1] |= steps[low:high]
+    return edges

@@ -1,0 +1,288 @@
+"""The training of a teacher, from its config or from where it stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from nw_eval.errors import StoreError
+from nw_eval.learn.program.config import load_config
+from nw_eval.learn.program.curve import Curve
+from nw_eval.learn.program.device import device_of, one_thread
+from nw_eval.learn.program.folder import TrainFolder
+from nw_eval.learn.program.keeper import Keeper
+from nw_eval.learn.program.progress import TrainingProgress
+from nw_eval.learn.program.trained import Trained
+from nw_eval.learn.teacher.config import TeacherConfig
+from nw_eval.learn.teacher.courses.lanes import Lanes
+from nw_eval.learn.teacher.courses.robot import training_robot
+from nw_eval.learn.teacher.export import export_teacher
+from nw_eval.learn.teacher.ppo.learner import PpoLearner
+from nw_eval.learn.teacher.ppo.networks import Actor, Critic, normalise
+from nw_eval.learn.teacher.ppo.samples import Collected, SampleCollector, Samples
+from nw_eval.learn.teacher.start import Beginning, begin, load_network
+from nw_eval.learn.teacher.trees import as_arrays, as_tensors
+from nw_eval.learn.teacher.world.curriculum import Curriculum
+from nw_eval.learn.teacher.world.episodes import Episodes, Sights
+from nw_eval.robots import get_robot
+
+Say = Callable[[str], None]
+
+POLICY = "policy"
+"""The folder of the newest policy, within a training's folder."""
+_WORLD, _NOISE, _ORDER = 2, 4, 5
+"""Streams of the seed."""
+
+
+def train_teacher(config: Path, out: Path, *, say: Say) -> Trained:
+    """Train a teacher.
+
+    Args:
+        config: the file of a `TeacherConfig`.
+        out: the folder to make.
+        say: takes lines of progress.
+
+    Raises:
+        UsageError: the config has problems, or a training is in the folder already.
+        PolicyError, StoreError: what it starts from cannot be read.
+        StoreError: the folder cannot be written.
+    """
+    settings = load_config(config, TeacherConfig)
+    beginning = begin(settings)
+    return _Training(settings, TrainFolder.begin(out, config), say).run(beginning, None)
+
+
+def resume_teacher(folder: Path, *, say: Say) -> Trained:
+    """Go on with a training where its last state is; its curve is an uninterrupted one's.
+
+    Raises:
+        UsageError: no training is in the folder.
+        StoreError: its state is damaged, or of another config, or cannot be written.
+    """
+    there = TrainFolder.resume(folder)
+    settings = load_config(there.config, TeacherConfig)
+    state = there.load_state()
+    if state is not None and state.get("config") != settings.digest:
+        raise StoreError(
+            f"{there.state} was trained by another config than {there.config}",
+            fix="put the config back, or start anew from the state: `start: .../state.pt`",
+        )
+    return _Training(settings, there, say).run(begin(settings) if state is None else None, state)
+
+
+class _Training:
+    """One process's work on one training.
+
+    While the networks learn from the last samples, the next ones are collected by copies of them:
+    samples are one update old, whether two threads do that at once or one does both.
+    """
+
+    def __init__(self, config: TeacherConfig, folder: TrainFolder, say: Say) -> None:
+        one_thread()
+        self._config, self._folder, self._say = config, folder, say
+        self._device = device_of(config.device)
+        self._rng = np.random.default_rng(self._seeds(_WORLD))
+        self._noise, self._order = (self._generator(stream) for stream in (_NOISE, _ORDER))
+        self._actor, self._critic = Actor(), Critic()
+        self._learner: PpoLearner
+        self._lanes: Lanes
+        self._curriculum: Curriculum
+        self._episodes: Episodes
+        self._collector: SampleCollector
+        self._step = 0  # learnt from
+        self._collected = 0
+        self._pending: Collected
+
+    def run(self, beginning: Beginning | None, state: dict[str, Any] | None) -> Trained:
+        """Train until the budget or a signal ends it."""
+        if state is None:
+            assert beginning is not None, "what has no state begins"
+            self._begin(beginning)
+        else:
+            try:
+                self._restore(state)
+            except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+                raise StoreError(
+                    f"{self._folder.state} is no state of this training: {error!r}",
+                    fix="start anew from a checkpoint: `start: .../0001.pt`",
+                ) from None
+        config, steps = self._config, self._config.budget.steps
+        upto = None if state is None else self._step
+        curve = Curve(self._folder.path, upto=upto, say=self._say)
+        progress = TrainingProgress(
+            self._say,
+            steps=steps,
+            first=self._step,
+            minutes=config.budget.minutes,
+            what="control steps",
+        )
+        keeper = Keeper(self._folder, curve, keep_every=config.keep_every, first=self._step)
+        with keeper, self._hands() as submit:
+            while self._step < steps:
+                figures = self._update(submit, is_last=self._step + config.ppo.samples >= steps)
+                curve.append(self._step, figures)
+                is_over = self._step >= steps or progress.is_time_up
+                if keeper.after(self._step, self.state, is_last=is_over):
+                    export_teacher(self._actor, self._policy, name=self._folder.path.name)
+                phase = config.phase_at(self._step - 1)
+                progress.update(self._step, f"phase {phase + 1}", _headlines(figures))
+                if is_over or keeper.is_interrupted:
+                    break
+        return Trained(
+            program="teacher",
+            folder=self._folder.path,
+            policy=self._policy,
+            step=self._step,
+            is_done=self._step >= steps,
+            is_interrupted=keeper.is_interrupted,
+        )
+
+    @property
+    def _policy(self) -> Path:
+        return self._folder.path / POLICY
+
+    def _update(
+        self, submit: Callable[..., Future[Collected]], *, is_last: bool
+    ) -> dict[str, float]:
+        """Learn from the samples that wait, and collect the next ones meanwhile."""
+        following = None if is_last else submit(self._collect, *self._copies())
+        phase = self._config.phases[index := self._config.phase_at(self._step)]
+        is_first = self._step == 0 or self._config.phase_at(self._step - 1) != index
+        if is_first and phase.learning_rate is not None:
+            self._learner.set_rate(phase.learning_rate)
+        figures = self._learner.learn(self._pending.samples) | self._pending.figures
+        self._step += self._config.ppo.samples
+        if following is not None:
+            self._pending = following.result()
+        return figures
+
+    def _collect(self, actor: Actor, critic: Critic) -> Collected:
+        one_thread()
+        config = self._config
+        phase = config.phases[index := config.phase_at(self._collected)]
+        if self._collected and config.phase_at(self._collected - 1) != index:
+            self._episodes.enter(phase)
+        count = self._collected // config.ppo.samples
+        if config.courses.redraw and count % config.courses.redraw == 0:
+            self._episodes.redraw()
+        found = self._collector.collect(actor, critic, phase.std)
+        self._collected += config.ppo.samples
+        return Collected(samples=found.samples, figures=found.figures | self._curriculum.figures())
+
+    def _copies(self) -> tuple[Actor, Critic]:
+        return deepcopy(self._actor).cpu(), deepcopy(self._critic).cpu()
+
+    @contextmanager
+    def _hands(self) -> Generator[Callable[..., Future[Collected]]]:
+        """Give what a function is called with: a second thread, or this one at once."""
+        if not self._config.overlap:
+            yield _at_once
+            return
+        with ThreadPoolExecutor(1) as pool:
+
+            def submit(collect: Callable[..., Collected], *arguments: Any) -> Future[Collected]:
+                return pool.submit(collect, *arguments)
+
+            yield submit
+
+    # Beginning and going on.
+
+    def _begin(self, beginning: Beginning) -> None:
+        config = self._config
+        phase = config.phases[0]
+        self._actor, self._critic = beginning.actor, beginning.critic
+        self._build(generations=None)
+        levels = beginning.levels
+        if levels is not None and levels.shape == self._curriculum.levels.shape:
+            self._curriculum.levels = np.minimum(levels, config.courses.levels - 1)
+        self._collector.seen = self._episodes.begin(phase)
+        if not beginning.sees:
+            first = self._collector.collect(*self._copies(), phase.std)
+            normalise(self._actor, first.samples.observations)
+            self._critic.see_as(self._actor)
+        if beginning.judges:
+            self._learner.updates = config.ppo.critic_first
+        self._pending = self._collect(*self._copies())
+
+    def _build(self, *, generations: np.ndarray | None) -> None:
+        config = self._config
+        robot = training_robot(get_robot("go1"))
+        self._learner = PpoLearner(self._actor, self._critic, config.ppo, self._order, self._device)
+        self._lanes = Lanes(
+            config.courses, robot, config.seed, generations=generations, say=self._say
+        )
+        self._curriculum = Curriculum(config.ppo.robots, config.courses, self._lanes, self._rng)
+        self._episodes = Episodes(
+            robot, self._lanes, self._curriculum, config.rewards, self._rng, threads=config.threads
+        )
+        nothing = np.zeros((0, 0), dtype=np.float32)
+        self._collector = SampleCollector(
+            self._episodes, config.ppo, self._noise, Sights(nothing, nothing)
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Return everything to go on with."""
+        return as_tensors({
+            "config": self._config.digest,
+            "step": self._step,
+            "collected": self._collected,
+            "actor": self._actor.state_dict(),
+            "critic": self._critic.state_dict(),
+            "learner": self._learner.state(),
+            "generations": self._lanes.generations,
+            "curriculum": self._curriculum.arrays(),
+            "episodes": self._episodes.state(),
+            "seen": self._collector.seen._asdict(),
+            "pending": self._pending.samples.tensors(),
+            "figures": self._pending.figures,
+            "rng": self._rng.bit_generator.state,
+            "noise": self._noise.get_state(),
+            "order": self._order.get_state(),
+        })  # fmt: skip
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        for network, name in ((self._actor, "actor"), (self._critic, "critic")):
+            load_network(network, state, name, self._folder.state)
+        self._build(generations=as_arrays(state["generations"]))
+        self._step, self._collected = int(state["step"]), int(state["collected"])
+        self._learner.restore(state["learner"])
+        for name, array in as_arrays(state["curriculum"]).items():
+            setattr(self._curriculum, name, array)
+        config = self._config
+        phase = config.phases[config.phase_at(max(self._collected - 1, 0))]
+        levels, tasks = self._curriculum.levels, self._curriculum.tasks
+        self._curriculum.begin(phase)
+        self._curriculum.levels, self._curriculum.tasks = levels, tasks
+        self._episodes.restore(as_arrays(state["episodes"]), phase)
+        self._collector.seen = Sights(**as_arrays(state["seen"]))
+        self._pending = Collected(samples=Samples(**state["pending"]), figures=state["figures"])
+        self._rng.bit_generator.state = state["rng"]
+        self._noise.set_state(state["noise"])
+        self._order.set_state(state["order"])
+
+    def _seeds(self, stream: int) -> np.random.SeedSequence:
+        return np.random.SeedSequence(self._config.seed, spawn_key=(stream,))
+
+    def _generator(self, stream: int) -> torch.Generator:
+        return torch.Generator().manual_seed(int(self._seeds(stream).generate_state(1)[0]))
+
+
+def _at_once(collect: Callable[..., Collected], *arguments: Any) -> Future[Collected]:
+    done: Future[Collected] = Future()
+    done.set_result(collect(*arguments))
+    return done
+
+
+def _headlines(figures: dict[str, float]) -> dict[str, float]:
+    """Return the few figures that matter."""
+    levels = {
+        f"level {name.partition('/')[2]}": v for name, v in figures.items() if name[:6] == "level/"
+    }
+    return {"scenes": figures["scenes/mean"], **levels} if "scenes/mean" in figures else levels

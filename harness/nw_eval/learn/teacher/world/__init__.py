@@ -1,0 +1,1 @@
+"""Many robots at once: their physics, their trails, what they see, what it is worth."""
