@@ -29,22 +29,25 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """
     if not arrays:
         return b""
-    parts: list[bytes] = []
-    listed: list[tuple[str, str, tuple[int, ...]]] = []
-    for name, array in arrays.items():
-        kind = array.dtype
-        if kind.kind not in _NUMBERS:
-            raise TypeError(f"array {name!r} is of {kind}")
-        little = array if kind.str[0] != ">" else array.astype(kind.newbyteorder("<"))
-        listed.append((name, little.dtype.str, little.shape))
-        parts.append(little.tobytes())
-    return b"".join([_header(tuple(listed)), *parts])
+    kinds = tuple([(name, array.dtype, array.shape) for name, array in arrays.items()])
+    header, is_little = _header(kinds)
+    if not is_little:
+        little = [array.astype(array.dtype.newbyteorder("<")) for array in arrays.values()]
+        return b"".join([header, *[array.tobytes() for array in little]])
+    return b"".join([header, *[array.tobytes() for array in arrays.values()]])
 
 
 @lru_cache(maxsize=256)  # A snapshot has the same arrays as the one before.
-def _header(listed: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
+def _header(kinds: tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]) -> tuple[bytes, bool]:
+    """Return what stands before the numbers, and whether they lie there as they are."""
+    listed: list[tuple[str, str, tuple[int, ...]]] = []
+    for name, kind, shape in kinds:
+        if kind.kind not in _NUMBERS:
+            raise TypeError(f"array {name!r} is of {kind}")
+        listed.append((name, kind.newbyteorder("<").str, shape))
     header = json.dumps(listed).encode()
-    return len(header).to_bytes(4, "little") + header
+    is_little = all(kind.str[0] != ">" for _, kind, _ in kinds)
+    return len(header).to_bytes(4, "little") + header, is_little
 
 
 def unpack(data: bytes) -> dict[str, NDArray[Any]]:

@@ -13,10 +13,12 @@ from mcap.stream_reader import StreamReader
 
 from nw_eval.rollout.library import Recent
 from nw_eval.rollout.mcap import file as file_module
+from nw_eval.rollout.mcap.batch import filled
 from nw_eval.rollout.mcap.content.body import odom_form
 from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.sheet import Sheet, rounded_rows
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES
+
+STEP = 20_000_000  # ns
 
 
 def topics(path):
@@ -111,21 +113,36 @@ def test_images_wait_as_they_are_until_they_would_fill_the_memory(tmp_path, monk
     assert read == ["0", "1", "2", "3"]
 
 
-def test_rows_of_sheets_stand_where_they_were_added(tmp_path):
+class Counted:
+    """Notes of numbers, each a message on two topics."""
+
+    def __init__(self):
+        self.notes = []
+
+    def take(self, channels):
+        times = np.array(self.notes)
+        both = [channels(topic, PoseInFrame) for topic in ("/a", "/b")]
+        rows = np.repeat(times, 7).reshape(-1, 7).astype(float)
+        self.notes = []
+        return [(range(len(times)), filled(both, [odom_form()] * 2, times, (rows, -rows)))]
+
+
+def test_messages_of_notes_stand_where_they_were_noted(tmp_path):
     path = tmp_path / "trial.mcap"
-    file = McapFile(path, images="drop")
-    sheets = [Sheet(topic, odom_form(), rounded_rows) for topic in ("/a", "/b")]
+    file, noted = McapFile(path, images="drop"), Counted()
     for number in range(2000):
-        file.add_rows(sheets, number, (np.full(7, number), np.full(7, -number)))
-        file.add("/log", number, Log(message=str(number)))
+        noted.notes.append(number * STEP)
+        file.add_noted(noted, number / 50)
+        file.add("/log", number * STEP, Log(message=str(number)))
+        assert len(noted.notes) <= 101, "two seconds"
     file.close()
     with path.open("rb") as stream:
         read = [(c.topic, m.log_time, m.data) for _, c, m in make_reader(stream).iter_messages()]
     assert [topic for topic, _, _ in read] == ["/a", "/b", "/log"] * 2000
-    assert [time for _, time, _ in read] == [k for k in range(2000) for _ in range(3)]
+    assert [time for _, time, _ in read] == [k * STEP for k in range(2000) for _ in range(3)]
     last = PoseInFrame.FromString(read[-2][2])
-    assert (last.pose.position.x, last.pose.orientation.w) == (-1999.0, -1999.0)
-    assert last.timestamp.nanos == 1999
+    assert (last.pose.position.x, last.pose.orientation.w) == (-1999.0 * STEP, -1999.0 * STEP)
+    assert last.timestamp.nanos == 1999 * STEP % 10**9
 
 
 def test_only_the_values_used_last_are_kept():

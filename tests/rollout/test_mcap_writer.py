@@ -13,18 +13,20 @@ from mcap.reader import SeekingReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
+from nw_eval.rollout.mcap.batch import filled, merged, record, records
 from nw_eval.rollout.mcap.content.body import (
-    joint_rows,
+    BodyForms,
     joints_form,
+    mounted_poses,
     odom_form,
-    transform_rows,
     transforms_form,
-    twist_rows,
+    trunk_rates,
 )
 from nw_eval.rollout.mcap.content.numbers import observation_form, values_of
-from nw_eval.rollout.mcap.content.policy_step import policy_step
-from nw_eval.rollout.mcap.form import BLANK_TIME, Form
-from nw_eval.rollout.mcap.messages import Observation, PolicyStep
+from nw_eval.rollout.mcap.content.policy_step import policy_steps
+from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
+from nw_eval.rollout.mcap.form import BLANK_TIME, Form, long_times
+from nw_eval.rollout.mcap.messages import Observation, PolicyStep, SimState, StatePart
 from nw_eval.rollout.mcap.stamps import stamp
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
@@ -107,8 +109,15 @@ def test_a_file_without_messages_is_whole():
     assert reader.get_summary().statistics.message_count == 0
 
 
+def filled_rows(form, times, numbers):
+    """Return the bytes of a form's message for each time and row of numbers."""
+    rows = np.empty((len(times), len(form)), np.uint8)
+    form.fill(rows, long_times(np.array(times)), numbers)
+    return [row.tobytes() for row in rows]
+
+
 def filled_once(form, time_ns, numbers):
-    return form.filled(np.array([time_ns]), numbers[np.newaxis])[0].tobytes()
+    return filled_rows(form, [time_ns], numbers[np.newaxis])[0]
 
 
 @pytest.mark.parametrize("time_ns", TIMES)
@@ -117,12 +126,11 @@ def test_a_filled_form_reads_as_the_message_that_it_stands_for(time_ns):
     numbers[2] = 0.0
     form = odom_form()
     rows = np.stack([np.ones(7), numbers, np.zeros(7)])
-    for found in form.filled(np.array([5, time_ns, 0]), rows)[[1]]:
-        read = PoseInFrame.FromString(found.tobytes())
-        p, q = read.pose.position, read.pose.orientation
-        assert [p.x, p.y, p.z, q.w, q.x, q.y, q.z] == numbers.tolist()
-        assert read.timestamp.seconds * 10**9 + read.timestamp.nanos == time_ns
-        assert read.frame_id == "world"
+    read = PoseInFrame.FromString(filled_rows(form, [5, time_ns, 0], rows)[1])
+    p, q = read.pose.position, read.pose.orientation
+    assert [p.x, p.y, p.z, q.w, q.x, q.y, q.z] == numbers.tolist()
+    assert read.timestamp.seconds * 10**9 + read.timestamp.nanos == time_ns
+    assert read.frame_id == "world"
 
 
 def test_forms_of_many_parts_put_each_number_in_its_place():
@@ -132,11 +140,77 @@ def test_forms_of_many_parts_put_each_number_in_its_place():
     assert [t.timestamp.nanos for t in read.transforms] == [40, 40]
     assert (read.transforms[1].translation.x, read.transforms[1].rotation.z) == (7.0, 13.0)
     joints = joints_form(("hip", "knee"))
-    read = joints.kind.FromString(
-        filled_once(joints, 0, joint_rows([([0.1, 3.0], [1.0, 4.0], [2.0, 5.0])]))
-    )
+    read = joints.kind.FromString(filled_once(joints, 0, np.array([0.5, 1, 2, 3, 4, 5])))
     assert [(j.name, j.effort) for j in read.joints] == [("hip", 2.0), ("knee", 5.0)]
-    assert read.joints[0].position == np.float32(0.1)
+    assert (read.joints[0].position, read.joints[1].velocity) == (0.5, 4.0)
+
+
+def test_records_of_messages_that_come_together_are_those_of_each_alone():
+    forms = odom_form(), joints_form(("hip",))
+    numbers = np.arange(14.0).reshape(2, 7), np.arange(6.0).reshape(2, 3)
+    batch = filled([3, 7], forms, np.array(TIMES[1:3]), numbers)
+    for number, time_ns in enumerate(TIMES[1:3]):
+        alone = [
+            record(channel, time_ns, filled_once(form, time_ns, rows[number]))
+            for channel, form, rows in zip((3, 7), forms, numbers, strict=True)
+        ]
+        assert batch.pieces[number] == b"".join(alone)
+        assert batch.places[2 * number :][:2].tolist() == [
+            [3, time_ns, number, 0],
+            [7, time_ns, number, len(alone[0])],
+        ]
+
+
+def test_merged_records_are_found_where_the_index_says():
+    rng = np.random.default_rng(5)
+    parts, expected = [], []
+    for places in ((0, 2, 3), (), (3,), (2, 0)):
+        data = [rng.bytes(int(size)) for size in rng.integers(0, 9, len(places))]
+        channels, times = rng.integers(1, 99, (2, len(places))).tolist()
+        parts.append((places, records(channels, times, data)))
+        expected += zip(places, channels, times, data, strict=True)
+    pieces, index = merged(5, parts)
+    found = [
+        (number, channel, time, pieces[number][start : start + len(record(channel, time, data))])
+        for (channel, time, number, start), (*_, data) in zip(
+            index.tolist(), sorted(expected, key=lambda each: each[0]), strict=True
+        )
+    ]
+    assert found == [
+        (number, channel, time, record(channel, time, data))
+        for number, channel, time, data in sorted(expected, key=lambda each: each[0])
+    ]
+    assert pieces[1] == pieces[4] == b""
+
+
+def test_a_row_of_the_body_becomes_the_numbers_of_its_four_messages():
+    mount = np.array([0.3, 0, 0, 1, 0, 0, 0])
+    body = BodyForms(
+        names=("trunk", "leg"),
+        bodies=(2, 1),
+        in_model=3,
+        joints=("hip", "knee"),
+        cameras={"eye": mount},
+    )
+    # A model of three bodies, of which the first one is the world; nothing is turned.
+    poses = np.arange(9.0), np.tile([1.0, 0, 0, 0], 3)
+    row = np.concatenate((*poses, [0.1, 3, 1, 4], np.arange(10.0, 16.0), [2, 5]))
+    assert len(row) == body.width
+    filled_in = zip(body.forms.values(), body.numbers(row[np.newaxis]), strict=True)
+    tf, joints, odom, twist = (
+        form.kind.FromString(filled_once(form, 20, numbers[0])) for form, numbers in filled_in
+    )
+    assert [(t.child_frame_id, t.translation.x) for t in tf.transforms] == [
+        ("trunk", 6.0),
+        ("leg", 3.0),
+        ("eye", np.float32(6.3)),
+    ]
+    assert [(j.position, j.velocity, j.effort) for j in joints.joints] == [
+        (np.float32(0.1), 1.0, 2.0),
+        (3.0, 4.0, 5.0),
+    ]
+    assert (odom.pose.position.y, odom.pose.orientation.w) == (7.0, 1.0)
+    assert (twist.linear.x, twist.angular.z) == (10.0, 15.0)
 
 
 def test_numbers_of_a_form_are_kept_bit_for_bit():
@@ -164,22 +238,22 @@ def test_frames_of_cameras_are_carried_by_the_trunk_and_rates_are_the_trunks():
         "<body name='eye' pos='.3 -.1 .2' quat='.6 .8 0 0'><geom size='.1'/></body>"
         "</body></worldbody></mujoco>"
     )
-    data, notes, expected, rates = mujoco.MjData(model), [], [], []
+    data, trunk, expected, rates = mujoco.MjData(model), [], [], []
     for _ in range(5):
         data.qpos[:], data.qvel[:] = rng.normal(size=7), rng.normal(size=6)
         mujoco.mj_forward(model, data)
-        notes.append((data.xpos.copy(), data.xquat.copy()))
+        trunk.append(np.concatenate([data.xpos[1], data.xquat[1]]))
         expected.append(np.concatenate([data.xpos[2], data.xmat[2]]))
         turned = data.xmat[1].reshape(3, 3).T @ data.qvel[:3]
         rates.append((data.qvel.copy(), np.concatenate([turned, data.qvel[3:]])))
     camera = np.concatenate([model.body_pos[2], model.body_quat[2]])
-    rows = transform_rows(notes, bodies=[1], cameras=[camera])
-    assert rows.shape == (5, 2, 7)
-    for row, wanted in zip(rows[:, 1], expected, strict=True):
+    rows = mounted_poses(np.array(trunk), [camera])
+    assert rows.shape == (5, 1, 7)
+    for row, wanted in zip(rows[:, 0], expected, strict=True):
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, row[3:].copy())
         np.testing.assert_allclose(np.concatenate([row[:3], matrix]), wanted, atol=1e-6)
-    found = twist_rows([(n, v) for n, (v, _) in zip(notes, rates, strict=True)], trunk=1)
+    found = trunk_rates(np.array(trunk), np.array([velocity for velocity, _ in rates]))
     np.testing.assert_allclose(found, [wanted for _, wanted in rates], atol=1e-6)
 
 
@@ -188,21 +262,33 @@ def test_frames_of_cameras_are_carried_by_the_trunk_and_rates_are_the_trunks():
     step=st.integers(0, 2**32 - 1),
     digests=st.tuples(st.binary(max_size=40), st.binary(max_size=200)),
     seed=st.integers(0, 9),
-    sizes=st.tuples(*[st.integers(0, 20)] * 3),
+    size=st.integers(0, 20),
 )
-def test_a_policy_step_by_hand_is_what_protobuf_writes(time_ns, step, digests, seed, sizes):
+def test_a_policy_step_by_hand_is_what_protobuf_writes(time_ns, step, digests, seed, size):
     rng = np.random.default_rng(seed)
-    numbers = [rng.normal(size=size) for size in sizes]
-    action, applied, targets = (each.tolist() for each in numbers)
+    action, applied, targets = numbers = rng.normal(size=(3, size))
     message = PolicyStep(
-        timestamp=stamp(time_ns), step=step, observation_digest=digests[0], action=action,
-        applied=applied, targets=targets, state_digest=digests[1],
+        timestamp=stamp(time_ns), step=step, observation_digest=digests[0], action=action.tolist(),
+        applied=applied.tolist(), targets=targets.tolist(), state_digest=digests[1],
     )  # fmt: skip
-    written = policy_step(
-        time_ns,
-        step=step,
-        observation_digest=digests[0],
-        state_digest=digests[1],
-        numbers=numbers,
+    _, written = policy_steps(
+        [0, time_ns],
+        [7, step],
+        observations=[b"", digests[0]],
+        states=[b"", digests[1]],
+        numbers=np.stack([rng.normal(size=3 * size), numbers.ravel()]),
     )
+    assert written == message.SerializeToString(deterministic=True)
+
+
+@given(
+    step=st.integers(0, 2**32 - 1),
+    world=st.binary(max_size=400),
+    policy=st.binary(max_size=3),
+    parts=st.dictionaries(st.text(max_size=4), st.binary(max_size=200), max_size=3),
+)
+def test_a_state_by_hand_is_what_protobuf_writes(step, world, policy, parts):
+    listed = [StatePart(name=name, data=data) for name, data in parts.items()]
+    message = SimState(step=step, world=world, policy=policy, parts=listed)
+    written = sim_state(Saved(step, world, policy, parts))
     assert written == message.SerializeToString(deterministic=True)

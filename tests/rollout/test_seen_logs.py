@@ -12,8 +12,8 @@ from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Episode
-from nw_eval.rollout.episode.digest import observation_digest
 from nw_eval.rollout.mcap.content.clouds import cloud_points
+from nw_eval.rollout.mcap.content.seen import observation_digest
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.mcap.topics import TOPICS
 from nw_eval.rollout.observed.names import element_names

@@ -1,5 +1,6 @@
 """How trials end."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,7 +51,9 @@ def test_without_contact_termination_collisions_are_only_counted(protocol):
         assert ending.check(robot_at(force=force), progress, step) is None
     assert ending.contact_seconds == pytest.approx(2 * 0.02)
     other = Termination(TRAIL, (0.0, 0.0), protocol=protocol, contact_termination=False)
-    other.restore(ending.state())
+    state = ending.state()
+    assert state == json.dumps(json.loads(state)).encode()
+    other.restore(state)
     assert other.check(robot_at(force=20.0), progress, 5) is None
     assert other.contact_seconds == pytest.approx(3 * 0.02)
     assert other.check(robot_at(force=500.0, roll=2.0), progress, 6) == "fell"
@@ -116,7 +119,9 @@ def test_a_restored_judge_remembers_how_long_it_has_waited():
     for step in range(1, 150):
         ending.check(robot_at(), progress, step)
     other = Termination(TRAIL, (0.0, 0.0))
-    other.restore(ending.state())
+    state = ending.state()
+    assert state == json.dumps(json.loads(state)).encode()
+    other.restore(state)
     assert other.check(robot_at(), progress, 199) is None
     assert other.check(robot_at(), progress, 200) == "stuck"
 

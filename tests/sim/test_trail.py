@@ -1,5 +1,7 @@
 """Waypoints: when they are credited and in which order."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,8 @@ def test_a_restored_trail_goes_on_where_it_was():
         progress.update(NEAR)
     middle = progress.state()
     expected = [progress.update(NEAR) for _ in range(10)]
+    assert progress.times
+    assert progress.state() == json.dumps(json.loads(progress.state())).encode()
     other = trail((0, 0, 0), (0.1, 0, 0))
     other.restore(middle)
     assert [other.update(NEAR) for _ in range(10)] == expected

@@ -90,7 +90,7 @@ def test_frames_are_what_they_say(go1, flat, swing):
         np.testing.assert_allclose(world.trunk_linear_velocity, velocity[3:], atol=1e-12)
         # Poses belong to the newest instant, not to the one before the last physics step.
         np.testing.assert_allclose(world.trunk_position, world.data.qpos[:3], atol=0)
-        positions, quats = world.body_poses
+        positions, quats, *_ = world.moving()
         trunk, *_ = world.bodies
         np.testing.assert_array_equal(positions[trunk], world.trunk_position)
         np.testing.assert_array_equal(quats[trunk], world.trunk_quat)

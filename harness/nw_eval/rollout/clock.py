@@ -32,11 +32,11 @@ class StageClock:
         self._wall: dict[Stage, float] = dict.fromkeys(stages, 0.0)
         self._cpu: dict[Stage, float] = dict.fromkeys(stages, 0.0)
         self._running: list[Stage] = []
-        self._began = (perf_counter(), thread_time())
+        self._wall_began, self._cpu_began = perf_counter(), thread_time()
 
     def __call__(self, stage: Stage) -> Self:
         """Credit the time from now to the end of the `with` block to a stage; only for `with`."""
-        self._turn()
+        self._turn(self._running[-1] if self._running else None)
         self._running.append(stage)
         return self
 
@@ -44,8 +44,7 @@ class StageClock:
         pass
 
     def __exit__(self, *_: object) -> None:
-        self._turn()
-        self._running.pop()
+        self._turn(self._running.pop())
 
     @property
     def wall(self) -> StageSeconds:
@@ -57,11 +56,10 @@ class StageClock:
         """CPU seconds of the calling thread so far."""
         return StageSeconds(**self._cpu)
 
-    def _turn(self) -> None:
+    def _turn(self, stage: Stage | None) -> None:
         """Credit the time since the last turn to the stage that was running."""
-        now = (perf_counter(), thread_time())
-        if self._running:
-            stage = self._running[-1]
-            self._wall[stage] += now[0] - self._began[0]
-            self._cpu[stage] += now[1] - self._began[1]
-        self._began = now
+        wall, cpu = perf_counter(), thread_time()
+        if stage is not None:
+            self._wall[stage] += wall - self._wall_began
+            self._cpu[stage] += cpu - self._cpu_began
+        self._wall_began, self._cpu_began = wall, cpu

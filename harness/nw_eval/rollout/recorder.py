@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
@@ -9,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.episode.digest import observation_digest
+from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed.events import Events
 from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
-from nw_eval.sensors.body.command import velocity_command
+from nw_eval.sensors.body.command import velocity_at
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import TrialResult
+
+Array = NDArray[np.float64]
 
 # Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
 # stacks of images, which would otherwise be most of the file.
@@ -66,6 +69,8 @@ class Recorder(Observer):
         )
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
+        # Views of the simulation's memory.
+        self._moving = [each.data.cast("B") for each in trial.episode.world.moving()]
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
@@ -82,7 +87,10 @@ class Recorder(Observer):
             start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.progress.waypoints,
             bodies=self._episode.world.bodies,
+            in_model=self._episode.world.model.nbody,
             cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
+            seen=self._seen.rows,
+            command=partial(velocity_at, self._trial.bundle.card.command),
             metadata={
                 TRIAL: trial_metadata(job),
                 PROVENANCE: provenance(),
@@ -99,12 +107,11 @@ class Recorder(Observer):
         episode = self._episode
         if self._log.is_open and (self._state_due or episode.step % self._state_period == 0):
             with self._clock("log"):
-                state = episode.state()
-                if state.ByteSize() > LARGE_STATE:
+                saved = episode.saved()
+                if saved.exceeds(LARGE_STATE):
                     self._state_period = LARGE_STATE_PERIOD
-                self._log.state(episode.world.time, state)
-                self._policy_digest = sha256(state.policy).digest()
-                self._state_due = False
+                self._log.state(episode.world.time, saved)
+                self._policy_digest = sha256(saved.policy).digest()
 
     def decided(self, decision: Decision) -> None:
         """Write where the robot is, what the policy saw and what it answered."""
@@ -114,7 +121,8 @@ class Recorder(Observer):
 
     def advanced(self, step: Step) -> None:
         """Write what happened in the step."""
-        if self._log.is_open:
+        self._state_due = False
+        if self._log.is_open and self._events.is_due(credited=step.credited):
             with self._clock("log"):
                 self._state_due = self._events.notice(credited=step.credited)
 
@@ -123,9 +131,11 @@ class Recorder(Observer):
         if not self._log.is_open:
             return
         episode = self._episode
-        self._write_body(is_last=True)
+        world = episode.world
+        data = b"".join((*self._moving, world.torques.tobytes()))
+        self._log.step(StepNote(world.time, data, path="shown"))
         if result.status == "ok":
-            self._log.state(episode.world.time, episode.state())
+            self._log.state(episode.world.time, episode.saved())
             reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
             self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
@@ -137,40 +147,23 @@ class Recorder(Observer):
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
 
     def _write(self, decision: Decision) -> None:
-        episode = self._episode
-        self._write_body()
-        self._log.policy(
-            episode.world.time,
-            step=episode.step,
-            observation_digest=observation_digest(decision.observation),
-            state_digest=self._policy_digest,
-            action=decision.action,
-            applied=decision.applied,
-            targets=decision.targets,
-        )
-        self._policy_digest = b""
-        if decision.moment is not None:
-            moment, command = decision.moment, self._trial.bundle.card.command
-            numbers = (*velocity_command(command, moment), moment.delta_yaw)
-            self._log.command(episode.world.time, numbers)
-        self._seen.record(decision.observation)
-        self._camera.record(episode.step)
-
-    def _write_body(self, *, is_last: bool = False) -> None:
+        step, moment = self._episode.step, decision.moment
+        digest, rows = self._seen.rows.note(decision.observation)
         world = self._episode.world
-        self._log.body(
-            world.time,
-            poses=world.body_poses,
-            joints=(world.joint_positions, world.joint_velocities, world.torques),
-            velocity=world.trunk_velocity,
-        )
-        step = self._episode.step
-        if is_last or step % PATH_PERIOD == 0:
-            is_shown = is_last or step % PATH_SHOWN == 0
-            self._log.path(world.time, world.trunk_position, is_shown=is_shown)
+        said = world.torques, decision.action, decision.applied, decision.targets
+        data = b"".join((*self._moving, *map(np.ndarray.tobytes, said), *rows))
+        error = None if moment is None else moment.delta_yaw
+        call = Call(step, self._policy_digest, error, digest, self._seen.new)
+        self._policy_digest = b""
+        path = "none" if step % PATH_PERIOD else "point" if step % PATH_SHOWN else "shown"
+        self._log.step(StepNote(world.time, data, call, path))
+        if self._seen.shows_pictures:
+            self._seen.record_images(decision.observation)
+        if self._camera.is_on:
+            self._camera.record(step)
 
 
-def _pose(camera: CameraMount) -> NDArray[np.float64]:
+def _pose(camera: CameraMount) -> Array:
     """Return position and quaternion wxyz of a camera in the trunk, (7,)."""
     pose = np.empty(7)
     pose[:3] = camera.position

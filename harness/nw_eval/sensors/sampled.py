@@ -97,10 +97,15 @@ class Sampled:
 
     def state(self) -> bytes:
         """Return the samples on their way, and what measurement and wrappers remember."""
-        arrays = {f"memory.{key}": value for key, value in self._measurement.state().items()}
-        arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
+        arrays: Arrays = {}
+        if memory := self._measurement.state():
+            arrays = {f"memory.{key}": value for key, value in memory.items()}
+        if self._is_wrapped:
+            arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
-        if self._samples:
+        if len(self._samples) == 1:  # As it mostly is; a view costs a third of an array.
+            arrays["samples"] = self._samples[0][1][np.newaxis]
+        elif self._samples:
             arrays["samples"] = np.array([sample for _, sample in self._samples])
         return pack(arrays)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -55,7 +56,7 @@ class Moment:
         """R_world_trunk, (3, 3)."""
         return self.world.trunk_rotation
 
-    @property
+    @cached_property
     def delta_yaw(self) -> float:
         """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
         goal_x, goal_y, _ = self.progress.target.tolist()

@@ -57,7 +57,7 @@ def pack(
     """Return the state of `data` and `numbers` as bytes; `model_print` is `fingerprint(model)`."""
     physics = np.zeros(mujoco.mj_stateSize(model, _SIGNATURE))
     mujoco.mj_getState(model, data, physics, _SIGNATURE)
-    values = np.concatenate([physics, *numbers.values()]).astype(_FLOAT)
+    values = np.concatenate([physics, *numbers.values()]).astype(_FLOAT, copy=False)
     return _MAGIC + model_print + values.tobytes()
 
 

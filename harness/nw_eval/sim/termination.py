@@ -123,7 +123,7 @@ class Termination:
 
     def state(self) -> bytes:
         """Return how long it has waited and counted, for `restore`."""
-        return json.dumps(self._so_far).encode()
+        return repr([*self._so_far]).encode()  # the JSON of finite numbers, as in `TrailProgress`
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of this trial."""

@@ -199,7 +199,7 @@ class World(Body):
             TrialError: the state is damaged or belongs to another model.
         """
         self._require_open()
-        numbers = self._numbers()
+        numbers = {name: array.copy() for name, array in self._numbers().items()}
         snapshot.unpack(self.model, self.data, numbers, self._fingerprint, state)
         # The rest follows from the state; the solver's warm start is part of it.
         self._derive()
@@ -261,7 +261,7 @@ class World(Body):
 
     def monitored_force(self) -> float:
         """Return the largest contact force on any monitored geom, N."""
-        return float(self._forces.monitored.max(initial=0.0))
+        return self._forces.largest
 
     def monitored_forces(self) -> dict[str, float]:
         """Return the contact force on each monitored geom by name, N."""
@@ -310,14 +310,17 @@ class World(Body):
         )
 
     def _numbers(self) -> dict[str, Array]:
-        """Return what a state holds besides MuJoCo's own, as float64 arrays, in its order."""
+        """Return what a state holds besides MuJoCo's own, as float64 arrays, in its order.
+
+        Some are in memory of others: do not change them.
+        """
         forces = self._forces
         return {
             "steps": np.array([self.steps], dtype=np.float64),
-            "foot_forces": forces.feet.copy(),
-            "monitored_forces": forces.monitored.copy(),
-            "torques": forces.torques.copy(),
-            "acceleration": forces.acceleration.copy(),
+            "foot_forces": forces.feet,
+            "monitored_forces": forces.monitored,
+            "torques": forces.torques,
+            "acceleration": forces.acceleration,
             "start_yaw": np.array([self.start_yaw]),
             "contacts": forces.contacts.astype(np.float64),
             "previous_contacts": forces.previous_contacts.astype(np.float64),

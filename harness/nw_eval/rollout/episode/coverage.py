@@ -29,7 +29,8 @@ class ImageCoverage:
 
     def state(self) -> bytes:
         """Return count, smallest and sum."""
-        return json.dumps([self._count, self._smallest, self._total]).encode()
+        numbers = [self._count, self._smallest, self._total]
+        return repr(numbers).encode()  # the JSON of finite numbers, as in `TrailProgress`
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`."""

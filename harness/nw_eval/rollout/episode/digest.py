@@ -1,14 +1,10 @@
-"""Digests of what a policy saw, and of a trial, which can be saved in its middle and continued."""
+"""Digests of a trial, which can be saved in its middle and continued."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import lru_cache
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 
 class ChainDigest:
@@ -40,18 +36,3 @@ class ChainDigest:
     def restore(self, state: bytes) -> None:
         """Go on from a `state`."""
         self._value = state
-
-
-def observation_digest(observation: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the SHA-256 of observations: names in order, types, shapes and bytes."""
-    total = sha256()
-    for name in sorted(observation):
-        array = np.ascontiguousarray(observation[name])
-        total.update(_title(name, array.dtype, array.shape))
-        total.update(array.data)
-    return total.digest()
-
-
-@lru_cache(maxsize=256)  # They are the same in every control step.
-def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
-    return f"{name} {kind.str} {shape}".encode()

@@ -19,6 +19,7 @@ from nw_eval.rollout.episode.coverage import ImageCoverage
 from nw_eval.rollout.episode.digest import ChainDigest
 from nw_eval.rollout.episode.observer import Decision, Observer, Step
 from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
+from nw_eval.rollout.mcap.content.sim_state import Saved
 from nw_eval.rollout.mcap.messages import SimState, StatePart
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sim import Limits
@@ -208,10 +209,16 @@ class Episode:
         Raises:
             PolicyFailedError: the policy cannot say what it remembers.
         """
-        parts = [StatePart(name=name, data=part.state()) for name, part in self._parts.items()]
+        saved = self.saved()
+        parts = [StatePart(name=name, data=data) for name, data in saved.parts.items()]
+        return SimState(step=saved.step, world=saved.world, policy=saved.policy, parts=parts)
+
+    def saved(self) -> Saved:
+        """Return the content of `state`, for which no message is made; raises as that."""
+        parts = {name: part.state() for name, part in self._parts.items()}
         with policy_at_fault():
             policy = self.policy.state()
-        return SimState(step=self.step, world=self.world.state(), policy=policy, parts=parts)
+        return Saved(self.step, self.world.state(), policy, parts)
 
     def restore(self, state: Any) -> None:
         """Go back, or on, to a `state` of the same trial.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
 from nw_eval import __version__
-from nw_eval.rollout.mcap.sheet import Sheet
+from nw_eval.rollout.mcap.batch import Notes, Part, merged, records
 from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
 Images = Literal["keep", "decide", "drop"]
@@ -23,8 +23,8 @@ _MOST_HELD = 64 * 2**20
 """Bytes of a trial's images that wait as they are; what comes later is compressed at once. A policy
 with two cameras of 160 x 90 at 10 Hz has 10 MB in 12 s."""
 
-_AT_ONCE = 1024
-"""Messages that wait for each other, where nothing else makes them wait: two seconds of a trial."""
+_LONGEST = 2.0
+"""How long messages wait for each other, s of a trial, where nothing else makes them wait."""
 
 
 class McapFile:
@@ -45,7 +45,8 @@ class McapFile:
         self._images = images
         self._size = 0  # bytes of messages that wait as they will be written
         self._held = 0  # bytes of images that wait
-        self._pending: list[_Entry | _Image | Sheet] = []
+        self._since = 0.0  # time of the first message that waits, s
+        self._pending: list[_Entry | _Image | Notes] = []
         self._channels: dict[str, int] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
@@ -65,13 +66,22 @@ class McapFile:
     def add_bytes(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
         """Append a message of one kind that is serialised already."""
         self._size += len(data)
-        self._wait((topic, time_ns, kind, data))
+        self._pending.append((topic, time_ns, kind, data))
+        if self._images != "decide":
+            self._write_if_due(1e-9 * time_ns)
 
-    def add_rows(self, sheets: Sequence[Sheet], time_ns: int, notes: Sequence[Any]) -> None:
-        """Append a message of each sheet, filled in later from its note, which must not change."""
-        for sheet, note in zip(sheets, notes, strict=True):
-            sheet.note(time_ns, note)
-        self._wait(*sheets)
+    def add_noted(self, notes: Notes, time: float, *, holds: int = 0) -> None:
+        """Append the messages of what was just noted; they are made later.
+
+        Args:
+            notes: of which one more was made.
+            time: when, s.
+            holds: bytes of what it is made from, if that is much.
+        """
+        self._pending.append(notes)
+        self._size += holds
+        if self._images != "decide":
+            self._write_if_due(time)
 
     def add_image(
         self, topic: str, time_ns: int, make: Callable[[], Any], *, holds: int = 0
@@ -123,34 +133,35 @@ class McapFile:
         with suppress(OSError):
             self.partial.unlink(missing_ok=True)
 
-    def _wait(self, *entries: _Entry | Sheet) -> None:
-        self._pending += entries
-        if self._images != "decide" and (
-            len(self._pending) >= _AT_ONCE or self._size > CHUNK_BYTES
-        ):
+    def _write_if_due(self, time: float) -> None:
+        if len(self._pending) == 1:
+            self._since = time
+        if time - self._since >= _LONGEST or self._size > CHUNK_BYTES:
             self._flush()
 
     def _flush(self) -> None:
         """Write the messages that wait, in their order."""
         waiting, self._pending, self._size = self._pending, [], 0
-        filled: dict[str, tuple[int, Iterator[tuple[int, bytes]]]] = {}  # by topic
-        for entry in waiting:
-            if isinstance(entry, Sheet):
-                if entry.topic not in filled:
-                    channel = self._channel(entry.topic, entry.kind)
-                    filled[entry.topic] = channel, self._writer.records(channel, *entry.take())
-                channel, records = filled[entry.topic]
-                self._writer.record(channel, *next(records))
+        noted: dict[Notes, list[int]] = {}  # in which places their messages stand
+        alone: list[tuple[int, _Entry]] = []
+        for place, entry in enumerate(waiting):
+            if not isinstance(entry, tuple):
+                noted.setdefault(entry, []).append(place)
             elif len(entry) == 4:
-                self._write(*entry)
+                alone.append((place, entry))
             elif self._images == "keep":
                 topic, time_ns, make = entry
                 message = make()
                 data = message.SerializeToString(deterministic=True)
-                self._write(topic, time_ns, type(message), data)
-
-    def _write(self, topic: str, time_ns: int, kind: type[Any], data: bytes) -> None:
-        self._writer.message(self._channel(topic, kind), time_ns, data)
+                alone.append((place, (topic, time_ns, type(message), data)))
+        channels = [self._channel(topic, kind) for _, (topic, _, kind, _) in alone]
+        data = [entry[3] for _, entry in alone]
+        single = records(channels, [entry[1] for _, entry in alone], data)
+        parts: list[Part] = [([place for place, _ in alone], single)]
+        for notes, places in noted.items():
+            for numbers, batch in notes.take(self._channel):
+                parts.append(([places[number] for number in numbers], batch))
+        self._writer.write(*merged(len(waiting), parts))
 
     def _channel(self, topic: str, kind: type[Any]) -> int:
         channel = self._channels.get(topic)

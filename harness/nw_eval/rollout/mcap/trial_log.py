@@ -9,47 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, Concatenate, Literal, ParamSpec
+from typing import Concatenate, Literal, ParamSpec
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.mcap.content.body import (
-    Poses,
-    command_form,
-    joint_rows,
-    joints_form,
-    odom_form,
-    odom_rows,
-    transform_rows,
-    transforms_form,
-    twist_form,
-    twist_rows,
-)
-from nw_eval.rollout.mcap.content.clouds import (
-    path_cloud,
-    place_cloud,
-    robot_clouds,
-    trail_cloud,
-    waypoints_cloud,
-)
-from nw_eval.rollout.mcap.content.entities import (
-    place_update,
-    robot_entities,
-    trail_entity,
-    waypoints_update,
-)
+from nw_eval.rollout.mcap.content.body import BodyForms
+from nw_eval.rollout.mcap.content.clouds import TrailClouds, place_cloud, robot_clouds
+from nw_eval.rollout.mcap.content.entities import Discs, place_update, robot_update, trail_update
 from nw_eval.rollout.mcap.content.images import Form as PixelForm
 from nw_eval.rollout.mcap.content.images import calibration_message, image_message
-from nw_eval.rollout.mcap.content.numbers import observation_form, observation_message
-from nw_eval.rollout.mcap.content.policy_step import policy_step
+from nw_eval.rollout.mcap.content.numbers import observation_message
+from nw_eval.rollout.mcap.content.seen import SeenRows
+from nw_eval.rollout.mcap.content.sim_state import Saved
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.messages import Event, PolicyStep
-from nw_eval.rollout.mcap.sheet import Sheet, rounded_rows, single_rows
+from nw_eval.rollout.mcap.messages import Event
 from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
+from nw_eval.rollout.mcap.states import States
+from nw_eval.rollout.mcap.steps import StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 
@@ -84,10 +65,9 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
-        self._sheets: dict[str, Sheet] = {}  # by topic, or by an observation's name
-        self._body: tuple[Sheet, ...] = ()  # of the robot's own topics
-        self._place: tuple[np.ndarray, np.ndarray] | None = None  # start (3,) and trail (K, 3)
-        self._walked: list[list[float]] = []
+        self._states = States()
+        self._steps: Steps | None = None
+        self._place: tuple[Discs, TrailClouds] | None = None
         self._file: McapFile | None = None
         if path is not None:
             try:
@@ -132,7 +112,10 @@ class TrialLog:
         start: Sequence[float],
         trail: np.ndarray,
         bodies: Sequence[int],
+        in_model: int,
         cameras: Mapping[str, np.ndarray],
+        seen: SeenRows,
+        command: Callable[[float], tuple[float, float, float]],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
     ) -> None:
@@ -143,9 +126,12 @@ class TrialLog:
             mesh: of the place.
             start: ground under the robot, (3,) m.
             trail: waypoints, (K, 3) m.
-            bodies: numbers of the robot's bodies, trunk first, among those of `body`.
+            bodies: numbers of the robot's bodies, trunk first, among those of the model.
+            in_model: how many bodies the model has.
             cameras: those that have a frame, by name: position and quaternion wxyz in the trunk,
                 (7,).
+            seen: the policy's observations that are rows of numbers.
+            command: from a heading error, rad, to what is asked for: see `Steps`.
             metadata: records of texts by name.
             attachments: name and text of each.
         """
@@ -153,92 +139,36 @@ class TrialLog:
             self._out.add_metadata(name, dict(values))
         for name, text in attachments:
             self._out.attach(name, "text/plain", text.encode())
-        self._place = np.asarray(start), trail
-        moving = SceneUpdate(entities=[*robot_entities(robot), trail_entity(start, trail)])
-        scene = place_update(mesh) + moving.SerializeToString(deterministic=True)
+        self._place = Discs(trail), TrailClouds(start, trail)
+        parts = robot.bodies, robot.visuals
+        scene = place_update(mesh) + robot_update(*parts) + trail_update(start, trail)
         self._out.add_bytes("/scene", 0, SceneUpdate, scene)
-        self._out.add("/points/place", 0, place_cloud(mesh))
-        for body, cloud in robot_clouds(robot).items():
-            self._out.add(f"/points/robot/{body}", 0, cloud)
+        self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
+        for body, cloud in robot_clouds(*parts).items():
+            self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
         self._waypoints(0, 0)
-        self._body = _body_sheets(robot, bodies, cameras)
-
-    @_costs_only_the_log
-    def body(
-        self,
-        time: float,
-        *,
-        poses: Poses,
-        joints: tuple[np.ndarray, np.ndarray, np.ndarray],
-        velocity: np.ndarray,
-    ) -> None:
-        """Write where the robot is and how it moves; all arrays must be the log's own.
-
-        Args:
-            time: simulated, s.
-            poses: of all bodies of the model.
-            joints: angles (12) rad, velocities (12) rad/s, torques (12) N m.
-            velocity: of the trunk: in the world, m/s, and angular in its own frame, rad/s, (6,).
-        """
-        notes = (poses, joints, poses, (poses, velocity))
-        self._out.add_rows(self._body, nanoseconds(time), notes)
-
-    @_costs_only_the_log
-    def command(self, time: float, numbers: Sequence[float]) -> None:
-        """Write what is asked for: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
-        sheet = self._sheets.get("/robot/command")
-        if sheet is None:
-            sheet = Sheet("/robot/command", command_form(), rounded_rows)
-            self._sheets[sheet.topic] = sheet
-        self._out.add_rows((sheet,), nanoseconds(time), (numbers,))
-
-    @_costs_only_the_log
-    def path(self, time: float, position: np.ndarray, *, is_shown: bool) -> None:
-        """Remember where the trunk is, (3,) m, and write the way so far if it is to be shown."""
-        self._walked.append(position.tolist())
-        if is_shown:
-            when = nanoseconds(time)
-            self._out.add("/robot/path", when, path_cloud(when, self._walked))
-
-    @_costs_only_the_log
-    def policy(
-        self,
-        time: float,
-        *,
-        step: int,
-        observation_digest: bytes,
-        state_digest: bytes,
-        action: np.ndarray,
-        applied: np.ndarray,
-        targets: np.ndarray,
-    ) -> None:
-        """Write one call of the policy: raw, applied (12) and joint targets (12) rad."""
-        data = policy_step(
-            nanoseconds(time),
-            step=step,
-            observation_digest=observation_digest,
-            state_digest=state_digest,
-            numbers=(action, applied, targets),
+        frames = {camera_frame(name): pose for name, pose in cameras.items()}
+        body = BodyForms(
+            names=robot.bodies,
+            bodies=bodies,
+            in_model=in_model,
+            joints=robot.joints,
+            cameras=frames,
         )
-        self._out.add_bytes("/nw/policy", nanoseconds(time), PolicyStep, data)
+        self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
 
     @_costs_only_the_log
-    def state(self, time: float, message: Any) -> None:
-        """Write a restartable state, an `nw.SimState`."""
-        when = nanoseconds(time)
-        message.timestamp.CopyFrom(stamp(when))
-        self._out.add("/nw/state", when, message)
+    def step(self, step: StepNote) -> None:
+        """Write a control step."""
+        assert self._steps is not None, "start comes first"
+        self._steps.note(step)
+        self._out.add_noted(self._steps, step.time)
 
     @_costs_only_the_log
-    def numbers(
-        self, time: float, name: str, array: np.ndarray, *, terms: Sequence[tuple[str, int]]
-    ) -> None:
-        """Write an observation of the policy's, with name and size of its parts."""
-        sheet = self._sheets.get(name)
-        if sheet is None:
-            form = observation_form(array.shape, terms)
-            sheet = self._sheets[name] = Sheet(f"/observation/{name}", form, single_rows)
-        self._out.add_rows((sheet,), nanoseconds(time), (array.copy(),))
+    def state(self, time: float, saved: Saved) -> None:
+        """Write a restartable state."""
+        self._states.note(nanoseconds(time), saved)
+        self._out.add_noted(self._states, time, holds=saved.size)
 
     @_costs_only_the_log
     def many_numbers(self, time: float, name: str, array: np.ndarray) -> None:
@@ -323,25 +253,13 @@ class TrialLog:
 
     def _waypoints(self, when: int, reached: int) -> None:
         assert self._place is not None, "start comes first"
-        start, trail = self._place
-        self._out.add("/waypoints", when, waypoints_update(when, trail, reached=reached))
-        self._out.add("/points/trail", when, trail_cloud(when, start, trail, reached=reached))
-        self._out.add("/points/waypoints", when, waypoints_cloud(when, trail, reached=reached))
-
-
-def _body_sheets(
-    robot: RobotSpec, bodies: Sequence[int], cameras: Mapping[str, np.ndarray]
-) -> tuple[Sheet, ...]:
-    """Return the sheets of the robot's own topics."""
-    names = (*robot.bodies, *map(camera_frame, cameras))
-    mounted, trunk = tuple(cameras.values()), bodies[0]
-    transforms = partial(transform_rows, bodies=bodies, cameras=mounted)
-    return (
-        Sheet("/tf", transforms_form(names), transforms),
-        Sheet("/robot/joints", joints_form(robot.joints), joint_rows),
-        Sheet("/robot/odom", odom_form(), partial(odom_rows, trunk=trunk)),
-        Sheet("/robot/twist", twist_form(robot.bodies[0]), partial(twist_rows, trunk=trunk)),
-    )
+        discs, clouds = self._place
+        self._out.add_bytes("/waypoints", when, SceneUpdate, discs.update(when, reached=reached))
+        for topic, cloud in (
+            ("/points/trail", clouds.trail(when, reached=reached)),
+            ("/points/waypoints", clouds.waypoints(when, reached=reached)),
+        ):
+            self._out.add_bytes(topic, when, PointCloud, cloud)
 
 
 def camera_frame(camera: str) -> str:

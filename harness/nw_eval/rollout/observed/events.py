@@ -23,8 +23,14 @@ class Events:
     def __init__(self, episode: Episode, log: TrialLog) -> None:
         self._episode = episode
         self._log = log
+        self._cameras = [each for each in episode.sensors.values() if each.is_image]
         self._touching = False
         self._covered = True
+
+    def is_due(self, *, credited: bool) -> bool:
+        """Whether `notice` might find anything: it is cheaper to ask."""
+        touches = self._episode.world.monitored_force() > 0.0
+        return credited or touches != self._touching or bool(self._cameras)
 
     def notice(self, *, credited: bool) -> bool:
         """Write what began in the step that was just made.
@@ -59,8 +65,9 @@ class Events:
         )
 
     def _notice_coverage(self) -> None:
-        sensors = self._episode.sensors.values()
-        shares = [sensor.coverage for sensor in sensors if sensor.coverage is not None]
+        if not self._cameras:
+            return
+        shares = [camera.coverage for camera in self._cameras if camera.coverage is not None]
         share = min(shares, default=1.0)
         covered = share >= LOW_COVERAGE
         if self._covered and not covered:

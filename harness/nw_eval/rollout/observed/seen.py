@@ -7,10 +7,12 @@ wrappers. What is held between two samples is not repeated.
 from __future__ import annotations
 
 from math import prod
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from nw_eval.rollout.mcap.content.seen import SeenRow, SeenRows
 from nw_eval.rollout.observed.names import action_names, element_names, term_sizes
 from nw_eval.rollout.observed.views import View, topic_names, views_of
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
+
+_IS_NEW = attrgetter("fresh")  # of a sensor
 
 MANY = 4096
 """More numbers than this, as a laser scanner gives, are kept where images are."""
@@ -34,6 +38,10 @@ class Seen:
         sensors: the trial's, by name.
         world: carries the cameras.
         log: where it is written.
+
+    Attributes:
+        rows: the observations that are rows of numbers.
+        shows_pictures: whether there is anything for `record_images`.
     """
 
     def __init__(
@@ -50,11 +58,20 @@ class Seen:
             if len(sensors[view.observation].shape) > 1
         }
         self._names = topic_names(card)
-        self._terms = {
-            name: term_sizes(name, spec, prod(sensors[name].shape))
+        sizes = {name: prod(sensors[name].shape) for name in card.observations}
+        self._images = [n for n in sizes if n in self._views or sizes[n] > MANY]
+        rows = {
+            name: SeenRow(
+                topic=f"/observation/{self._names[name]}",
+                shape=sensors[name].shape,
+                terms=term_sizes(name, spec, sizes[name]),
+            )
             for name, spec in card.observations.items()
-            if name not in self._views
+            if name not in self._images
         }
+        self.shows_pictures = bool(self._images)
+        self.rows = SeenRows(rows, is_all=not self._images)
+        self._sensors_of_rows = [sensors[name] for name in rows]
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -65,8 +82,9 @@ class Seen:
         """Return what the numbers of a log are called, by topic, or topic and field."""
         robot = self._world.robot
         found = action_names(self._card, robot)
-        for name in self._terms:
-            spec = self._card.observations[name]
+        for name, spec in self._card.observations.items():
+            if name in self._views:
+                continue
             names = element_names(spec, found["/nw/policy.action"])
             if len(names) == prod(self._sensors[name].shape):
                 found[f"/observation/{self._names[name]}"] = names
@@ -86,18 +104,21 @@ class Seen:
                     center=(pinhole.cx, pinhole.cy),
                 )
 
-    def record(self, observation: Mapping[str, NDArray[Any]]) -> None:
-        """Write what is new of a control step's observations."""
-        for name, array in observation.items():
-            if not self._sensors[name].fresh:
+    @property
+    def new(self) -> tuple[bool, ...]:
+        """Which of `rows` are new in the observation of now."""
+        return tuple(map(_IS_NEW, self._sensors_of_rows))
+
+    def record_images(self, observation: Mapping[str, NDArray[Any]]) -> None:
+        """Write what is new of a control step's pictures, and of rows as large as those."""
+        for name in self._images:
+            if name not in observation or not self._sensors[name].fresh:
                 continue
             if name in self._views:
-                self._pictures(self._views[name], array)
-            elif array.size <= MANY:
-                terms = self._terms[name]
-                self._log.numbers(self._world.time, self._names[name], array, terms=terms)
+                self._pictures(self._views[name], observation[name])
             else:
-                self._log.many_numbers(self._world.time, self._names[name], array)
+                topic = self._names[name]
+                self._log.many_numbers(self._world.time, topic, observation[name])
 
     def _pictures(self, view: View, array: NDArray[Any]) -> None:
         if not self._log.takes_images:

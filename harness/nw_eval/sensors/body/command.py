@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import assert_never
 
-from nw_eval.cards.command import Command, ConstantCommand, TrailFollower, WaypointCommand
+from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.sensors.sensor import Moment
 
 
 def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
     """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s)."""
-    match command:
-        case ConstantCommand():
-            return command.velocity
-        case TrailFollower():
-            error = moment.delta_yaw
-            forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
-            turn = command.yaw_gain * error
-            limit = command.yaw_limit
-            return command.speed * forward, 0.0, min(max(turn, -limit), limit)
-        case WaypointCommand():
-            return command.speed, 0.0, 0.0
-        case _:
-            assert_never(command)
+    return velocity_at(command, moment.delta_yaw)
+
+
+def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
+    """Return the same for a heading error: the angle to the next waypoint, rad to the left."""
+    if command.source == "constant":
+        return command.velocity
+    if command.source == "waypoint":
+        return command.speed, 0.0, 0.0
+    forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
+    turn, limit = command.yaw_gain * error, command.yaw_limit
+    return command.speed * forward, 0.0, min(max(turn, -limit), limit)
 
 
 def commanded_speed(command: Command) -> float:

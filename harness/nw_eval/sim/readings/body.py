@@ -61,11 +61,6 @@ class Body:
         return self.data.xmat[self._trunk].reshape(3, 3).copy()
 
     @property
-    def trunk_velocity(self) -> Array:
-        """`trunk_linear_velocity` and `trunk_angular_velocity`, (6,)."""
-        return self.data.qvel[:6].copy()
-
-    @property
     def trunk_linear_velocity(self) -> Array:
         """Velocity of the trunk's origin, world frame, (3,) m / s."""
         return self.data.qvel[:3].copy()
@@ -123,7 +118,14 @@ class Body:
         T_world_trunk[:3, 3] = self.trunk_position
         return T_world_trunk @ mount.T_trunk_camera
 
-    @property
-    def body_poses(self) -> tuple[Array, Array]:
-        """Positions (N, 3) and quaternions (N, 4) in the world of all bodies of the model."""
-        return self.data.xpos.copy(), self.data.xquat.copy()
+    def moving(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what moves, in the simulation's own memory, which changes with it: look, or copy.
+
+        Returns:
+            Positions (N, 3) and quaternions (N, 4) in the world of all bodies of the model, joint
+            positions, joint velocities (12,) each, and of the trunk linear velocity (world frame),
+            then angular velocity (trunk frame), (6,).
+        """
+        data = self.data
+        joints = data.qpos[JOINTS], data.qvel[_JOINT_RATES]
+        return data.xpos, data.xquat, *joints, data.qvel[:6]

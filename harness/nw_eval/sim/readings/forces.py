@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,11 @@ class Forces:
     """(4,) whether each foot is in contact."""
     previous_contacts: npt.NDArray[np.bool_]
     """(4,) the same, one control step ago."""
+
+    @cached_property
+    def largest(self) -> float:
+        """The largest contact force on any watched geom, N; judge and log both ask."""
+        return float(self.monitored.max(initial=0.0))
 
 
 def specific_force(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from nw_eval.rollout.mcap.content.entities import WORLD
 from nw_eval.rollout.mcap.form import BLANK_TIME, Form, blank_double
 from nw_eval.rollout.mcap.messages import Command, Twist
-from nw_eval.rollout.mcap.sheet import rounded
 
 HEADING = "heading"
 """The frame of commands: the trunk's origin, level, turned by the trunk's yaw only."""
 
 
-def transforms_form(frames: Sequence[str]) -> Form:
+@lru_cache(maxsize=8)
+def transforms_form(frames: tuple[str, ...]) -> Form:
     """Return the form of `/tf`: for each frame x y z (m) and quaternion w x y z in the world."""
     message = FrameTransforms()
     for number, name in enumerate(frames):
@@ -32,7 +33,8 @@ def transforms_form(frames: Sequence[str]) -> Form:
     return Form.of_doubles(message, 7 * len(frames))
 
 
-def joints_form(names: Sequence[str]) -> Form:
+@lru_cache(maxsize=8)
+def joints_form(names: tuple[str, ...]) -> Form:
     """Return the form of `/robot/joints`: for each joint rad, rad/s and N m."""
     message = JointStates(timestamp=BLANK_TIME)
     for number, name in enumerate(names):
@@ -43,6 +45,7 @@ def joints_form(names: Sequence[str]) -> Form:
     return Form.of_doubles(message, 3 * len(names))
 
 
+@lru_cache(maxsize=8)
 def odom_form() -> Form:
     """Return the form of `/robot/odom`: x y z (m) and quaternion w x y z in the world."""
     message = PoseInFrame(timestamp=BLANK_TIME, frame_id=WORLD)
@@ -51,6 +54,7 @@ def odom_form() -> Form:
     return Form.of_doubles(message, 7)
 
 
+@lru_cache(maxsize=8)
 def twist_form(trunk: str) -> Form:
     """Return the form of `/robot/twist`: velocity (m/s), angular velocity (rad/s) in the trunk."""
     message = Twist(timestamp=BLANK_TIME, frame_id=trunk)
@@ -59,6 +63,7 @@ def twist_form(trunk: str) -> Form:
     return Form.of_doubles(message, 6)
 
 
+@lru_cache(maxsize=8)
 def command_form() -> Form:
     """Return the form of `/robot/command`: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
     message = Command(timestamp=BLANK_TIME, frame_id=HEADING)
@@ -66,64 +71,113 @@ def command_form() -> Form:
     return Form.of_doubles(message, 4)
 
 
-Poses = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Positions (N, 3) and quaternions wxyz (N, 4) of a model's bodies in the world."""
+Array = NDArray[np.float64]
+_RATES = 6  # numbers of a velocity and an angular velocity
 
 
-def transform_rows(
-    notes: Sequence[Poses], bodies: Sequence[int], cameras: Sequence[NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Return the numbers of `/tf`.
+class BodyForms:
+    """The robot's own messages of control steps.
 
     Args:
-        notes: where everything is.
-        bodies: numbers of the robot's bodies, trunk first.
-        cameras: poses in the trunk, (7,) each, which follow the bodies.
+        names: of the robot's bodies, trunk first.
+        bodies: their numbers among the model's.
+        in_model: how many bodies the model has.
+        joints: names.
+        cameras: poses in the trunk, (7,), by the name of the frame.
+
+    Attributes:
+        forms: by topic, in the order of `numbers`.
+        width: numbers in a row for `numbers`.
     """
-    poses = _poses(notes, bodies)
-    trunk = poses[:, 0]
-    mounted = [
-        np.concatenate(
-            (
-                trunk[:, :3] + _turned(trunk[:, 3:], camera[:3]),
-                _product(trunk[:, 3:], camera[3:]),
-            ),
-            axis=1,
+
+    def __init__(
+        self,
+        *,
+        names: tuple[str, ...],
+        bodies: Sequence[int],
+        in_model: int,
+        joints: tuple[str, ...],
+        cameras: Mapping[str, Array],
+    ) -> None:
+        self.forms: dict[str, Form] = {
+            "/tf": transforms_form((*names, *cameras)),
+            "/robot/joints": joints_form(joints),
+            "/robot/odom": odom_form(),
+            "/robot/twist": twist_form(names[0]),
+        }
+        self.width = 7 * in_model + 3 * len(joints) + _RATES
+        self._bodies = list(bodies)
+        self._joints = len(joints)
+        self._mounts = tuple(cameras.values())
+
+    def trunk(self, rows: Array) -> Array:
+        """Return where the trunk is in the world, (N, 3) m, from rows as for `numbers`."""
+        first = 3 * self._bodies[0]
+        return rows[:, first : first + 3]
+
+    def numbers(self, rows: Array) -> tuple[Array, ...]:
+        """Return what is filled into each form, (N, ...).
+
+        Args:
+            rows: (N, 7 A + 3 J + 6) for the A bodies of the model: positions (m) of all, then
+                quaternions wxyz; angles (rad), then velocities (rad/s) of the joints; velocity of
+                the trunk in the world (m/s), angular in its own frame (rad/s); torques (N m).
+        """
+        count, joints = len(rows), self._joints
+        places, angles, speeds, rates, torques = np.split(
+            rows, np.cumsum((-3 * joints - _RATES, joints, joints, _RATES)), axis=1
         )
-        for camera in cameras
-    ]
-    return rounded(np.concatenate((poses, *(each[:, np.newaxis] for each in mounted)), axis=1))
+        poses = _poses(places)[:, self._bodies]
+        trunk = poses[:, 0]
+        return (
+            rounded(np.concatenate((poses, mounted_poses(trunk, self._mounts)), axis=1)),
+            rounded(np.stack((angles, speeds, torques), axis=2)).reshape(count, -1),
+            rounded(trunk),
+            rounded(trunk_rates(trunk, rates)),
+        )
 
 
-def joint_rows(notes: Sequence[Sequence[NDArray[np.float64]]]) -> NDArray[np.float64]:
-    """Return the numbers of `/robot/joints` from angles, velocities and torques, (J) each."""
-    return rounded(np.array(notes).transpose(0, 2, 1))
+def rounded(numbers: NDArray[Any]) -> Array:
+    """Return numbers of single precision in the places of double ones.
+
+    They are for viewing, the exact ones are in `/nw/state`; the zero bits that this leaves compress
+    well.
+    """
+    return numbers.astype(np.float32).astype("<f8")
 
 
-def odom_rows(notes: Sequence[Poses], trunk: int) -> NDArray[np.float64]:
-    """Return the numbers of `/robot/odom`, from where everything is and the trunk's number."""
-    return rounded(_poses(notes, [trunk]))
-
-
-def twist_rows(
-    notes: Sequence[tuple[Poses, NDArray[np.float64]]], trunk: int
-) -> NDArray[np.float64]:
-    """Return the numbers of `/robot/twist`.
+def mounted_poses(trunk: Array, mounts: Sequence[Array]) -> Array:
+    """Return poses (N, M, 7) of what is mounted on the trunk.
 
     Args:
-        notes: where everything is; and velocity in the world, angular velocity in the trunk, (6,).
-        trunk: the trunk's number.
+        trunk: its poses, (N, 7): position, quaternion wxyz.
+        mounts: poses in the trunk, (7,) each.
     """
-    rates = np.array([rate for _, rate in notes])
-    backwards = np.array([quats[trunk] for (_, quats), _ in notes]) * (1.0, -1.0, -1.0, -1.0)
-    return rounded(np.concatenate((_turned(backwards, rates[:, :3]), rates[:, 3:]), axis=1))
+    found = np.empty((len(trunk), len(mounts), 7))
+    for number, mount in enumerate(mounts):
+        found[:, number, :3] = trunk[:, :3] + _turned(trunk[:, 3:], mount[:3])
+        found[:, number, 3:] = _product(trunk[:, 3:], mount[3:])
+    return found
 
 
-def _poses(notes: Sequence[Poses], bodies: Sequence[int]) -> NDArray[np.float64]:
-    """Return poses (N, B, 7) of some bodies: position, quaternion wxyz."""
-    positions = np.array([places for places, _ in notes])
-    quats = np.array([quats for _, quats in notes])
-    return np.concatenate((positions[:, bodies], quats[:, bodies]), axis=2)
+def trunk_rates(trunk: Array, rates: Array) -> Array:
+    """Return velocity and angular velocity in the trunk (N, 6).
+
+    Args:
+        trunk: its poses, (N, 7): position, quaternion wxyz.
+        rates: velocity in the world, angular velocity in the trunk, (N, 6).
+    """
+    backwards = trunk[:, 3:] * (1.0, -1.0, -1.0, -1.0)
+    return np.concatenate((_turned(backwards, rates[:, :3]), rates[:, 3:]), axis=1)
+
+
+def _poses(places: Array) -> Array:
+    """Return poses (N, A, 7) from all positions, then all quaternions, (N, 7 A)."""
+    count, bodies = len(places), places.shape[1] // 7
+    positions, quats = places[:, : 3 * bodies], places[:, 3 * bodies :]
+    return np.concatenate(
+        (positions.reshape(count, bodies, 3), quats.reshape(count, bodies, 4)), axis=2
+    )
 
 
 def _turned(quats: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,15 +18,16 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import ArrayLike, NDArray
 
-from nw_eval.robots import RobotSpec, Shape
+from nw_eval.robots import Shape
 from nw_eval.rollout.mcap.content.entities import OPEN, PLACE, REACHED, WORLD, Colour
-from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.rollout.mcap.wire import sized, time_field
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh, rotation_matrix
 
 Points = NDArray[np.floating]
 
 _FIELDS = (("x", 0), ("y", 4), ("z", 8), ("red", 12), ("green", 13), ("blue", 14), ("alpha", 15))
 _POINT = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
+_DATA = b"\x32"  # field 6 of a `PointCloud`, the last one
 
 _PLACE_POINTS = 3000
 _GRID = 128.0  # Points of place and rings stand on 1/128 m, whose zero bits compress.
@@ -37,9 +38,12 @@ _RING, _RADIUS = 24, 0.3  # points around a waypoint, and how far from it, m: it
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-@lru_cache(maxsize=8)
-def place_cloud(mesh: TriangleMesh) -> PointCloud:
-    """Return some thousand points on the static geometry, in the colours of its kinds."""
+@lru_cache(maxsize=32)  # as many places as a worker's `Library` keeps
+def place_cloud(mesh: TriangleMesh) -> bytes:
+    """Return some thousand points on the static geometry, in the colours of its kinds.
+
+    As all clouds of this file: a `PointCloud`, serialised.
+    """
     a, b, c = mesh.triangles.transpose(1, 0, 2)
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     # As many for each kind: a wide ground would leave nothing for the obstacle on it.
@@ -52,58 +56,56 @@ def place_cloud(mesh: TriangleMesh) -> PointCloud:
     u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
     points = a[faces] + u[:, None] * (b - a)[faces] + v[:, None] * (c - a)[faces]
     palette = np.array([PLACE[kind] for kind in FACE_KINDS])
-    return _cloud(0, WORLD, np.rint(points * _GRID) / _GRID, palette[mesh.kinds[faces]])
+    return _cloud(0, WORLD, _rows(np.rint(points * _GRID) / _GRID, palette[mesh.kinds[faces]]))
 
 
-def robot_clouds(robot: RobotSpec) -> dict[str, PointCloud]:
+@lru_cache(maxsize=4)
+def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[str, bytes]:
     """Return the corners of each body's boxes and the like, in the body's own frame."""
-    found: dict[str, PointCloud] = {}
-    for body in robot.bodies:
-        shapes = [shape for shape in robot.visuals if shape.body == body]
+    found: dict[str, bytes] = {}
+    for body in bodies:
+        shapes = [shape for shape in visuals if shape.body == body]
         if shapes:
             points = [_corners(shape) for shape in shapes]
             colours = [[shape.rgba or (0.5, 0.5, 0.5, 1.0)] * 8 for shape in shapes]
-            found[body] = _cloud(0, body, np.concatenate(points), np.concatenate(colours))
+            found[body] = _cloud(0, body, _rows(np.concatenate(points), np.concatenate(colours)))
     return found
 
 
-def trail_cloud(time_ns: int, start: ArrayLike, trail: Points, *, reached: int) -> PointCloud:
-    """Return dots along the trail: green as far as the last waypoint that was reached.
+class TrailClouds:
+    """The trail as dots and its waypoints as rings: green as far as they are reached.
 
     Args:
-        time_ns: simulated time.
         start: where the robot was put down, (3,) m.
         trail: waypoints, (K, 3) m.
-        reached: how many of them are.
     """
-    corners = np.concatenate([np.reshape(start, (1, 3)), trail])
-    dots: list[Points] = []
-    colours: list[Points] = []
-    for leg, (near, far) in enumerate(pairwise(corners)):
-        count = max(1, round(float(np.linalg.norm(far - near)) / _DOTS))
-        share = np.arange(1, count + 1)[:, np.newaxis] / count
-        dots.append(near + share * (far - near))
-        colours.append(np.tile(REACHED if leg < reached else OPEN, (count, 1)))
-    return _cloud(time_ns, WORLD, np.concatenate(dots), np.concatenate(colours))
+
+    def __init__(self, start: ArrayLike, trail: Points) -> None:
+        corners = np.concatenate([np.reshape(start, (1, 3)), trail])
+        dots: list[Points] = []
+        for near, far in pairwise(corners):
+            count = max(1, round(float(np.linalg.norm(far - near)) / _DOTS))
+            share = np.arange(1, count + 1)[:, np.newaxis] / count
+            dots.append(near + share * (far - near))
+        turns = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)
+        ring = _RADIUS * np.stack([np.cos(turns), np.sin(turns), np.zeros(_RING)], axis=1)
+        rings = (np.reshape(trail, (-1, 1, 3)) + ring).reshape(-1, 3)
+        self._dots = _rows(np.concatenate(dots), OPEN)
+        self._rings = _rows(np.rint(rings * _GRID) / _GRID, OPEN)
+        self._ends = [0, *np.cumsum([len(leg) for leg in dots]).tolist()]  # of the legs
+
+    def trail(self, time_ns: int, *, reached: int) -> bytes:
+        """Return the dots, green as far as the last waypoint that is reached."""
+        return _cloud(time_ns, WORLD, _coloured(self._dots, self._ends[reached]))
+
+    def waypoints(self, time_ns: int, *, reached: int) -> bytes:
+        """Return a ring around each waypoint, the first `reached` green."""
+        return _cloud(time_ns, WORLD, _coloured(self._rings, _RING * reached))
 
 
-def waypoints_cloud(time_ns: int, trail: Points, *, reached: int) -> PointCloud:
-    """Return a ring around each waypoint (K, 3) m: orange while open, the first `reached` green."""
-    turns = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)
-    ring = _RADIUS * np.stack([np.cos(turns), np.sin(turns), np.zeros(_RING)], axis=1)
-    points = np.reshape(trail, (-1, 1, 3)) + ring
-    colours = [REACHED if number < reached else OPEN for number in range(len(trail))]
-    return _cloud(
-        time_ns,
-        WORLD,
-        np.rint(points.reshape(-1, 3) * _GRID) / _GRID,
-        np.repeat(colours, _RING, axis=0),
-    )
-
-
-def path_cloud(time_ns: int, path: Sequence[Sequence[float]]) -> PointCloud:
+def path_cloud(time_ns: int, path: Sequence[Sequence[float]]) -> bytes:
     """Return where the trunk's origin has been, (N, 3) m."""
-    return _cloud(time_ns, WORLD, np.asarray(path), np.tile(_PATH, (len(path), 1)))
+    return _cloud(time_ns, WORLD, _rows(np.asarray(path), _PATH))
 
 
 def cloud_points(message: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -112,10 +114,31 @@ def cloud_points(message: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     return rows["xyz"], rows["rgba"]
 
 
-def _cloud(time_ns: int, frame: str, points: Points, colours: ArrayLike) -> PointCloud:
+def _rows(points: Points, colours: ArrayLike) -> NDArray[Any]:
+    """Return points (N, 3) of one colour, or of one each, as `_POINT`s."""
     rows = np.empty(len(points), _POINT)
     rows["xyz"] = points
-    rows["rgba"] = np.rint(np.asarray(colours) * 255.0)
+    rows["rgba"] = _bytes(colours)
+    return rows
+
+
+def _coloured(rows: NDArray[Any], done: int) -> NDArray[Any]:
+    """Return points of which the first ones are done."""
+    rows["rgba"][:done], rows["rgba"][done:] = _bytes(REACHED), _bytes(OPEN)
+    return rows
+
+
+def _bytes(colours: ArrayLike) -> Points:
+    return np.rint(np.asarray(colours) * 255.0)
+
+
+def _cloud(time_ns: int, frame: str, rows: NDArray[Any]) -> bytes:
+    return time_field(time_ns) + _head(frame) + _DATA + sized(rows.tobytes())
+
+
+@lru_cache(maxsize=32)
+def _head(frame: str) -> bytes:
+    """Return a cloud without time and points."""
     fields = [
         PackedElementField(
             name=name,
@@ -124,14 +147,13 @@ def _cloud(time_ns: int, frame: str, points: Points, colours: ArrayLike) -> Poin
         )
         for name, offset in _FIELDS
     ]
-    return PointCloud(
-        timestamp=stamp(time_ns),
+    cloud = PointCloud(
         frame_id=frame,
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         point_stride=_POINT.itemsize,
         fields=fields,
-        data=rows.tobytes(),
     )
+    return cloud.SerializeToString(deterministic=True)
 
 
 def _corners(shape: Shape) -> Points:

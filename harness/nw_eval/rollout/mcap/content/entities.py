@@ -23,8 +23,9 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from nw_eval.robots import RobotSpec, Shape
+from nw_eval.robots import Shape
 from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.rollout.mcap.wire import sized, time_field
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 
 Colour = tuple[float, float, float, float]
@@ -43,15 +44,16 @@ PLACE: dict[FaceKind, Colour] = {
 }
 _WAYPOINT_DIAMETER = 0.6  # m; the reach radius of a waypoint is 0.3
 _WAYPOINT_HEIGHT = 0.02  # m
+_ENTITY = b"\x12"  # field 2 of a `SceneUpdate`
 _LINE = 0.02  # m, how thick the trail is, and how far above the waypoints
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)  # as many places as a worker's `Library` keeps
 def place_update(mesh: TriangleMesh) -> bytes:
     """Return the static geometry that rays meet, one entity for each kind of face, serialised.
 
-    It is the same in every trial of a place. Protobuf messages add up: with these bytes before
-    those of another `SceneUpdate`, both are one.
+    It is the same in every trial of a place. Protobuf messages add up: the bytes of one
+    `SceneUpdate` before those of another one are both in one.
     """
     update = SceneUpdate()
     for number, kind in enumerate(FACE_KINDS):
@@ -73,8 +75,8 @@ def place_update(mesh: TriangleMesh) -> bytes:
     return update.SerializeToString(deterministic=True)
 
 
-def trail_entity(start: Sequence[float], trail: np.ndarray) -> SceneEntity:
-    """Return the way from the start through all waypoints (K, 3) m, as a line."""
+def trail_update(start: Sequence[float], trail: np.ndarray) -> bytes:
+    """Return the way from the start through all waypoints (K, 3) m as a line, serialised."""
     corners = np.concatenate([np.reshape(start, (1, 3)), trail])
     corners[:, 2] += _LINE
     line = LinePrimitive(
@@ -87,48 +89,64 @@ def trail_entity(start: Sequence[float], trail: np.ndarray) -> SceneEntity:
         line.points.add(x=x, y=y, z=z)
     entity = _entity(0, WORLD, "trail")
     entity.lines.append(line)
-    return entity
+    return SceneUpdate(entities=[entity]).SerializeToString(deterministic=True)
 
 
-def robot_entities(robot: RobotSpec) -> tuple[SceneEntity, ...]:
-    """Return one entity for each body of the robot that has something to see."""
-    entities: list[SceneEntity] = []
-    for body in robot.bodies:
-        shapes = [shape for shape in robot.visuals if shape.body == body]
+@lru_cache(maxsize=4)
+def robot_update(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> bytes:
+    """Return one entity for each body of a robot that has something to see, serialised."""
+    update = SceneUpdate()
+    for body in bodies:
+        shapes = [shape for shape in visuals if shape.body == body]
         if shapes:
             entity = _entity(0, body, f"robot/{body}")
             for shape in shapes:
                 _add_shape(entity, shape)
-            entities.append(entity)
-    return tuple(entities)
+            update.entities.append(entity)
+    return update.SerializeToString(deterministic=True)
 
 
-def waypoints_update(time_ns: int, trail: np.ndarray, *, reached: int) -> SceneUpdate:
-    """Return all waypoints (K, 3) m as discs: orange while open, the first `reached` green.
+class Discs:
+    """Waypoints (K, 3) m as discs: orange, or green once they are reached."""
 
-    All of them every time: a viewer whose time was moved has seen the latest message only.
-    """
-    update = SceneUpdate()
-    for number, (x, y, z) in enumerate(trail.tolist()):
-        colour = _colour(REACHED if number < reached else OPEN)
-        entity = _entity(time_ns, WORLD, f"waypoint/{number}")
-        entity.cylinders.add(
-            pose=_pose((x, y, z)),
-            size=Vector3(x=_WAYPOINT_DIAMETER, y=_WAYPOINT_DIAMETER, z=_WAYPOINT_HEIGHT),
-            bottom_scale=1.0,
-            top_scale=1.0,
-            color=colour,
+    def __init__(self, trail: np.ndarray) -> None:
+        self._discs = [
+            tuple(_disc(number, position, colour) for colour in (OPEN, REACHED))
+            for number, position in enumerate(trail.tolist())
+        ]
+
+    def update(self, time_ns: int, *, reached: int) -> bytes:
+        """Return all waypoints, the first `reached` green, as a `SceneUpdate`, serialised.
+
+        All of them every time: a viewer whose time was moved has seen the latest message only.
+        """
+        time = time_field(time_ns)
+        return b"".join(
+            _ENTITY + sized(time + discs[number < reached])
+            for number, discs in enumerate(self._discs)
         )
-        entity.texts.add(
-            pose=_pose((x, y, z + 0.25)),
-            billboard=True,
-            font_size=0.12,
-            scale_invariant=False,
-            color=colour,
-            text=str(number),
-        )
-        update.entities.append(entity)
-    return update
+
+
+def _disc(number: int, position: Sequence[float], colour: Colour) -> bytes:
+    """Return a waypoint's entity without its time, which stands before all else."""
+    x, y, z = position
+    entity = SceneEntity(frame_id=WORLD, id=f"waypoint/{number}", frame_locked=True)
+    entity.cylinders.add(
+        pose=_pose((x, y, z)),
+        size=Vector3(x=_WAYPOINT_DIAMETER, y=_WAYPOINT_DIAMETER, z=_WAYPOINT_HEIGHT),
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=_colour(colour),
+    )
+    entity.texts.add(
+        pose=_pose((x, y, z + 0.25)),
+        billboard=True,
+        font_size=0.12,
+        scale_invariant=False,
+        color=_colour(colour),
+        text=str(number),
+    )
+    return entity.SerializeToString(deterministic=True)
 
 
 def _entity(time_ns: int, frame: str, name: str) -> SceneEntity:

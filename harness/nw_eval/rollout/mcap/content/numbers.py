@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import lru_cache
 from math import prod
 from typing import Any
 
@@ -17,12 +17,17 @@ from nw_eval.rollout.mcap.stamps import stamp
 _BLANK = 0x7F000000
 
 
-def observation_form(shape: Sequence[int], terms: Sequence[tuple[str, int]]) -> Form:
+Terms = tuple[tuple[str, int], ...]
+"""Name and number of values of each part of an observation, in their order."""
+
+
+@lru_cache(maxsize=32)
+def observation_form(shape: tuple[int, ...], terms: Terms) -> Form:
     """Return the form of an observation: float32, last axis fastest, by terms.
 
     Args:
         shape: of the observation, with some thousand numbers at most.
-        terms: name and number of values of each part, in their order.
+        terms: its parts.
 
     Raises:
         ValueError: there are too many numbers for a form.

@@ -1,66 +1,67 @@
-"""One call of the policy as the bytes of an `nw.PolicyStep`, put together by hand.
+"""Calls of the policy as `nw.PolicyStep` messages, put together by hand.
 
-It is written in every control step, and to fill in a message number by number costs five times as
-much. The fields are those of `messages._MESSAGES`, in their order; what is zero or empty is left
-out, as protobuf does (https://protobuf.dev/programming-guides/encoding).
+They are written in every control step, and to fill in a message number by number costs far more.
+The fields are those of `messages._MESSAGES`, in their order; what is zero or empty is left out, as
+protobuf does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.rollout.mcap.wire import sized, time_field, varint
 
-_TIME, _STEP, _OBSERVATION, _STATE = b"\x0a", b"\x10", b"\x1a", b"\x3a"
+_STEP, _OBSERVATION, _STATE = b"\x10", b"\x1a", b"\x3a"
 _NUMBERS = (b"\x22", b"\x2a", b"\x32")
 
 
-def policy_step(
-    time_ns: int,
+def policy_steps(
+    times: Sequence[int],
+    steps: Sequence[int],
     *,
-    step: int,
-    observation_digest: bytes,
-    state_digest: bytes,
-    numbers: Sequence[NDArray[np.float64]],
-) -> bytes:
-    """Return the message.
+    observations: Sequence[bytes],
+    states: Sequence[bytes],
+    numbers: NDArray[np.float64],
+) -> Iterator[bytes]:
+    """Yield messages, N.
 
     Args:
-        time_ns: simulated.
-        step: number of the control step.
-        observation_digest: of what the policy was given.
-        state_digest: of what it remembers; empty where the log has no state.
-        numbers: raw output, applied action and joint targets, of any size.
+        times: of the calls, ns.
+        steps: numbers of their control steps.
+        observations: digests of what the policy was given.
+        states: digests of what it remembers; empty where the log has no state.
+        numbers: raw output, applied action and joint targets, (N, 3 J).
     """
-    parts = [_TIME, _sized(_stamp(time_ns))]
-    if step:
-        parts += _STEP, _varint(step)
-    if observation_digest:
-        parts += _OBSERVATION, _sized(observation_digest)
-    for field, values in zip(_NUMBERS, numbers, strict=True):
-        if values.size:
-            parts += field, _sized(values.astype("<f8", copy=False).tobytes())
-    if state_digest:
-        parts += _STATE, _sized(state_digest)
-    return b"".join(parts)
+    fields = _number_fields(numbers)
+    each = zip(times, steps, observations, states, fields, strict=True)
+    for time_ns, step, observation, state, values in each:
+        parts = _head(time_ns, step), _field(_OBSERVATION, observation), values
+        yield b"".join((*parts, _field(_STATE, state)) if state else parts)
 
 
-def _sized(data: bytes) -> bytes:
-    return _varint(len(data)) + data
+@lru_cache(maxsize=4096)  # The steps of every trial have the same times.
+def _head(time_ns: int, step: int) -> bytes:
+    return time_field(time_ns) + (_STEP + varint(step) if step else b"")
 
 
-@lru_cache(maxsize=1)
-def _stamp(time_ns: int) -> bytes:
-    return stamp(time_ns).SerializeToString(deterministic=True)
+def _field(field: bytes, digest: bytes) -> bytes:
+    return field + sized(digest) if digest else b""
 
 
-def _varint(value: int) -> bytes:
-    digits: list[int] = []
-    while value > 0x7F:
-        digits.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes((*digits, value))
+def _number_fields(rows: NDArray[np.float64]) -> list[bytes]:
+    """Return the three fields of numbers, (N, 3 J), of each row."""
+    count = len(rows)
+    little = rows.astype("<f8", copy=False)
+    values = np.frombuffer(little.tobytes(), np.uint8).reshape(count, 3, -1)
+    size = values.shape[2]
+    if not size:
+        return [b""] * count
+    heads = [field + varint(size) for field in _NUMBERS]
+    found = np.empty((count, 3, len(heads[0]) + size), np.uint8)
+    found[:, :, :-size] = np.frombuffer(b"".join(heads), np.uint8).reshape(3, -1)
+    found[:, :, -size:] = values
+    return [row.tobytes() for row in found]
