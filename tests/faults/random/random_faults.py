@@ -33,7 +33,12 @@ def play(origin, kind, seed):
     """Hit one run, resume it until it is done; return how it first ended and what was wrong."""
     # A process that was hit may still stand in the folder; that it goes is tested elsewhere.
     with tempfile.TemporaryDirectory(dir=origin.work, ignore_cleanup_errors=True) as name:
-        case = Case(work=Path(name), draw=random.Random(seed), longest=origin.seconds)
+        case = Case(
+            work=Path(name),
+            draw=random.Random(seed),
+            longest=origin.seconds,
+            cache_gb=origin.cache_gb,
+        )
         KINDS[kind].hit(case, origin)
         first = case.run.end()
         if first not in {*KINDS[kind].codes, VERDICT}:
