@@ -81,7 +81,7 @@ class Case:
 
         Args:
             words: of the command line, behind `run`.
-            cache: a cache of its own.
+            cache: a cache that holds something; an empty one if None.
             limit: bytes that every file may have: a disk that fills up.
             before: called in the new process first.
             environment: beside this process's.
@@ -91,9 +91,8 @@ class Case:
             MARK: self.mark,
             "TMPDIR": str(self.work / "tmp"),
             "NW_EVAL_CACHE_GB": str(self.cache_gb),
+            "NW_EVAL_CACHE": str(cache or self.work / "cache"),
         }
-        if cache is not None:
-            environment["NW_EVAL_CACHE"] = str(cache)
         pid = _forked(["nw-eval", "run", *map(str, words)], environment, output, before)
         if limit is not None:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, limit))

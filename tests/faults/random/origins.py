@@ -1,13 +1,13 @@
 """The undisturbed runs, each computed once, and the policies that misbehave when a case asks."""
 
+import gc
 import importlib.util
-import json
-import os
+import io
 import random
 import shutil
 import sys
 import time
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from pathlib import Path
 from case import Case
 from injection import site
 
+from nw_eval.cli import main
 from nw_eval.files.cache import cache_dir
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
@@ -177,28 +178,15 @@ def _note(file):
     sys.setprofile(listen)
 
 
-def import_what_runs_import(work):
-    """Import in this process whatever a run does, so that its forks need not."""
+def run_once(work):
+    """Run a trial in this process: its forks import and look up nothing that all runs do."""
     suite = work / "first.yaml"
     suite.write_text(SUITE.format(policy="stand", record="none", trials=1))
-    seen = work / "modules.json"
-    child = os.fork()
-    if child == 0:
-        with suppress(SystemExit):
-            sys.argv = ["nw-eval", "run", str(suite), "--out", str(work / "first"), "--in-process"]
-            handle = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(handle, 1)
-            os.dup2(handle, 2)
-            from nw_eval.cli import main
-
-            main()
-        names = [name for name in sys.modules if name != "__main__"]
-        seen.write_text(json.dumps(names))
-        os._exit(0)
-    os.waitpid(child, 0)
-    for name in json.loads(seen.read_text()):
-        with suppress(Exception):  # Modules that made themselves.
-            importlib.import_module(name)
+    words = ["run", str(suite), "--out", str(work / "first"), "--in-process"]
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), suppress(SystemExit):
+        main(words)
+    gc.collect()
+    gc.freeze()  # A fork that looked for garbage would copy every page.
 
 
 def _bundles():
