@@ -24,7 +24,7 @@ def play(*words):
 
 
 def test_thirty_random_faults_change_nothing():
-    play(30, 9, "--fast")
+    play(30, 9, "--fast", "--jobs", 2)
 
 
 @pytest.mark.nightly
