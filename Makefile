@@ -11,22 +11,31 @@ export OMP_NUM_THREADS := 1
 # Every trial's process and some hundred of the tests import the package: compiled once, not each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test check bench build
+.PHONY: run test check lint types arrows warm bench build
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	$(BIN)/nw-eval warmup
 	$(BIN)/nw-eval run suites/hurdles.yaml
 
-test: check
-	$(BIN)/nw-eval warmup
+# Types are checked by one core while the other compiles the kernels.
+test: $(VENV)/.installed-dev
+	$(MAKE) -j 2 --output-sync=target check warm
 	$(BIN)/pytest -n 2 --dist loadscope $(PYTEST_ARGS)
 
-check: $(VENV)/.installed-dev
+check: types lint arrows
+
+types: $(VENV)/.installed-dev
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/pyright --pythonpath $(BIN)/python
+
+arrows: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
+
+warm: $(VENV)/.installed-dev
+	$(BIN)/nw-eval warmup
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/nw-eval warmup

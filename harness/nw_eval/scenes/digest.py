@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, Protocol
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -19,42 +20,66 @@ def digest(*values: Any) -> str:
     Raises:
         TypeError: a value of another type, whose identity could not be told.
     """
-    state = hashlib.sha256()
+    parts: list[bytes] = []
     for value in values:
-        _feed(state, value)
-    return state.hexdigest()
+        _tell(parts, value)
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
-class _State(Protocol):
-    def update(self, data: bytes, /) -> None: ...
+def _tell(parts: list[bytes], value: Any) -> None:
+    """Append the bytes of a value, which tell its type and length first.
+
+    So no two inputs give the same bytes. A place is ten thousand numbers, names and dataclasses:
+    these are known by their type alone, and what is derived from one is met below.
+    """
+    kind = type(value)
+    if kind is float:
+        parts.append(f"float:{value.hex()};".encode())
+    elif kind is tuple:
+        parts.append(f"sequence:{len(value)};".encode())
+        for item in value:
+            _tell(parts, item)
+    elif kind is str:
+        _tell_bytes(parts, "str", value.encode())
+    elif names := _fields(kind):
+        parts.append(f"{kind.__name__};".encode())
+        for name in names:
+            _tell_bytes(parts, "str", name.encode())
+            _tell(parts, getattr(value, name))
+    else:
+        _tell_rest(parts, value)
 
 
-def _feed(state: _State, value: Any) -> None:  # noqa: C901 - one case for each type of value.
-    # Every value begins with its type and length, so that no two inputs give the same bytes.
+def _tell_rest(parts: list[bytes], value: Any) -> None:
+    name = type(value).__name__
     match value:
         case None | bool() | int():
-            state.update(f"{type(value).__name__}:{value};".encode())
+            parts.append(f"{name}:{value};".encode())
         case float():
-            state.update(f"float:{value.hex()};".encode())
+            parts.append(f"float:{value.hex()};".encode())
         case str() | bytes():
-            data = value.encode() if isinstance(value, str) else value
-            state.update(f"{type(value).__name__}:{len(data)};".encode() + data)
+            _tell_bytes(parts, name, value.encode() if isinstance(value, str) else value)
         case np.ndarray():
             array = np.ascontiguousarray(value.astype(value.dtype.newbyteorder("<"), copy=False))
-            state.update(f"array:{array.dtype.str}:{array.shape};".encode() + array.tobytes())
+            parts.append(f"array:{array.dtype.str}:{array.shape};".encode() + array.tobytes())
         case tuple() | list():
-            state.update(f"sequence:{len(value)};".encode())
-            for item in value:
-                _feed(state, item)
+            _tell(parts, tuple(value))
         case Mapping():
-            state.update(f"mapping:{len(value)};".encode())
+            parts.append(f"mapping:{len(value)};".encode())
             for key in sorted(value):
-                _feed(state, key)
-                _feed(state, value[key])
-        case _ if is_dataclass(value) and not isinstance(value, type):
-            state.update(f"{type(value).__name__};".encode())
-            for field in fields(value):
-                _feed(state, field.name)
-                _feed(state, getattr(value, field.name))
+                _tell(parts, key)
+                _tell(parts, value[key])
+        case _ if is_dataclass(value) and not isinstance(value, type):  # It has no fields.
+            parts.append(f"{name};".encode())
         case _:
-            raise TypeError(f"cannot digest a {type(value).__name__}: {value!r}")
+            raise TypeError(f"cannot digest a {name}: {value!r}")
+
+
+def _tell_bytes(parts: list[bytes], kind: str, data: bytes) -> None:
+    parts += (f"{kind}:{len(data)};".encode(), data)
+
+
+@cache
+def _fields(kind: type) -> tuple[str, ...]:
+    """Return the names of a dataclass's fields; none for another type."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else ()

@@ -85,6 +85,8 @@ def plan_of(
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
     found = open_scenes(draft, faults, request.collision)
+    for place in found:
+        _ = place.scene.digest  # Kept; what looks at the policy is still starting.
     if bundle is None:
         bundle = open_policy(draft, faults, request, card=card)
     else:

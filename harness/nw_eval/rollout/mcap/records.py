@@ -27,6 +27,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 _ID, _IDS, _LENGTH = struct.Struct("<H"), struct.Struct("<HH"), struct.Struct("<I")
+_IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 _MOST_NAME = 1000  # bytes
 _MOST_TEXTS = 4 * 2**20  # bytes of all records of texts; a trial has some thousand
 _MOST_RECORDS = 1_000_000  # Ten minutes at 50 Hz have a quarter of this.
@@ -83,51 +84,59 @@ def logged(stream: IO[bytes], topics: Collection[str] = ()) -> Iterator[LoggedMe
     """
     kinds: dict[int, str] = {0: ""}
     channels: dict[int, tuple[str, str]] = {}
-    latest = 0
-    for opcode, data in _with_chunks(stream):
-        if opcode == Opcode.SCHEMA:
-            kinds[_ID.unpack_from(data)[0]] = _name(data, _ID.size)
-        elif opcode == Opcode.CHANNEL:
-            number, schema = _IDS.unpack_from(data)
-            if schema not in kinds:
-                raise ValueError("a channel has no schema")
-            channels[number] = (_name(data, _IDS.size), kinds[schema])
-        elif opcode == Opcode.MESSAGE:
-            number, _, time_ns, _ = _MESSAGE.unpack_from(data)
-            if number not in channels:
-                raise ValueError("a message has no channel")
-            topic, kind = channels[number]
-            if time_ns < latest:
-                raise ValueError("its messages are not in order of time")
-            latest = time_ns
-            if not topics or topic in topics:
-                yield LoggedMessage(
-                    topic=topic, kind=kind, time_ns=time_ns, data=data[_MESSAGE.size :]
-                )
+    latest, count = 0, 0
+    for part in _parts(stream):
+        # A log has thousands of messages for one that is wanted: none is cut out to be looked at.
+        start, end = 0, len(part)
+        while start < end:
+            opcode, length = _HEAD.unpack_from(part, start)
+            start += _HEAD.size
+            count += 1
+            if length > end - start or count > _MOST_RECORDS:
+                raise ValueError("a chunk has more in it than it can have")
+            if opcode == Opcode.MESSAGE:
+                if length < _MESSAGE.size:
+                    raise ValueError("a message is cut off")
+                number, _, time_ns, _ = _MESSAGE.unpack_from(part, start)
+                if number not in channels:
+                    raise ValueError("a message has no channel")
+                if time_ns < latest:
+                    raise ValueError("its messages are not in order of time")
+                latest = time_ns
+                topic, kind = channels[number]
+                if not topics or topic in topics:
+                    data = part[start + _MESSAGE.size : start + length]
+                    yield LoggedMessage(topic=topic, kind=kind, time_ns=time_ns, data=data)
+            elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                _learn(opcode, part[start : start + length], kinds, channels)
+            start += length
 
 
-def _with_chunks(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield schemas, channels and messages, in chunks or not."""
-    wanted = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
-    count, unpacked = 0, 0
-    for opcode, data in _records(stream, {*wanted, Opcode.CHUNK}):
+def _learn(
+    opcode: int, data: bytes, kinds: dict[int, str], channels: dict[int, tuple[str, str]]
+) -> None:
+    """Add what a record says of a schema, or of a channel: its topic and kind."""
+    if opcode == Opcode.SCHEMA:
+        kinds[_ID.unpack_from(data)[0]] = _name(data, _ID.size)
+        return
+    number, schema = _IDS.unpack_from(data)
+    if schema not in kinds:
+        raise ValueError("a channel has no schema")
+    channels[number] = (_name(data, _IDS.size), kinds[schema])
+
+
+def _parts(stream: IO[bytes]) -> Iterator[bytes]:
+    """Yield schemas, channels and messages with their heads: all of a chunk's, or one in none."""
+    unpacked = 0
+    for opcode, data in _records(stream, {*_IN_CHUNKS, Opcode.CHUNK}):
         if opcode != Opcode.CHUNK:
-            yield opcode, data
+            yield _HEAD.pack(opcode, len(data)) + data
             continue
         inside = _unpacked(Chunk.read(_Exact(BytesIO(data))))
         unpacked += len(inside)
         if unpacked > _MOST_UNPACKED:
             raise ValueError(f"it unpacks to over {_MOST_UNPACKED // 2**30} GiB")
-        start = 0
-        while start < len(inside):
-            kind, length = _HEAD.unpack_from(inside, start)
-            start += _HEAD.size
-            count += 1
-            if length > len(inside) - start or count > _MOST_RECORDS:
-                raise ValueError("a chunk has more in it than it can have")
-            if kind in wanted:
-                yield kind, inside[start : start + length]
-            start += length
+        yield inside
 
 
 def _name(data: bytes, start: int) -> str:
