@@ -166,13 +166,18 @@ def sizes(run, workers):
     for power in range(3, 7):
         trials = 10**power
         hours = [trials * seconds / 3600 / cores for cores in (2, 16, 64, 256)]
-        times = " | ".join(
-            f"{each:.2g} h" if each >= 0.1 else f"{60 * each:.2g} min" for each in hours
-        )
+        times = " | ".join(map(span, hours))
         print(f"| 10^{power} | {times} | {trials * log / 1e9:.3g} GB |")
     print("\n| cores of a node | memory |\n|---|---|")
     for cores in (2, 4, 16, 64):
         print(f"| {cores} | {shared + cores * worker:.0f} GB |")
+
+
+def span(hours):
+    """Return a time with as many digits as it is worth."""
+    if hours < 1.0:
+        return f"{60 * hours:.0f} min"
+    return f"{hours:.1f} h" if hours < 10.0 else f"{hours:.0f} h"
 
 
 def main():
