@@ -2,19 +2,22 @@
 
     python tests/bench/bench_cluster.py [trials]
 
-Each engine runs the same trials with as many workers as there are cores. Memory is that of the
-processes of the run, as shares (PSS), so that what several map is counted once.
+Each engine runs the same blind trials, of which no picture is drawn, with as many workers as there
+are cores: some minutes in all. The rate is that of the time in which trials ended, so that starting
+Ray, whose seconds are told, is no part of it. Memory is that of the processes of the run, as shares
+(PSS), so that what several map is counted once.
 """
 
-import os
+from __future__ import annotations
+
 import re
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import defaultdict
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -24,12 +27,24 @@ from nw_eval.results.journal import read_journal
 SUITE, SCENES = "hurdles", 16
 TRIALS = int(sys.argv[1]) if len(sys.argv) > 1 else 160
 WANTED = 0.9  # of the local engine's rate
+LOOP = "n = 0\nfor i in range(20_000_000): n += i"
 MAIN = "from nw_eval.cli import main; main()"
 KINDS = ("Ray", "station", "workers", "head")
+OFTEN, SELDOM = 0.2, 10.0  # s between looks at the journal, and at memory, which costs time itself
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What a run of one engine showed."""
+
+    rows: tuple
+    first: float  # s from the command until a trial had ended
+    rate: float  # trials an hour, from then on
+    megabytes: dict  # by kind of process: how many, and what they held together
 
 
 def pss_by_kind(head):
-    """Return MB of the processes of a run, by what they are."""
+    """Return number and MB of the processes of a run, by what they are."""
     names, parents = {}, {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
@@ -64,77 +79,119 @@ def _kind(line, names, head):
 
 
 def measured(folder, *options):
-    """Run the trials; return rows, trials an hour of the time in which they ran, and MB by kind."""
-    command = [
-        "run",
-        SUITE,
-        "--trials",
-        str(-(-TRIALS // SCENES)),
-        "--baseline",
-        "none",
-        "--no-cache",
-    ]
-    process = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *command, "--out", folder, *options],
-        stdout=subprocess.DEVNULL,
-    )
-    most, lines = {}, []
-
-    def look():
-        while process.poll() is None:
-            with suppress(OSError):
-                lines.append((time.monotonic(), (folder / "journal.jsonl").read_text().count("\n")))
-            now = pss_by_kind(process.pid)
-            for kind, entry in now.items():
-                most[kind] = max(most.get(kind, [0, 0.0]), entry, key=lambda each: each[1])
-            time.sleep(1.0)
-
-    thread = threading.Thread(target=look)
-    thread.start()
-    process.wait()
-    thread.join()
+    """Run the trials with one engine."""
+    words = ("--trials", str(-(-TRIALS // SCENES)), "--record", "none")
+    words += ("--baseline", "none", "--no-cache")
+    printed = folder.with_suffix(".txt")
+    began = time.monotonic()
+    with printed.open("w") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-c", MAIN, "run", SUITE, "--out", folder, *words, *options],
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+        )
+        ended, megabytes = watched(process, folder / "journal.jsonl")
     if process.returncode not in {0, 1, 3}:
-        sys.exit(f"nw-eval ended with {process.returncode}")
-    begun = [line for line in lines if line[1] > 1]
-    (first, had), (last, have) = begun[0], next(x for x in begun if x[1] == begun[-1][1])
-    return read_journal(folder / "journal.jsonl").rows, 3600 * (have - had) / (last - first), most
+        sys.exit(f"nw-eval ended with {process.returncode}:\n{printed.read_text()}")
+    (first, had), (last, have) = ended[0], ended[-1]
+    return Measured(
+        rows=read_journal(folder / "journal.jsonl").rows,
+        first=first - began,
+        rate=3600 * (have - had) / (last - first),
+        megabytes=megabytes,
+    )
 
 
-def table(rows, rate, most, workers):
-    """Print what clusters of this machine's kind take."""
-    seconds, log = 3600 * workers / rate, fmean(row.mcap_bytes for row in rows)
-    shared = (most["Ray"][1] + most["station"][1]) / 1000
-    worker = most["workers"][1] / workers / 1000
-    print(f"\ns = {seconds:.2f} s of a core, b = {log / 1e6:.2f} MB of a log\n")
-    print(f"memory: {shared:.2f} GB a node and {worker:.2f} GB a worker; "
-          f"head {most['head'][1] / 1000:.2f} GB\n")  # fmt: skip
+def watched(process, journal):
+    """Return when trials had ended, and how many; and the most that processes held, by kind."""
+    ended, most, next_look = [], {}, time.monotonic() + SELDOM
+    while process.poll() is None:
+        with suppress(OSError):
+            count = journal.read_bytes().count(b"\n") - 1
+            if count > (ended[-1][1] if ended else 0):
+                ended.append((time.monotonic(), count))
+        if time.monotonic() > next_look:
+            for kind, entry in pss_by_kind(process.pid).items():
+                most[kind] = max(most.get(kind, [0, 0.0]), entry, key=lambda each: each[1])
+            next_look = time.monotonic() + SELDOM
+        time.sleep(OFTEN)
+    return ended, most
+
+
+def loop_seconds():
+    """Return what a loop takes alone, which tells whether others have the machine's cores."""
+    began = time.perf_counter()
+    subprocess.run([sys.executable, "-c", LOOP], check=True)
+    return time.perf_counter() - began
+
+
+def compare(runs, loops):
+    """Print the engines side by side; return whether Ray is as fast as it must be."""
+    share = runs["Ray"].rate / runs["local"].rate
+    print(f"{'':24} {'local':>8} {'Ray':>8}  target")
+    lines = {
+        "trials": [len(each.rows) for each in runs.values()],
+        "loop just before, s": loops,
+        "first trial ended, s": [each.first for each in runs.values()],
+        "trials an hour": [each.rate for each in runs.values()],
+    }
+    for what, (local, there) in lines.items():
+        form = ".0f" if what.startswith("trials") else ".1f"
+        print(f"{what:24} {local:8{form}} {there:8{form}}")
+    held = share >= WANTED
+    print(f"{'Ray, of the local rate':24} {'':8} {share:8.2f}  at least {WANTED}: {verdict(held)}")
+    for kind in KINDS:
+        count, size = runs["Ray"].megabytes.get(kind, (0, 0.0))
+        print(f"{f'MB, {kind} ({count})':24} {'':8} {size:8.0f}")
+    return held
+
+
+def verdict(held):
+    return "yes" if held else "NO"
+
+
+def sizes(run, workers):
+    """Print what clusters of this machine's kind take for such trials."""
+    seconds, log = 3600 * workers / run.rate, fmean(row.mcap_bytes for row in run.rows)
+    megabytes = defaultdict(lambda: (0, 0.0), run.megabytes)
+    shared = (megabytes["Ray"][1] + megabytes["station"][1]) / 1000
+    worker = megabytes["workers"][1] / workers / 1000
+    print(f"\nblind trials: s = {seconds:.2f} s of a core, b = {log / 1e6:.2f} MB of a log")
+    print(
+        f"memory: {shared:.2f} GB a node and {worker:.2f} GB a worker; "
+        f"head {megabytes['head'][1] / 1000:.2f} GB\n"
+    )
     print("| trials | 2 cores | 16 cores | 64 cores | 256 cores | logs |")
     print("|---|---|---|---|---|---|")
     for power in range(3, 7):
         trials = 10**power
         hours = [trials * seconds / 3600 / cores for cores in (2, 16, 64, 256)]
-        told = " | ".join(
-            f"{each:.2g} h" if each >= 0.1 else f"{60 * each:.2g} min" for each in hours
-        )
-        print(f"| 10^{power} | {told} | {trials * log / 1e9:.3g} GB |")
+        times = " | ".join(map(span, hours))
+        print(f"| 10^{power} | {times} | {trials * log / 1e9:.3g} GB |")
     print("\n| cores of a node | memory |\n|---|---|")
     for cores in (2, 4, 16, 64):
         print(f"| {cores} | {shared + cores * worker:.0f} GB |")
 
 
+def span(hours):
+    """Return a time with as many digits as it is worth."""
+    if hours < 1.0:
+        return f"{60 * hours:.0f} min"
+    return f"{hours:.1f} h" if hours < 10.0 else f"{hours:.0f} h"
+
+
 def main():
     workers = default_workers()
-    load = os.getloadavg()[0]
+    engines = {"local": ("--workers", str(workers)), "Ray": ("--engine", "ray")}
+    loops, runs = [], {}
     with tempfile.TemporaryDirectory() as folder:
-        _, local, _ = measured(Path(folder) / "local")
-        rows, there, most = measured(Path(folder) / "ray", "--engine", "ray")
-    print(f"{len(rows)} trials of {SUITE}, {workers} workers, load {load:.1f} before")
-    print(f"local {local:.0f} trials an hour, Ray {there:.0f}: {there / local:.2f} of it")
-    for kind in KINDS:
-        count, size = most.get(kind, (0, 0.0))
-        print(f"{kind:8s} {count:3d} processes {size:8.0f} MB")
-    table(rows, there, most, workers)
-    sys.exit(there < WANTED * local)
+        for name, options in engines.items():
+            loops.append(loop_seconds())
+            runs[name] = measured(Path(folder) / name, *options)
+    print(f"{SUITE}, {workers} workers")
+    held = compare(runs, loops)
+    sizes(runs["Ray"], workers)
+    sys.exit(not held)
 
 
 if __name__ == "__main__":

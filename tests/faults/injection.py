@@ -22,7 +22,7 @@ import nw_eval
 from nw_eval.cli import main
 from nw_eval.results.journal import read_journal
 
-ROOMS = [(room,) for room in ("api", "engine", "results", "reporting", "gate")]
+ROOMS = tuple(f"{room}{os.sep}" for room in ("api", "engine", "results", "reporting", "gate"))
 PACKAGE = f"{Path(nw_eval.__file__).parent}{os.sep}"
 
 ERRORS = {
@@ -46,7 +46,7 @@ def site(frame):
     """Return which call a new frame is of: callee, caller and line; None outside the rooms."""
     callee = place(frame)
     caller = frame.f_back
-    if Path(callee).parts[:1] not in ROOMS or "<module>" in names(frame, caller):
+    if not callee.startswith(ROOMS) or "<module>" in names(frame, caller):
         return None  # Importing a module calls its body, and the bodies of its classes.
     line = f"{place(caller)}:{caller.f_lineno}" if caller and place(caller) else "a library"
     return f"{callee}:{frame.f_code.co_qualname} called by {line}"

@@ -94,9 +94,14 @@ def check(runs, tmp_path, verb, count, seed, *elsewhere):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(3600)
-def test_every_call_of_the_judgement_raises(runs, tmp_path):
-    check(runs, tmp_path, "report", 0, 0)
+@pytest.mark.timeout(4 * 3600)
+@pytest.mark.parametrize(
+    "elsewhere",
+    [("reporting",), ("api", "engine", "results", "gate")],
+    ids=["of rows and verdict", "of pages"],
+)
+def test_every_call_of_the_judgement_raises(runs, tmp_path, elsewhere):
+    check(runs, tmp_path, "report", 0, 0, *elsewhere)
 
 
 @pytest.mark.nightly

@@ -31,6 +31,7 @@ _MOST = 256 * 2**20
 """Bytes of a journal that is read: some 200,000 trials."""
 _LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
 _AT_ONCE = 2000  # lines that are parsed together
+_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _DAMAGED = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 
@@ -281,8 +282,7 @@ def last_sum(path: Path) -> str:
 
 def _line(record: Mapping[str, Any], before: str) -> tuple[bytes, str]:
     """Return a record's line, and its sum, which covers that of the line before."""
-    text = json.dumps(record, separators=(",", ":"), allow_nan=False)
-    sealed, value = seal(text, before)
+    sealed, value = seal(_ENCODE(record), before)
     return sealed.encode(), value
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import time
 from dataclasses import replace
+from hashlib import sha256
 
 import pytest
 from cache_parts import DONE, conditions_of, finish, jobs_of, row_of
@@ -67,6 +68,15 @@ def test_who_writes_to_the_log_of_the_run_that_was_kept_changes_no_entry(kept, j
         log.write(b"forged")
     assert not (kept / "log.mcap").read_bytes().startswith(b"forged")
     assert usable()
+
+
+def test_a_log_that_was_damaged_before_it_was_kept_makes_no_entry(store, folder, job, usable):
+    store.put(HERE, HERE.key(job), row_of(job, folder), job.mcap)
+    assert usable()
+    row = replace(row_of(job, folder), mcap_sha256=sha256(job.mcap.read_bytes()).hexdigest())
+    job.mcap.write_bytes(b"other bytes")
+    store.put(HERE, HERE.key(job), row, job.mcap)
+    assert not usable()
 
 
 def test_a_trial_that_runs_in_the_place_of_a_link_leaves_the_entry_as_it_is(kept, job, usable):

@@ -6,7 +6,9 @@ import time
 
 from case import send
 
+from nw_eval.results.evidence.logs import look_at_logs
 from nw_eval.results.row import rows_digest
+from nw_eval.results.run_folder import RunFolder
 
 _PATIENCE = 10.0  # s until all processes must be gone
 
@@ -20,14 +22,13 @@ def faults_of(case, origin, kept):
         kept: rows that it had before it was resumed.
     """
     rows, wrong = case.rows(), list(case.wrong)
-    if rows_digest(rows.values()) != origin.digest:
-        wrong.append("other rows")
+    wrong += other_results(case, origin)
     if any(row.status == "ok" and rows.get(name) != row for name, row in kept.items()):
         wrong.append("a finished trial was lost")
     said = "".join(run.said for run in case.runs)
     if "Traceback" in said:
         wrong.append(f"a traceback: {said[said.index('Traceback') :][:1500]}")
-    if left := _left(case):
+    if left := that_stay(case.relatives):
         wrong.append(f"{len(left)} processes left")
         send(left, signal.SIGKILL)
     if not _is_free(case.journal):
@@ -39,10 +40,24 @@ def faults_of(case, origin, kept):
     return wrong
 
 
-def _left(case):
-    """Return the processes of a case that do not end by themselves."""
+def other_results(case, origin):
+    """Return how rows and logs of a run differ from what they must be, in sentences."""
+    rows = case.rows().values()
+    if rows_digest(rows) != origin.digest:
+        yield "other rows"
+    for each in look_at_logs(RunFolder(path=case.folder), rows):
+        if each.finding is not None:
+            yield f"log {each.finding.what}: {each.finding.file} {each.finding.about}"
+
+
+def that_stay(found):
+    """Return the processes that do not end by themselves.
+
+    Args:
+        found: returns the processes that there are.
+    """
     deadline = time.monotonic() + _PATIENCE
-    while (left := case.relatives()) and time.monotonic() < deadline:
+    while (left := found()) and time.monotonic() < deadline:
         time.sleep(0.02)
     return left
 

@@ -62,6 +62,7 @@ class Case:
     draw: random.Random
     longest: float = 4.0  # s that such a run takes undisturbed
     folder: Path = None
+    cache_gb: int = 0  # Of trials that may be taken over; what is taken over cannot be hit.
     mark: str = field(default_factory=lambda: uuid.uuid4().hex)
     run: Run | None = None
     runs: list = field(default_factory=list)
@@ -75,23 +76,23 @@ class Case:
     def journal(self):
         return self.folder / "journal.jsonl"
 
-    def start(self, *words, cache=None, limit=None, before=None):
+    def start(self, *words, cache=None, limit=None, before=None, environment=None):
         """Start nw-eval in a session of its own.
 
         Args:
             words: of the command line, behind `run`.
-            cache: a cache of its own.
+            cache: a cache that holds something; an empty one if None.
             limit: bytes that every file may have: a disk that fills up.
             before: called in the new process first.
+            environment: beside this process's.
         """
         output = self.work / f"output-{len(self.runs)}"
-        environment = {
+        environment = (environment or {}) | {
             MARK: self.mark,
             "TMPDIR": str(self.work / "tmp"),
-            "NW_EVAL_CACHE_GB": "0",  # Trials that are taken over cannot be hit.
+            "NW_EVAL_CACHE_GB": str(self.cache_gb),
+            "NW_EVAL_CACHE": str(cache or self.work / "cache"),
         }
-        if cache is not None:
-            environment["NW_EVAL_CACHE"] = str(cache)
         pid = _forked(["nw-eval", "run", *map(str, words)], environment, output, before)
         if limit is not None:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, limit))
@@ -99,11 +100,11 @@ class Case:
         self.runs.append(self.run)
         return self.run
 
-    def wait_until(self, holds):
-        """Wait until something holds or the run has ended."""
+    def wait_until(self, holds, *, every=0.002):
+        """Wait until something holds or the run has ended; look so many seconds apart."""
         deadline = time.monotonic() + LONGEST
         while self.run.poll() is None and not holds() and time.monotonic() < deadline:
-            time.sleep(0.002)
+            time.sleep(every)
 
     def wait_for_a_moment(self, trials):
         """Wait until a number of trials that is drawn have ended, and a little longer."""

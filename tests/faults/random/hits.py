@@ -113,27 +113,6 @@ def removed_folder(case, origin):
         case.folder.rename(case.work / "removed")
 
 
-def removed_cache(case, origin):
-    begin(case, origin)
-    case.wait_until(case.listens)
-    case.sleep(1.0)
-    shutil.rmtree(case.work / "cache" / "scenes", ignore_errors=True)
-
-
-def corrupted_splats(case, origin):
-    """Change a byte of every compiled scene of the cache, or cut it short, before a run maps it."""
-    for file in sorted((cache_of(case, origin) / "scenes").rglob("*")):
-        if file.is_file() and file.stat().st_size:
-            data = bytearray(file.read_bytes())
-            if case.draw.random() < 0.5:
-                data[case.draw.randrange(len(data))] ^= 1 << case.draw.randrange(8)
-            else:
-                del data[case.draw.randrange(len(data)) :]
-            file.chmod(0o644)
-            file.write_bytes(data)
-    begin(case, origin)
-
-
 def no_longer_files(case, origin):
     """Let no file have more than some bytes: EFBIG where a full disk has ENOSPC."""
     begin(case, origin, limit=case.draw.randrange(1_000, 20_000))

@@ -3,19 +3,25 @@
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import disks
+from caches import (
+    corrupted_entries,
+    corrupted_splats,
+    entries_corrupted_in_mid_run,
+    removed_cache,
+)
+from clusters import has_ray, lost_raylet
 from hits import (
     CHILD,
     HOARD,
     LIMIT,
     STOP,
     call_raises,
-    corrupted_splats,
     full_disk,
     no_longer_files,
     ordered,
-    removed_cache,
     removed_folder,
     resumed_while_it_runs,
     signal_to_parent,
@@ -41,7 +47,7 @@ class Kind:
     origin: str
     hit: Callable
     codes: frozenset = frozenset()
-    mounts: bool = False
+    needs: Literal["nothing", "mounts", "Ray"] = "nothing"
     daily: bool = True
 
 
@@ -53,9 +59,9 @@ KINDS = {
     "torn journal": Kind("alone", torn_journal, {KILLED}),
     "removed folder": Kind("alone", removed_folder, {FAULT}),
     "file size limit": Kind("alone", no_longer_files, {FAULT}),
-    "full disk": Kind("alone", full_disk, {FAULT}, mounts=True),
-    "read-only in mid-run": Kind("alone", write_protected, {FAULT}, mounts=True),
-    "read-only resume": Kind("alone", write_protected_resume, {FAULT}, mounts=True),
+    "full disk": Kind("alone", full_disk, {FAULT}, needs="mounts"),
+    "read-only in mid-run": Kind("alone", write_protected, {FAULT}, needs="mounts"),
+    "read-only resume": Kind("alone", write_protected_resume, {FAULT}, needs="mounts"),
     "two resumes at once": Kind("alone", two_resumes, {FAULT}),
     "resumed while it runs": Kind("alone", resumed_while_it_runs, {FAULT}),
     "a call: disk error": Kind("alone", call_raises("disk"), {USAGE, FAULT}),
@@ -88,6 +94,9 @@ KINDS = {
     "SIGSTOP workers": Kind("network", stopped_for_a_while("workers"), daily=False),
     "removed cache": Kind("rendered", removed_cache, daily=False),
     "corrupted splats": Kind("rendered", corrupted_splats, daily=False),
+    "corrupted cache entries": Kind("cached", corrupted_entries),
+    "entries corrupted in mid-run": Kind("cached", entries_corrupted_in_mid_run, daily=False),
+    "lost raylet": Kind("network", lost_raylet, needs="Ray", daily=False),
     "native abort": Kind("obeying", ordered("os.abort()"), daily=False),
     "native fault": Kind("obeying", ordered("ctypes.string_at(0)"), daily=False),
     "policy exits": Kind("obeying", ordered("os._exit(0)"), daily=False),
@@ -99,4 +108,5 @@ KINDS = {
 
 def possible():
     """Return the kinds that this system allows, in an order that is always the same."""
-    return [name for name, kind in KINDS.items() if disks.may_mount() or not kind.mounts]
+    there = {"nothing": True, "mounts": disks.may_mount(), "Ray": has_ray()}
+    return [name for name, kind in KINDS.items() if there[kind.needs]]

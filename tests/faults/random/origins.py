@@ -1,13 +1,13 @@
 """The undisturbed runs, each computed once, and the policies that misbehave when a case asks."""
 
+import gc
 import importlib.util
-import json
-import os
+import io
 import random
 import shutil
 import sys
 import time
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,9 @@ from pathlib import Path
 from case import Case
 from injection import site
 
+from nw_eval.cli import main
 from nw_eval.files.cache import cache_dir
+from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
 
 SUITE = """\
@@ -66,7 +68,11 @@ class Origin:
 
     @property
     def cache(self):
-        return self.work / "cache" if self.name == "rendered" else None
+        return self.work / "cache" if self.name in _CACHES else None
+
+    @property
+    def cache_gb(self):
+        return _CACHES.get(self.name, 0)
 
     def order(self, case):
         """Return the file from which the policy of a case takes its order."""
@@ -89,7 +95,7 @@ class Origin:
     def resumed(self):
         """Words to finish any run of it with: one process is enough."""
         leave = ("--allow-code",) if self.name == "obeying" else ()
-        return (*leave, *(("--workers", 2) if self.name == "rendered" else ("--in-process",)))
+        return (*leave, *(("--workers", 2) if self.name in _CACHES else ("--in-process",)))
 
 
 # By name: the policy, the record, and further words. `alone` is without workers.
@@ -99,7 +105,10 @@ _KINDS = {
     "network": ("slow", "none", ("--workers", 2)),
     "obeying": ("obeying", "none", ("--workers", 1, "--allow-code")),
     "rendered": ("stand", "all", ("--workers", 2)),
+    "cached": ("stand", "none", ("--workers", 2)),
 }
+# GB of trials in the caches of those that have one of their own.
+_CACHES = {"rendered": 0, "cached": 1}
 
 
 class Origins:
@@ -131,24 +140,28 @@ class Origins:
     def _undisturbed(self, name):
         policy, record, words = _KINDS[name]
         work = self._work / f"origin-{name}"
-        case = Case(work=work, draw=random.Random(0))
+        case = Case(work=work, draw=random.Random(0), cache_gb=_CACHES.get(name, 0))
         (work / "suite.yaml").write_text(
             SUITE.format(policy=self._path(policy), record=record, trials=TRIALS)
         )
         words = (work / "suite.yaml", *words)
-        cache = work / "cache" if name == "rendered" else None
+        cache = work / "cache" if name in _CACHES else None
         if cache is not None:
-            # Compiling takes longer than all else; where kernels are compiled already, take them.
-            shutil.copytree(cache_dir("kernels"), cache / "kernels")
+            if record != "none":
+                # Compiling takes longer than all else; take kernels that are compiled already.
+                shutil.copytree(cache_dir("kernels"), cache / "kernels")
             case.start(*words, "--out", work / "first", cache=cache).end()
         began = time.monotonic()
         code = case.start(*words, "--out", case.folder, cache=cache).end()
         assert code == VERDICT, (code, case.run.said)
+        digest = rows_digest(case.rows().values())
+        if cache is not None:
+            assert digest == read_run_info(work / "first" / "run.json").rows_digest
         return Origin(
             name=name,
             work=work,
             words=words,
-            digest=rows_digest(case.rows().values()),
+            digest=digest,
             seconds=time.monotonic() - began,
         )
 
@@ -165,28 +178,15 @@ def _note(file):
     sys.setprofile(listen)
 
 
-def import_what_runs_import(work):
-    """Import in this process whatever a run does, so that its forks need not."""
+def run_once(work):
+    """Run a trial in this process: its forks import and look up nothing that all runs do."""
     suite = work / "first.yaml"
     suite.write_text(SUITE.format(policy="stand", record="none", trials=1))
-    seen = work / "modules.json"
-    child = os.fork()
-    if child == 0:
-        with suppress(SystemExit):
-            sys.argv = ["nw-eval", "run", str(suite), "--out", str(work / "first"), "--in-process"]
-            handle = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(handle, 1)
-            os.dup2(handle, 2)
-            from nw_eval.cli import main
-
-            main()
-        names = [name for name in sys.modules if name != "__main__"]
-        seen.write_text(json.dumps(names))
-        os._exit(0)
-    os.waitpid(child, 0)
-    for name in json.loads(seen.read_text()):
-        with suppress(Exception):  # Modules that made themselves.
-            importlib.import_module(name)
+    words = ["run", str(suite), "--out", str(work / "first"), "--in-process"]
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), suppress(SystemExit):
+        main(words)
+    gc.collect()
+    gc.freeze()  # A fork that looked for garbage would copy every page.
 
 
 def _bundles():

@@ -23,7 +23,7 @@ from aftermath import faults_of
 from case import Case
 from hits import cache_of
 from kinds import KINDS, possible
-from origins import VERDICT, Origins, import_what_runs_import
+from origins import VERDICT, Origins, run_once
 from tally import table
 
 _RESUMES = 3
@@ -33,7 +33,12 @@ def play(origin, kind, seed):
     """Hit one run, resume it until it is done; return how it first ended and what was wrong."""
     # A process that was hit may still stand in the folder; that it goes is tested elsewhere.
     with tempfile.TemporaryDirectory(dir=origin.work, ignore_cleanup_errors=True) as name:
-        case = Case(work=Path(name), draw=random.Random(seed), longest=origin.seconds)
+        case = Case(
+            work=Path(name),
+            draw=random.Random(seed),
+            longest=origin.seconds,
+            cache_gb=origin.cache_gb,
+        )
         KINDS[kind].hit(case, origin)
         first = case.run.end()
         if first not in {*KINDS[kind].codes, VERDICT}:
@@ -119,7 +124,7 @@ def main():
     plan = drawn(asked.count, asked.seed, asked.first, kinds)
     with tempfile.TemporaryDirectory(prefix="nw-eval-faults-", ignore_cleanup_errors=True) as name:
         work = Path(name)
-        import_what_runs_import(work)
+        run_once(work)
         origins = Origins(work)
         origins.compute({KINDS[kind].origin for _, kind in plan})
         shares = [plan[each :: asked.jobs] for each in range(asked.jobs)]

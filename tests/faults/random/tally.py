@@ -25,7 +25,7 @@ def table(ended, seed):
         first = "; ".join(f"{count} x {end}" for end, count in sorted(ends.items()))
         recovered = sum(not each["wrong"] for each in mine)
         lines.append(f"| {kind} | {len(mine)} | {recovered} | {first} |")
-    impossible = [name for name in KINDS if name not in possible()]
+    impossible = [f"{name} ({KINDS[name].needs})" for name in KINDS if name not in possible()]
     if impossible:
-        lines += ["", f"Not possible here, without mounts: {', '.join(impossible)}."]
+        lines += ["", f"Not possible here, for want of something: {', '.join(impossible)}."]
     return "\n".join(lines) + "\n"

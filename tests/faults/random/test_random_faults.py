@@ -24,13 +24,13 @@ def play(*words):
 
 
 def test_thirty_random_faults_change_nothing():
-    play(30, 9, "--fast")
+    play(30, 9, "--fast", "--jobs", 2)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(6 * 3600)
 def test_two_hundred_random_faults_change_nothing():
-    play(200, 14, "--out", TALLY)
+    play(200, 15, "--jobs", 2, "--out", TALLY)
 
 
 def test_the_tally_that_is_kept_is_of_every_kind_and_of_two_hundred_faults(monkeypatch):

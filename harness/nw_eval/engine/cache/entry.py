@@ -100,10 +100,12 @@ def read_entry(path: Path) -> CacheEntry:
     saved = json.loads(unseal(data)[0])
     if saved["entry"] != FORMAT or saved["key"] != path.name:
         raise ValueError("it is of another version, or of another trial")
-    log = cast("dict[str, Any]", saved["log"])
+    log, row = cast("dict[str, Any]", saved["log"]), from_dict(saved["row"])
+    if row.mcap_sha256 not in {"", log["sha256"]}:
+        raise ValueError("its log was damaged before it was kept")
     return CacheEntry(
         path=path,
-        row=from_dict(saved["row"]),
+        row=row,
         log_bytes=log["bytes"],
         log_sha256=log["sha256"],
     )

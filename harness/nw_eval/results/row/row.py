@@ -159,14 +159,15 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        values = {name: getattr(self, name) for name in _OF_THE_RESULT}
-        kept = {name: value for name, value in values.items() if COLUMNS[name].in_digest(value)}
+        kept = dict(zip(_OF_THE_RESULT, _RESULT(self), strict=True))
+        for name in _CAME_LATER:
+            if not COLUMNS[name].in_digest(kept[name]):
+                del kept[name]
         kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
         kept["contact_s"] = self.contact_s  # It came before later ones were left out.
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
-        text = json.dumps(kept, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return sha256(text.encode()).hexdigest()
+        return sha256(_ENCODE(kept).encode()).hexdigest()
 
 
 _END = ("status", "outcome", "waypoints_reached", "waypoints_total", "success", "completed")
@@ -197,11 +198,14 @@ COLUMNS = columns_of(Row)
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
 _OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
+_CAME_LATER = tuple(name for name in _OF_THE_RESULT if COLUMNS[name].added)
+_RESULT, _ALL = attrgetter(*_OF_THE_RESULT), attrgetter(*COLUMNS)
+_ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
 
 def to_dict(row: Row) -> dict[str, Any]:
     """Return a row as plain JSON values."""
-    return {name: getattr(row, name) for name in COLUMNS}
+    return dict(zip(COLUMNS, _ALL(row), strict=True))
 
 
 def from_dict(values: dict[str, Any]) -> Row:
