@@ -150,8 +150,8 @@ class Recorder(Observer):
         step, moment = self._episode.step, decision.moment
         digest, rows = self._seen.rows.note(decision.observation)
         world = self._episode.world
-        said = world.torques, decision.action, decision.applied, decision.targets
-        data = b"".join((*self._moving, *map(np.ndarray.tobytes, said), *rows))
+        outputs = world.torques, decision.action, decision.applied, decision.targets
+        data = b"".join((*self._moving, *map(np.ndarray.tobytes, outputs), *rows))
         error = None if moment is None else moment.delta_yaw
         call = Call(step, self._policy_digest, error, digest, self._seen.new)
         self._policy_digest = b""

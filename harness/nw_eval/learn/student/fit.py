@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from nw_eval.learn.student.config import StudentConfig
-    from nw_eval.learn.student.data.dataset import Batch, Dataset
+    from nw_eval.learn.student.data.dataset import Dataset, Minibatch
 
 _LARGEST_GRADIENT = 1.0
 _LAST_RATE = 0.01
@@ -102,7 +102,7 @@ class Learner:
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
 
-    def _images(self, batch: Batch, random: Randomiser) -> Tensor:
+    def _images(self, batch: Minibatch, random: Randomiser) -> Tensor:
         """Return what the network sees of a batch, changed at random."""
         sees = self._config.sees
         view = random.view(self._config.learns.batch_images, (sees.height, sees.width))

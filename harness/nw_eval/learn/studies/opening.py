@@ -10,7 +10,7 @@ from nw_eval.learn.program.config import load_config
 from nw_eval.learn.studies.evaluate import suite_of
 from nw_eval.learn.studies.folder import StudyFolder
 from nw_eval.learn.studies.plan import settled
-from nw_eval.learn.studies.study import Study
+from nw_eval.learn.studies.study import StudyRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ def open_study(
     say: Callable[[str], None],
     listening: Callable[[], AbstractContextManager[Listener]],
     workers: int | None = None,
-) -> Study:
+) -> StudyRun:
     """Begin a study, or take one up again.
 
     Args:
@@ -64,7 +64,7 @@ def open_study(
         folder = StudyFolder(out or _RUNS / settings.name)
         students = kind.students(settings)
         folder.begin(settings, students, suite_of(settings, students))
-    return Study(
+    return StudyRun(
         kind,
         folder,
         students,

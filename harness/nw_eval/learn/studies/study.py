@@ -36,7 +36,7 @@ class _Stage:
         return "trains" if self.round is None else "evaluates"
 
 
-class Study:
+class StudyRun:
     """A study in its folder.
 
     Args:

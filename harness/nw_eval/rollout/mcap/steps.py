@@ -99,10 +99,10 @@ class Steps:
         if called:
             times = times[called]
             calls = [note.call for note in notes if note.call is not None]
-            said = _numbers([notes[number].data[body:actions] for number in called])
-            given = [notes[number].data[actions:] for number in called]
-            parts.append((called, self._policy(times, calls, said, given, channels)))
-            for which, batch in self._given(times, calls, given, channels):
+            outputs = _numbers([notes[number].data[body:actions] for number in called])
+            observed = [notes[number].data[actions:] for number in called]
+            parts.append((called, self._policy(times, calls, outputs, observed, channels)))
+            for which, batch in self._observations(times, calls, observed, channels):
                 parts.append(([called[number] for number in which], batch))
         return parts
 
@@ -125,11 +125,11 @@ class Steps:
         self,
         times: Integers,
         calls: Sequence[Call],
-        said: Array,
-        given: Sequence[bytes],
+        outputs: Array,
+        observed: Sequence[bytes],
         channels: Channels,
     ) -> Batch:
-        each = zip(calls, given, strict=True)
+        each = zip(calls, observed, strict=True)
         missing = [data for call, data in each if not call.digest]
         digests = iter(self._seen.digests(missing) if missing else ())
         at = times.tolist()
@@ -138,15 +138,15 @@ class Steps:
             [call.step for call in calls],
             observations=[call.digest or next(digests) for call in calls],
             states=[call.state_digest for call in calls],
-            numbers=said,
+            numbers=outputs,
         )
         return records([channels("/nw/policy", PolicyStep)] * len(at), at, messages)
 
-    def _given(
+    def _observations(
         self,
         times: Integers,
         calls: Sequence[Call],
-        given: Sequence[bytes],
+        observed: Sequence[bytes],
         channels: Channels,
     ) -> Iterator[tuple[list[int], Batch]]:
         """Yield commands and observations, those together that came together: which, and what."""
@@ -156,15 +156,15 @@ class Steps:
                 groups.setdefault(call.new, []).append(number)
         for new, which in groups.items():
             errors = [calls[number].heading_error or 0.0 for number in which]
-            asked = np.array([(*self._command(error), error) for error in errors])
-            forms, numbers = self._seen.numbers(new, [given[number] for number in which])
+            commands = np.array([(*self._command(error), error) for error in errors])
+            forms, numbers = self._seen.numbers(new, [observed[number] for number in which])
             yield (
                 which,
                 _filled(
                     channels,
                     {"/robot/command": command_form(), **forms},
                     times[which],
-                    (rounded(asked), *numbers),
+                    (rounded(commands), *numbers),
                 ),
             )
 

@@ -43,7 +43,7 @@ class Driving:
         self._workers = workers
         self._failed: dict[str, str] = {}
         self._successes: list[float] = []
-        self._began = self._said = time.monotonic()
+        self._began = self._spoke_at = time.monotonic()
 
     def run(self, is_ending: Callable[[], bool]) -> bool:
         """Drive what is missing; return whether that is done, or was ended before.
@@ -83,14 +83,14 @@ class Driving:
             self._failed[name] = result.error_text
         else:
             self._successes.append(result.success)
-        if time.monotonic() - self._said >= _EVERY:
+        if time.monotonic() - self._spoke_at >= _EVERY:
             self._tell()
 
     def _tell(self) -> None:
         """Say how far it is."""
-        self._said = time.monotonic()
+        self._spoke_at = time.monotonic()
         count, all_ = len(self._successes), len(self._round.jobs)
-        minutes = max(self._said - self._began, 1e-3) / 60.0
+        minutes = max(self._spoke_at - self._began, 1e-3) / 60.0
         left = len(self._round.missing)
         trajectories = plural(all_, "trajectory", "trajectories")
         words = [

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch:
+class Minibatch:
     """M images with the N control steps that each of them is the newest image of."""
 
     images: dict[str, NDArray[np.uint8]]
@@ -87,7 +87,7 @@ class Dataset:
         total = sum(getattr(one, camera).sum(0, dtype=np.float64) for one in self.trajectories)
         return np.asarray(total) / (255.0 * self.images)
 
-    def draw(self, rng: np.random.Generator, images: int) -> Batch:
+    def draw(self, rng: np.random.Generator, images: int) -> Minibatch:
         """Return a batch of so many images, each as likely as any other."""
         chosen = rng.integers(0, self.images, images)
         owners = np.searchsorted(self._firsts, chosen, side="right") - 1
@@ -102,7 +102,7 @@ class Dataset:
                 picked = getattr(one, name)[wanted]
                 stack.append(picked.reshape(-1, *picked.shape[2:]))
             rows.append(_rows(one, frame, place, self._chunk))
-        return Batch(
+        return Minibatch(
             images={name: np.stack(stack) for name, stack in stacks.items()},
             image_of=np.concatenate([row.image_of for row in rows]),
             body=np.concatenate([row.body for row in rows]),

@@ -75,7 +75,7 @@ class Observations:
                 rows=tuple(
                     (
                         each.label,
-                        given(each.config.sees),
+                        inputs_in_words(each.config.sees),
                         *(cell(alone.get((each.name, part))) for part in PARTS),
                     )
                     for each in students
@@ -104,7 +104,7 @@ class Observations:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
         place = {each.name: at for at, each in enumerate(students)}
         names = [
-            f"{folded(each.label, 14)}\n({given(each.config.sees, separator=chr(10))})"
+            f"{folded(each.label, 14)}\n({inputs_in_words(each.config.sees, separator=chr(10))})"
             for each in students
         ]
         for axes, is_difference in ((above, False), (below, True)):
@@ -128,7 +128,7 @@ class Observations:
         save(figure, path)
 
 
-def given(sees: Sees, separator: str = ", ") -> str:
+def inputs_in_words(sees: Sees, separator: str = ", ") -> str:
     """Return what a student is given, in words."""
     words = [" + ".join(sees.cameras)]
     words += ["cones" if sees.cones else "no cones"]
