@@ -60,9 +60,7 @@ NOT_RUN = MappingProxyType(
         "nw-eval study single-scene single-scene-reduced": (
             "the better part of an hour; test_study_resumption.py runs a small one"
         ),
-        "nw-eval study single-scene --resume training/runs/single-scene-reduced": (
-            "goes on with that"
-        ),
+        "nw-eval study single-scene --resume runs/single-scene-reduced": ("goes on with that"),
         "nw-eval study observations mine.yaml --out my-study": (
             "some minutes; test_study_configs.py reads the config of the page"
         ),
@@ -71,8 +69,8 @@ NOT_RUN = MappingProxyType(
             "minutes; tests/learn/student trains smaller ones"
         ),
         "nw-eval train student student-rgb": "hours",
-        "nw-eval train student --resume training/runs/student-rgb": "hours",
-        "nw-eval run hurdles --policy training/runs/student-rgb/policies/round-4": (
+        "nw-eval train student --resume runs/student-rgb": "hours",
+        "nw-eval run hurdles --policy runs/student-rgb/policies/round-4": (
             "the policy is there after hours; tests/learn/student runs smaller ones"
         ),
     }

@@ -40,7 +40,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
     monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda path, *_: path.touch())
     assert run("train", "teacher", config) == 0
     assert "64 of 64 control steps" in capsys.readouterr().out
-    folder = tmp_path / "training" / "runs" / "mine"
+    folder = tmp_path / "runs" / "mine"
     assert {path.name for path in folder.iterdir()} >= {
         "config.yaml", "curve.parquet", "curve.png", "policy", "state.pt",
     }  # fmt: skip

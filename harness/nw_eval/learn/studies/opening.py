@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.learn.studies.kinds.kind import Kind
 
-_RUNS = Path("training", "runs")
+_RUNS = Path("runs")
 
 
 def open_study(
@@ -37,7 +37,7 @@ def open_study(
     Args:
         kind: of the study.
         config: its file; None only with `resume`.
-        out: its folder; `training/runs/NAME` if None.
+        out: its folder; `runs/NAME` if None.
         resume: the folder of a study to go on with.
         say: takes a line for people.
         listening: makes what hears of one evaluation.

@@ -19,7 +19,7 @@ class Program:
     config: tyro.conf.Positional[str | None] = None
     """A config file, or the name of a shipped one; a folder to resume has its own."""
     out: Path | None = None
-    """The folder of the training; `training/runs/<config's name>` when absent."""
+    """The folder of the training; `runs/<config's name>` when absent."""
     resume: Path | None = None
     """Go on with the training in this folder."""
 
@@ -37,7 +37,7 @@ class Program:
         if self.config is None:
             raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
         config = find_config(self.config)
-        out = self.out or Path("training", "runs", config.stem)
+        out = self.out or Path("runs", config.stem)
         return end_of_training(self._train(config, out))
 
     def _train(self, config: Path, out: Path) -> Trained:

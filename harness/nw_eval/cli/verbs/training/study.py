@@ -20,7 +20,7 @@ class _Options:
     """A config file, or the name of a shipped one such as `single-scene-reduced`. Only --resume can
     do without."""
     out: Path | None = None
-    """The study's folder; `training/runs/<name>` when absent."""
+    """The study's folder; `runs/<name>` when absent."""
     resume: Path | None = None
     """The folder of a study to go on with: what is trained and evaluated there is kept."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
