@@ -231,6 +231,7 @@ def test_signs_that_the_checkpoint_does_not_have_are_found_in_the_targets(tmp_pa
 
 @pytest.mark.assets
 @needs_assets
+@pytest.mark.nightly
 def test_hips_with_half_of_their_scale_walk_but_do_not_step_sideways(tmp_path):
     card = example("himloco-go2")
     card["control"]["scale"] = {"hip": 0.125, "thigh": 0.25, "calf": 0.25}
@@ -400,6 +401,7 @@ def test_a_robot_too_weak_to_stand_is_told_stronger_gains(tmp_path, kp, is_still
 
 @pytest.mark.assets
 @needs_assets
+@pytest.mark.nightly
 def test_a_stumbling_policy_is_told_a_delay_that_is_not_its_own(tmp_path):
     card = example("himloco-go2")
     card["control"]["delay_steps"] = 3
@@ -412,6 +414,7 @@ def test_a_stumbling_policy_is_told_a_delay_that_is_not_its_own(tmp_path):
 
 @pytest.mark.assets
 @needs_assets
+@pytest.mark.nightly
 def test_a_stumbling_policy_is_not_told_a_card_under_which_it_ignores_its_commands(tmp_path):
     card = example("himloco-go2")
     card["command"]["speed"] = 3.0  # Faster than it can.
@@ -485,6 +488,7 @@ def test_a_policy_that_never_turns_as_fast_as_it_is_told_is_told_its_cure(tmp_pa
 
 @pytest.mark.assets
 @needs_others
+@pytest.mark.nightly
 def test_a_default_pose_whose_hips_have_the_other_sign_is_told(tmp_path):
     card, weights = card_of("chenci-go2")
     card["control"]["default_pose"] = {"hip": -0.1, "FR_hip": 0.1, "RR_hip": 0.1}

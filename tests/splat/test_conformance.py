@@ -58,6 +58,7 @@ def test_a_larger_image_agrees_to_95_db(room_100k):
     assert psnr(*((image.rgb, rgb) for image, rgb, _, _ in pairs)) >= 95
 
 
+@pytest.mark.nightly
 def test_a_room_of_500k_agrees_to_80_db():
     pairs = _compare(room(500_000, degree=1), [eye_camera(0, 160, 90)])
     assert psnr(*((image.rgb, rgb) for image, rgb, _, _ in pairs)) >= 80

@@ -38,6 +38,7 @@ def stages(lines):
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)  # Of waiting, on a machine that does other things too.
+@pytest.mark.nightly
 def test_a_study_killed_after_its_first_student_trains_only_the_rest(written, small, tmp_path):
     first, out = [], tmp_path / "study"
     with pytest.raises(Killed):
