@@ -55,6 +55,7 @@ def shell(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worked_example_works_as_it_is_written(tmp_path, shell):
     blocks = BLOCK.findall(PAGE.read_text(encoding="utf-8"))
     assert [kind for kind, _, _ in blocks].count("sh") >= 4
