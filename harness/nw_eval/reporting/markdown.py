@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
 from nw_eval.gate.verdict import Verdict
@@ -50,6 +48,8 @@ def render_page(
         unfolded: tables that are shown at once; the rest is behind a line to click on. All if None.
     """
     # Markdown, not HTML: `escaped` escapes what would break a table.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(  # noqa: S701
         loader=PackageLoader("nw_eval.reporting"),
         undefined=StrictUndefined,

@@ -3,62 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, cast
+from functools import reduce
+from operator import or_
+from pkgutil import resolve_name
+from types import MappingProxyType
+from typing import Annotated, Any, cast
 
 import tyro
 
 from nw_eval import __version__
-from nw_eval.cli.verbs.blame import Blame
-from nw_eval.cli.verbs.check import Check
-from nw_eval.cli.verbs.judging.agree import Agree
-from nw_eval.cli.verbs.judging.baseline import Baseline
-from nw_eval.cli.verbs.judging.bisect import BisectSeries
-from nw_eval.cli.verbs.judging.compare import Compare
-from nw_eval.cli.verbs.judging.gate import GateRun
-from nw_eval.cli.verbs.judging.ledger import Ledger
-from nw_eval.cli.verbs.judging.merge import MergeRuns
-from nw_eval.cli.verbs.judging.plan import PlanTrials
-from nw_eval.cli.verbs.parts.cache import CacheOfTrials
-from nw_eval.cli.verbs.parts.policies import Policies
-from nw_eval.cli.verbs.parts.scenes import Scenes
-from nw_eval.cli.verbs.parts.schema import Schema
-from nw_eval.cli.verbs.parts.sensors import Sensors
-from nw_eval.cli.verbs.parts.splat import Splat
-from nw_eval.cli.verbs.parts.suites import Suites
-from nw_eval.cli.verbs.replay import Replay
-from nw_eval.cli.verbs.report import Report
-from nw_eval.cli.verbs.run import Run
-from nw_eval.cli.verbs.training.study import Study
-from nw_eval.cli.verbs.training.train import Train
-from nw_eval.cli.verbs.verify import Verify
-from nw_eval.cli.verbs.warmup import Warmup
 
-Verb = (
-    Annotated[Run, tyro.conf.subcommand("run")]
-    | Annotated[Check, tyro.conf.subcommand("check")]
-    | Annotated[PlanTrials, tyro.conf.subcommand("plan")]
-    | Annotated[Suites, tyro.conf.subcommand("suites")]
-    | Annotated[Baseline, tyro.conf.subcommand("baseline")]
-    | Annotated[GateRun, tyro.conf.subcommand("gate")]
-    | Annotated[MergeRuns, tyro.conf.subcommand("merge")]
-    | Annotated[Ledger, tyro.conf.subcommand("ledger")]
-    | Annotated[BisectSeries, tyro.conf.subcommand("bisect")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Agree, tyro.conf.subcommand("agree")]
-    | Annotated[Replay, tyro.conf.subcommand("replay")]
-    | Annotated[Verify, tyro.conf.subcommand("verify")]
-    | Annotated[Blame, tyro.conf.subcommand("blame")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Study, tyro.conf.subcommand("study")]
-    | Annotated[Policies, tyro.conf.subcommand("policies")]
-    | Annotated[Scenes, tyro.conf.subcommand("scenes")]
-    | Annotated[Sensors, tyro.conf.subcommand("sensors")]
-    | Annotated[Splat, tyro.conf.subcommand("splat")]
-    | Annotated[Schema, tyro.conf.subcommand("schema")]
-    | Annotated[CacheOfTrials, tyro.conf.subcommand("cache")]
-    | Annotated[Warmup, tyro.conf.subcommand("warmup")]
+_VERBS = MappingProxyType(
+    {
+        "run": "run:Run",
+        "check": "check:Check",
+        "plan": "judging.plan:PlanTrials",
+        "suites": "parts.suites:Suites",
+        "baseline": "judging.baseline:Baseline",
+        "gate": "judging.gate:GateRun",
+        "merge": "judging.merge:MergeRuns",
+        "ledger": "judging.ledger:Ledger",
+        "bisect": "judging.bisect:BisectSeries",
+        "report": "report:Report",
+        "compare": "judging.compare:Compare",
+        "agree": "judging.agree:Agree",
+        "replay": "replay:Replay",
+        "verify": "verify:Verify",
+        "blame": "blame:Blame",
+        "train": "training.train:Train",
+        "study": "training.study:Study",
+        "policies": "parts.policies:Policies",
+        "scenes": "parts.scenes:Scenes",
+        "sensors": "parts.sensors:Sensors",
+        "splat": "parts.splat:Splat",
+        "schema": "parts.schema:Schema",
+        "cache": "parts.cache:CacheOfTrials",
+        "warmup": "warmup:Warmup",
+    }
 )
+"""Where each of them is, in the order of the help text."""
 
 
 def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
@@ -70,16 +53,30 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
     if list(arguments) == ["--version"]:
         print(f"nw-eval {__version__}")
         raise SystemExit(0)
+    # The other verbs take longer to import than many a verb takes to run.
+    if arguments and arguments[0] in _VERBS:
+        try:
+            return _parsed(_verb(arguments[0]), arguments[1:], console_outputs=False)
+        except SystemExit:
+            pass  # Help, or usage: all verbs say that, which know each other's options.
+    verbs = [Annotated[_verb(name), tyro.conf.subcommand(name)] for name in _VERBS]
+    return _parsed(reduce(or_, verbs), arguments, prog="nw-eval", description=description)
+
+
+def _verb(name: str) -> Any:
+    return resolve_name(f"{__name__}.{_VERBS[name]}")
+
+
+def _parsed(form: Any, arguments: Sequence[str], **words: Any) -> Callable[[], int]:
     verb = tyro.cli(
-        Verb,  # pyright: ignore[reportArgumentType]
+        form,
         args=arguments,
-        prog="nw-eval",
-        description=description,
         config=(
             tyro.conf.OmitSubcommandPrefixes,
             tyro.conf.FlagCreatePairsOff,
             tyro.conf.DisallowNone,  # Who wants none leaves the option out.
             tyro.conf.PositionalMetavarFromFieldName,
         ),
+        **words,
     )
     return cast("Callable[[], int]", verb)

@@ -31,7 +31,7 @@ from nw_eval.suite.model import Gate
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
-_FEWEST, _DRAWS = 200, 6_000_000
+_FEWEST, _DRAWS = 200, 2_000_000
 """Of banks with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
 
 
