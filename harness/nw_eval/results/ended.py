@@ -13,11 +13,12 @@ from hashlib import file_digest
 
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
-from nw_eval.results.evidence.digests import digests_of, write_digests
+from nw_eval.results.evidence.digests import Digests, write_digests
+from nw_eval.results.evidence.leaves import row_leaves, run_leaf
 from nw_eval.results.journal import last_sum, read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
 from nw_eval.results.provenance import RunInfo, write_run_info
-from nw_eval.results.row import Row, rows_digest
+from nw_eval.results.row import Result, Row, digest_of_results, rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
 
 _NAMED = 3  # trials that a sentence names before it says "and more"
@@ -38,18 +39,23 @@ def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunIn
         StoreError: a file cannot be written.
     """
     kept = list(rows)
-    digests = digests_of(info, kept)
+    leaves: dict[str, str] = {}
+    results: list[Result] = []
+    for texts in texts_of(kept):
+        leaves |= row_leaves(texts)
+        results += texts.results()
+    digests = Digests(run=run_leaf(info), rows=leaves)
     write_digests(folder.digests, digests)
-    ended = _write_table(folder, info, kept)
+    ended = _write_table(folder, info, kept, digest_of_results(results))
     sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
     return ended.model_copy(update=sums)
 
 
-def _write_table(folder: RunFolder, info: RunInfo, kept: Sequence[Row]) -> RunInfo:
+def _write_table(folder: RunFolder, info: RunInfo, kept: Sequence[Row], digest: str) -> RunInfo:
     """Write trials.parquet alone: what a run was when it ended is not said anew."""
     from nw_eval.results.parquet import write_rows
 
-    ended = info.model_copy(update={"rows_digest": rows_digest(kept)})
+    ended = info.model_copy(update={"rows_digest": digest})
     metadata = {
         "run_id": ended.id,
         "suite_digest": ended.suite_digest,
@@ -116,7 +122,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         return []
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        again = _write_table(folder, info, rows)
+        again = _write_table(folder, info, rows, rows_digest(rows))
         if again != info:  # Another version of Arrow writes the same rows as other bytes.
             write_run_info(folder.run_json, again)
     except StoreError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.row import COLUMNS, Row, from_dicts, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -35,8 +36,10 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
     Raises:
         StoreError: the file cannot be written.
     """
-    ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=SCHEMA)
+    ordered = sorted(rows, key=attrgetter("trial_id", "arm"))
+    columns = by_column(ordered)
+    arrays = [pa.array(columns[field.name], field.type) for field in SCHEMA]
+    table = pa.Table.from_arrays(arrays, schema=SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
 
 

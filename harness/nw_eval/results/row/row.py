@@ -159,12 +159,12 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        kept = dict(zip(_OF_THE_RESULT, _RESULT(self), strict=True))
-        for name in _CAME_LATER:
+        kept = dict(zip(OF_THE_RESULT, _RESULT(self), strict=True))
+        for name in CAME_LATER:
             if not COLUMNS[name].in_digest(kept[name]):
                 del kept[name]
-        kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
-        kept["contact_s"] = self.contact_s  # It came before later ones were left out.
+        for name, word in CALLED.items():
+            kept[word] = kept.pop(name)
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
         return sha256(_ENCODE(kept).encode()).hexdigest()
@@ -197,15 +197,29 @@ COLUMNS = columns_of(Row)
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
-_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
-_CAME_LATER = tuple(name for name in _OF_THE_RESULT if COLUMNS[name].added)
-_RESULT, _ALL = attrgetter(*_OF_THE_RESULT), attrgetter(*COLUMNS)
+OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
+"""The columns of a row's digest."""
+
+# `contact_s` came before later ones were left out.
+CAME_LATER = tuple(name for name in OF_THE_RESULT if COLUMNS[name].added and name != "contact_s")
+"""Those that the digest leaves out while they have their defaults."""
+
+CALLED = {"success": "fraction"}
+"""What the digest calls a column: as it was called when the first digests were published."""
+
+_RESULT, _ALL = attrgetter(*OF_THE_RESULT), attrgetter(*COLUMNS)
 _ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
 
 def to_dict(row: Row) -> dict[str, Any]:
     """Return a row as plain JSON values."""
     return dict(zip(COLUMNS, _ALL(row), strict=True))
+
+
+def by_column(rows: Iterable[Row]) -> dict[str, Sequence[Any]]:
+    """Return the values of rows, as `to_dict` has them, by column."""
+    columns = list(zip(*map(_ALL, rows), strict=True))
+    return dict(zip(COLUMNS, columns or [()] * len(COLUMNS), strict=True))
 
 
 def from_dict(values: dict[str, Any]) -> Row:
@@ -264,9 +278,3 @@ def _of_kept(values: dict[str, Any]) -> Row:
     row = object.__new__(Row)
     object.__setattr__(row, "__dict__", values)
     return row
-
-
-def rows_digest(rows: Iterable[Row]) -> str:
-    """Return one hex sha256 for a set of rows, whatever their order and wall times."""
-    parts = sorted((row.trial_id, row.arm, row.digest) for row in rows)
-    return sha256(json.dumps(parts).encode()).hexdigest()
