@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from nw_eval.errors import UsageError
-from nw_eval.suite.digest import digest_of
+from nw_eval.suite.digest import canonical
 from nw_eval.words import Tier
 
 if TYPE_CHECKING:
@@ -72,9 +72,9 @@ class Trial:
     @cached_property
     def identity(self) -> str:
         """Hex sha256 of the identity."""
-        return digest_of(
-            [self.suite_digest, self.scene_digest, self.task, self.index, self.perturbation]
-        )
+        place = _beginning(self.suite_digest, self.scene_digest, self.task)
+        cell = canonical(self.perturbation) if self.perturbation else "[]"
+        return sha256(f"{place},{self.index},{cell}]".encode()).hexdigest()
 
     def seed_sequence(self, stream: str = "") -> np.random.SeedSequence:
         """Return the seed sequence of a named random stream of this trial.
@@ -99,6 +99,12 @@ class Trial:
     def seed(self) -> int:
         """The trial's seed as one unsigned 64-bit number, for rows and for policies."""
         return int(self.seed_sequence().generate_state(1, np.uint64)[0])
+
+
+@lru_cache(maxsize=4096)
+def _beginning(suite_digest: str, scene_digest: str, task: str) -> str:
+    """Return how the canonical text of an identity begins: the same for all trials of a scene."""
+    return canonical([suite_digest, scene_digest, task])[:-1]
 
 
 def wanted(trials: Iterable[Trial], rounds: int | None) -> tuple[Trial, ...]:
@@ -129,6 +135,7 @@ def expand(
             fix="lower `trials`, or name fewer scenes or perturbations",
         )
     digest = suite.digest
+    tiers = {scene.name: suite.gate.tier(scene.name) for scene in scenes}
     trials = tuple(
         Trial(
             suite=suite.name,
@@ -139,7 +146,7 @@ def expand(
             task=scene.task,
             index=round_ if starts is None else starts[scene.name, cell][round_],
             perturbation=cell,
-            tier=suite.gate.tier(scene.name),
+            tier=tiers[scene.name],
             drawn=None if starts is None else round_,
         )
         for round_ in range(suite.trials)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from operator import attrgetter
@@ -197,6 +197,9 @@ COLUMNS = columns_of(Row)
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
+AT_ONCE = 1000
+"""Rows that are turned into columns together: few enough for a processor's cache."""
+
 OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
 """The columns of a row's digest."""
 
@@ -216,10 +219,20 @@ def to_dict(row: Row) -> dict[str, Any]:
     return dict(zip(COLUMNS, _ALL(row), strict=True))
 
 
-def by_column(rows: Iterable[Row]) -> dict[str, Sequence[Any]]:
-    """Return the values of rows, as `to_dict` has them, by column."""
-    columns = list(zip(*map(_ALL, rows), strict=True))
-    return dict(zip(COLUMNS, columns or [()] * len(COLUMNS), strict=True))
+def by_column(rows: Sequence[Row], names: Collection[str] = COLUMNS) -> dict[str, list[Any]]:
+    """Return values of rows by column: faster by far than one column after the other.
+
+    Args:
+        rows: in any order.
+        names: of two columns or more.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    values_of = attrgetter(*names)
+    for first in range(0, len(rows), AT_ONCE):
+        some = map(values_of, rows[first : first + AT_ONCE])
+        for name, values in zip(names, zip(*some, strict=True), strict=True):
+            columns[name].extend(values)
+    return columns
 
 
 def from_dict(values: dict[str, Any]) -> Row:

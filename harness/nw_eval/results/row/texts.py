@@ -12,6 +12,7 @@ from typing import Any
 
 from nw_eval.results.row.column import Column, Numbers
 from nw_eval.results.row.row import (
+    AT_ONCE,
     CALLED,
     CAME_LATER,
     COLUMNS,
@@ -20,7 +21,6 @@ from nw_eval.results.row.row import (
     by_column,
 )
 
-_AT_ONCE = 1000  # rows; few enough for a processor's cache
 _FEW = 8  # values for each different one, from which on each is encoded once
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _LINES = json.JSONEncoder(separators=("\n", ":"), allow_nan=False).encode
@@ -85,8 +85,8 @@ def digest_of_results(results: Iterable[Result]) -> str:
 
 def texts_of(rows: Sequence[Row]) -> Iterator[RowTexts]:
     """Yield rows in portions, in their order."""
-    for first in range(0, len(rows), _AT_ONCE):
-        some = rows[first : first + _AT_ONCE]
+    for first in range(0, len(rows), AT_ONCE):
+        some = rows[first : first + AT_ONCE]
         values = by_column(some)
         texts = {name: _encoded(values[name], column) for name, column in COLUMNS.items()}
         yield RowTexts(some, values, texts)
