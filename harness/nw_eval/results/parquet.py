@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from operator import attrgetter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +35,22 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
     Raises:
         StoreError: the file cannot be written.
     """
-    ordered = sorted(rows, key=attrgetter("trial_id", "arm"))
-    columns = by_column(ordered)
-    arrays = [pa.array(columns[field.name], field.type) for field in SCHEMA]
+    write_columns(path, by_column(list(rows)), metadata)
+
+
+def write_columns(
+    path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]
+) -> None:
+    """Write rows of which all values are known by column; as `write_rows`.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    keys = list(zip(columns["trial_id"], columns["arm"], strict=True))
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    arrays = [
+        pa.array(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
+    ]
     table = pa.Table.from_arrays(arrays, schema=SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
 

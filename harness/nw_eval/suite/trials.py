@@ -107,6 +107,13 @@ def _beginning(suite_digest: str, scene_digest: str, task: str) -> str:
     return canonical([suite_digest, scene_digest, task])[:-1]
 
 
+def _of(first: Trial, index: int, drawn: int | None = None) -> Trial:
+    """Return another trial of a scene and cell; as `replace`, in a tenth of the time."""
+    trial = object.__new__(Trial)
+    object.__setattr__(trial, "__dict__", {**vars(first), "index": index, "drawn": drawn})
+    return trial
+
+
 def wanted(trials: Iterable[Trial], rounds: int | None) -> tuple[Trial, ...]:
     """Return the trials of the first rounds; all of them where `rounds` is None."""
     return tuple(trial for trial in trials if rounds is None or trial.round < rounds)
@@ -135,8 +142,7 @@ def expand(
             fix="lower `trials`, or name fewer scenes or perturbations",
         )
     digest = suite.digest
-    tiers = {scene.name: suite.gate.tier(scene.name) for scene in scenes}
-    trials = tuple(
+    firsts = [
         Trial(
             suite=suite.name,
             suite_digest=digest,
@@ -144,15 +150,22 @@ def expand(
             scene=scene.name,
             scene_digest=scene.digest,
             task=scene.task,
-            index=round_ if starts is None else starts[scene.name, cell][round_],
+            index=0,
             perturbation=cell,
-            tier=tiers[scene.name],
-            drawn=None if starts is None else round_,
+            tier=suite.gate.tier(scene.name),
         )
-        for round_ in range(suite.trials)
         for cell in cells
         for scene in scenes
-    )
+    ]
+    if starts is None:
+        trials = tuple(_of(first, round_) for round_ in range(suite.trials) for first in firsts)
+    else:
+        places = [(first, starts[first.scene, first.perturbation]) for first in firsts]
+        trials = tuple(
+            _of(first, drawn[round_], round_)
+            for round_ in range(suite.trials)
+            for first, drawn in places
+        )
     owners: dict[str, str] = {}
     for scene in scenes:
         slug = scene.name.replace("/", "-")

@@ -13,7 +13,7 @@ from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.files.cache import atomic_path, sync_folder
 from nw_eval.results.journal.header import JournalHeader
 from nw_eval.results.journal.read import JournalContents, has_begun, later, read_journal
-from nw_eval.results.row import Row, texts_of
+from nw_eval.results.row import Row, RowTexts, texts_of
 from nw_eval.results.seal import seal
 
 
@@ -167,22 +167,22 @@ class Journal:
             ) from None
 
 
-def write_journal(path: Path, header: JournalHeader, rows: Sequence[Row]) -> None:
+def write_journal(path: Path, header: JournalHeader, portions: Iterable[RowTexts]) -> None:
     """Write the journal of a run that has ended elsewhere: all of it, or nothing.
 
     Args:
         path: where to.
         header: its first line.
-        rows: one of each trial, in the order of the lines.
+        portions: of rows, one of each trial, in the order of the lines.
 
     Raises:
         StoreError: it cannot be written.
     """
-    portions = chain([[header.record()]], (texts.records() for texts in texts_of(rows)))
+    records = chain([[header.record()]], (texts.records() for texts in portions))
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         last_sum = ""
-        for records in portions:
-            lines, last_sum = _sealed(records, last_sum)
+        for some in records:
+            lines, last_sum = _sealed(some, last_sum)
             stream.write(lines)
 
 

@@ -99,14 +99,13 @@ def _read(path: Path, stream: IO[bytes]) -> JournalContents:
     dropped: str | None = None
     good, last_sum = 0, ""
     for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
-        place = f"{path}:{number}"
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-            dropped = f"{place}: dropped a line that was cut off after {len(line)} bytes"
+            dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
             break  # Only the last line can lack its end.
         try:
             body, last_sum = _unsealed(line, last_sum)
         except _DAMAGED as error:
-            raise _damaged(place, number, error) from None
+            raise _damaged(path, number, error) from None
         lines.append(body)
         good += len(line)
     header, found = _parsed(path, lines)
@@ -159,14 +158,14 @@ def _one_by_one(
         try:
             headers, rows = _records([line], json.loads)
         except _DAMAGED as error:
-            raise _damaged(f"{path}:{number}", number, error) from None
+            raise _damaged(path, number, error) from None
         found[0].extend(headers)
         found[1].extend(rows)
     return found
 
 
-def _damaged(place: str, number: int, error: Exception) -> StoreError:
-    return StoreError(f"{place}: damaged ({clean(error)})", fix=_mend(number))
+def _damaged(path: Path, number: int, error: Exception) -> StoreError:
+    return StoreError(f"{path}:{number}: damaged ({clean(error)})", fix=_mend(number))
 
 
 def _mend(number: int) -> str:
