@@ -42,7 +42,10 @@ def write_digests(path: Path, digests: Digests) -> None:
         StoreError: it cannot be written.
     """
     ordered = {name: digests.rows[name] for name in sorted(digests.rows)}
-    text = json.dumps({"digests": 1, "run": digests.run, "rows": ordered}, indent=2)
+    # As `indent=2` would have it, by the encoder that is written in C.
+    rows = json.dumps(ordered, separators=(",\n    ", ": "))[1:-1]
+    rows = f"{{\n    {rows}\n  }}" if rows else "{}"
+    text = f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {rows}\n}}'
     with atomic_path(path) as temporary:
         temporary.write_text(seal(text)[0], encoding="utf-8")
 
