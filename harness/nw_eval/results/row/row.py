@@ -265,9 +265,10 @@ def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
 
 def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
     """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
-    names = list(COLUMNS)
-    if not values or not all(list(one) == names for one in values):
+    if not values or (names := list(values[0])) != list(COLUMNS):
         return None  # The columns of another version, or in another order.
+    if not all(list(one) == names for one in values):
+        return None
     columns = zip(*(one.values() for one in values), strict=True)
     table: dict[str, Sequence[Any]] = dict(zip(names, columns, strict=True))
     try:
