@@ -199,9 +199,8 @@ def main():
     ):
         print(f"{what:16} {wall:7.1f} {used:11.1f} {size / 1e6:6.0f}")
     held = total[0] <= SECONDS and most <= BYTES
-    print(
-        f"{'target, at most':16} {SECONDS:7.1f} {'':11} {BYTES / 1e6:6.0f}  {'yes' if held else 'NO'}"
-    )
+    answer = "yes" if held else "NO"
+    print(f"{'target, at most':16} {SECONDS:7.1f} {'':11} {BYTES / 1e6:6.0f}  {answer}")
     print(f"a row alone: {1000 * single:.2f} ms; loop: {before:.2f} s, {loop():.2f} s")
     sys.exit(not held)
 
