@@ -39,7 +39,7 @@ def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
     """Return the time of each stage. Rows from the cache took none and are left out."""
     run = [row for row in rows if not row.cached]
     times = {name: f"{name}_s" for name in _STAGES}
-    sums = {
+    sums: dict[str, float] = {
         column: sum(values)
         for column, values in by_column(run, ("steps", "wall_s", "sim_s", *times.values())).items()
     }
