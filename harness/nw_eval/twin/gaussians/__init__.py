@@ -1,0 +1,1 @@
+"""Gaussians from photographs whose cameras are known."""
