@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.twin.gaussians.images import F32
 from nw_eval.twin.gaussians.kernels.ssim import RADIUS, SLOPES, photo_gradient, ssim_slopes
-from nw_eval.twin.gaussians.workers import Workers
+from nw_eval.twin.gaussians.raster.images import F32
+from nw_eval.twin.gaussians.raster.workers import Workers
 
 DEVIATION = 1.5
 """Of the window of structural similarity, in pixels."""

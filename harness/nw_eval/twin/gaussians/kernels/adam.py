@@ -27,10 +27,7 @@ def _move(
 
 @kernel
 def adam(
-    values: Any,
-    gradient: Any,
-    mean: Any,
-    square: Any,
+    arrays: Any,
     lead: Any,
     rates: Any,
     epsilon: Any,
@@ -41,10 +38,8 @@ def adam(
     """Move rows first..end-1.
 
     Args:
-        values: (N, W) float32, moved.
-        gradient: (N, W) float32.
-        mean: (N, W) float32, first moments.
-        square: (N, W) float32, second moments.
+        arrays: values, gradient, first and second moments, each (N, W) float32; all but the
+            gradient are changed.
         lead: columns that move at the first rate; the others move at the second.
         rates: (rate, rate).
         epsilon: added to the root of the second moment.
@@ -52,6 +47,7 @@ def adam(
         first: first row.
         end: behind the last one.
     """
+    values, gradient, mean, square = arrays
     share = 1.0 - BETA1**step
     lead_rate, rest_rate = np.float32(rates[0] / share), np.float32(rates[1] / share)
     numbers = (np.float32(1.0 / math.sqrt(1.0 - BETA2**step)), np.float32(epsilon))

@@ -284,9 +284,7 @@ def _write(out: Any, g: Any, records: Any, j: Any, sums: Any) -> None:
 
 
 @kernel
-def resolve(
-    light: Any, paint: Any, window: Any, background: Any, rgb: Any, alpha: Any, inverse: Any
-) -> None:
+def resolve(light: Any, paint: Any, window: Any, background: Any, pictures: Any) -> None:
     """Write a blended window into the pictures, which are planes here.
 
     Args:
@@ -294,10 +292,9 @@ def resolve(
         paint: float32, the renderer's.
         window: (column0, column1, height).
         background: (3,) float32.
-        rgb: (3, H, W) float32, out.
-        alpha: (H, W) float32, out.
-        inverse: (H, W) float32, out.
+        pictures: (rgb (3, H, W), alpha (H, W), inverse depth (H, W)) float32, out.
     """
+    rgb, alpha, inverse = pictures
     column0, column1, height = window
     stride = column1 - column0 + SLACK_COLUMNS
     for y in range(height):

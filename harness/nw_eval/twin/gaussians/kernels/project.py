@@ -97,11 +97,7 @@ def log2_opacity(logit: Any) -> Any:
 
 @kernel
 def project(
-    means: Any,
-    log_scales: Any,
-    quats: Any,
-    logits: Any,
-    sh: Any,
+    gaussians: Any,
     count: Any,
     view: Any,
     options: Any,
@@ -113,11 +109,8 @@ def project(
     """Write the records of the Gaussians first..end-1, each at its own number.
 
     Args:
-        means: (N, 3) float32.
-        log_scales: (N, 3) float32.
-        quats: (N, 4) float32.
-        logits: (N,) float32.
-        sh: (N, K, 3) float32.
+        gaussians: means (N, 3), log_scales (N, 3), quats (N, 4), opacity_logits (N,) and sh
+            (N, K, 3), all float32.
         count: harmonics per channel that are in use: 1, 4, 9 or 16, at most K.
         view: (SIZE,) float64, view.py's vector of the whole image.
         options: (eps2d, antialiased, least square of the compensation).
@@ -126,6 +119,7 @@ def project(
         records: (N * RECORD,) float32, out.
         depths: (N,) float32, out: z, infinite for those that the image does not show.
     """
+    means, log_scales, quats, logits, sh = gaussians
     eps2d, antialiased, floor2 = options
     values = np.empty(16)
     scales = np.empty(3)

@@ -108,11 +108,7 @@ def _rows_back(g: Any, view: Any, point: Any, rows: Any, g_t: Any, g_u: Any) -> 
 
 @kernel
 def project_back(
-    means: Any,
-    log_scales: Any,
-    quats: Any,
-    logits: Any,
-    sh: Any,
+    gaussians: Any,
     count: Any,
     view: Any,
     options: Any,
@@ -125,11 +121,7 @@ def project_back(
     """Write the gradients of the Gaussians first..end-1; zero for those that are not shown.
 
     Args:
-        means: (N, 3) float32; with it log_scales, quats, logits and sh as `project` takes them.
-        log_scales: see means.
-        quats: see means.
-        logits: see means.
-        sh: see means.
+        gaussians: as `project` takes them.
         count: harmonics per channel that are in use.
         view: (SIZE,) float64.
         options: as `project` takes them.
@@ -137,8 +129,9 @@ def project_back(
         end: behind the last one.
         depths: (N,) float32 of `project`.
         screen: (N, GRADIENT) float32, gradients with respect to records.
-        out: (means, log_scales, quats, logits, sh), float32, shaped like them.
+        out: arrays shaped like those of `gaussians`.
     """
+    means, log_scales, quats, logits, sh = gaussians
     g_means, g_scales, g_quats, g_logits, g_sh = out
     values = np.empty(32)
     scales = np.empty(3)
