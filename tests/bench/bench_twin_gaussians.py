@@ -82,9 +82,9 @@ def _case(count, width, repeats, *, with_torch):
     rasteriser, photo = Rasteriser(), photos[0]
     wanted = photo.planes()
     picture = rasteriser.render(gaussians, photo.camera).rgb
-    told = photo_loss(picture, wanted).gradient
+    slope = photo_loss(picture, wanted).gradient
     zeros = Images.zeros(width, width * 9 // 16)
-    upstream = Images(rgb=told, alpha=zeros.alpha, inverse_depth=zeros.inverse_depth)
+    upstream = Images(rgb=slope, alpha=zeros.alpha, inverse_depth=zeros.inverse_depth)
 
     def parts():
         return [
@@ -171,7 +171,9 @@ def _demonstrate(folder, iterations, strategy, width=320, count=12_000):
         found[kind] = np.mean([psnr(rgb, view.planes()) for rgb, view in pairs])
         similar = np.mean([photo_loss(rgb, view.planes()).ssim for rgb, view in pairs])
         before = np.mean([psnr(a, b.planes()) for a, b in zip(first, views, strict=True)])
-        print(f"  {kind:<7} {before:5.1f} dB before, {found[kind]:5.1f} dB after, SSIM {similar:.3f}")
+        print(
+            f"  {kind:<7} {before:5.1f} dB before, {found[kind]:5.1f} dB after, SSIM {similar:.3f}"
+        )
         rows = [
             np.concatenate([view.planes(), np.clip(a, 0, 1), np.clip(b, 0, 1)], axis=2)
             for view, a, b in zip(views, first, learnt, strict=True)
@@ -194,7 +196,9 @@ def main():
     options = parser.parse_args()
     torch.set_num_threads(1)
     load = os.getloadavg()[0]
-    print(f"{platform.processor() or platform.machine()}, torch {torch.__version__}, load {load:.1f}")
+    print(
+        f"{platform.processor() or platform.machine()}, torch {torch.__version__}, load {load:.1f}"
+    )
     print(" Gaussians    image  render    loss    back    step  1 thread  2 threads   torch/ours")
     misses = []
     cases = [(count, width) for count in (10_000, 50_000, 100_000) for width in (160, 320, 640)]

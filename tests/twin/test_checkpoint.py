@@ -52,7 +52,11 @@ def test_a_file_that_is_missing_or_damaged_is_named(saved):
 
 
 def test_other_photographs_and_other_wishes_are_noticed(saved):
-    for taken, config in ((photos(3), BUSY), (photos(2), replace(BUSY, seed=5))):
+    other = photos(2)
+    other[1].rgb[0, 0, 0] ^= 1
+    masked = [replace(photo, mask=np.ones((48, 72), dtype=bool)) for photo in photos(2)]
+    wishes = [(photos(3), BUSY), (other, BUSY), (masked, BUSY), (photos(2), replace(BUSY, seed=5))]
+    for taken, config in wishes:
         with pytest.raises(StoreError, match="other photographs, or asked for other things"):
             resume_training(saved, taken, config)
 

@@ -6,7 +6,7 @@ import torch
 import twin_reference as reference
 
 from nw_eval.twin.gaussians.loss import depth_loss, photo_loss, psnr
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 
 def _pictures(width, height, seed=0):
@@ -43,7 +43,7 @@ def test_equal_pictures_have_no_loss_and_no_gradient():
 
 def test_no_bit_of_the_loss_depends_on_the_number_of_threads():
     picture, photo = _pictures(90, 120)
-    one, two = (photo_loss(picture, photo, workers=Workers(n)) for n in (1, 2))
+    one, two = (photo_loss(picture, photo, workers=Threads(n)) for n in (1, 2))
     assert (one.value, one.l1, one.ssim) == (two.value, two.l1, two.ssim)
     assert (one.gradient == two.gradient).all()
 

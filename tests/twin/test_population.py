@@ -8,7 +8,7 @@ from splat_rooms import cloud
 from nw_eval.twin.gaussians.config import Rates
 from nw_eval.twin.gaussians.population import EPSILON, NAMES, Population
 from nw_eval.twin.gaussians.raster.images import Gradients
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 
 def _gradients(gaussians, seed):
@@ -33,7 +33,7 @@ def test_steps_are_those_of_torchs_adam_at_each_parameters_rate():
     adam = torch.optim.Adam(groups, eps=EPSILON)
     for step in range(1, 6):
         gradients = _gradients(gaussians, step)
-        population.move(gradients, rates, 7e-4, step, Workers(1 + step % 2))
+        population.move(gradients, rates, 7e-4, step, Threads(1 + step % 2))
         for name, leaf in leaves.items():
             harmonics = {"sh_constant": gradients.sh[:, :1], "sh_others": gradients.sh[:, 1:]}
             part = harmonics[name] if name in harmonics else getattr(gradients, name)
@@ -51,7 +51,7 @@ def test_steps_are_those_of_torchs_adam_at_each_parameters_rate():
 def test_whoever_is_kept_keeps_its_moments_and_newcomers_have_none():
     gaussians = cloud(10, degree=1)
     population = Population(gaussians)
-    population.move(_gradients(gaussians, 1), Rates(), 1e-4, 1, Workers())
+    population.move(_gradients(gaussians, 1), Rates(), 1e-4, 1, Threads())
     before = population.moments[0].means.copy()
     rows = np.arange(10) % 3 == 0
     population.keep(rows)
@@ -71,5 +71,5 @@ def test_a_limit_lowers_opacities_above_it_and_no_others():
 def test_the_gaussians_that_a_training_began_with_stay_as_they_were():
     gaussians = cloud(20, degree=0)
     means = gaussians.means.copy()
-    Population(gaussians).move(_gradients(gaussians, 1), Rates(), 1e-2, 1, Workers())
+    Population(gaussians).move(_gradients(gaussians, 1), Rates(), 1e-2, 1, Threads())
     assert (gaussians.means == means).all()

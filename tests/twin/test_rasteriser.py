@@ -12,7 +12,7 @@ from nw_eval.errors import UsageError
 from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store
 from nw_eval.twin.gaussians.raster.images import Images
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 
 def _camera(width=97, height=61, *, scale=1.0):
@@ -148,7 +148,7 @@ def test_no_bit_depends_on_the_number_of_threads():
     gaussians, camera = room(12_000, degree=1), eye_camera(1, 200, 90)
     found = []
     for threads in (1, 2, 3):
-        rasteriser = Rasteriser(workers=Workers(threads))
+        rasteriser = Rasteriser(workers=Threads(threads))
         images = rasteriser.render(gaussians, camera)
         found.append((images, rasteriser.backward(_upstream(images))))
     for images, gradients in found[1:]:

@@ -123,6 +123,21 @@ def test_photographs_of_different_exposure_agree_once_each_has_its_own():
     assert trainer.exposures.maps.mean(axis=0) == pytest.approx(np.eye(3, 4), abs=1e-6)
 
 
+def test_what_a_mask_hides_is_not_learnt():
+    taken = photos(1)[0]
+    mask = np.zeros((48, 72), dtype=bool)
+    mask[:, :36] = True
+    spoilt = taken.rgb.copy()
+    spoilt[:, 36:] = 255 - spoilt[:, 36:]
+    results = []
+    for rgb in (taken.rgb, spoilt):
+        trainer = Trainer([replace(taken, rgb=rgb, mask=mask)], beginning(), BUSY)
+        trainer.run(5)
+        results.append(trainer.gaussians)
+    assert _same(*results)
+    assert not _same(results[0], beginning())
+
+
 def test_the_background_is_what_the_config_says():
     far = replace(beginning(), means=beginning().means + 1000)
     dark = replace(BUSY, background=(0.0, 0.0, 0.0), exposure=False)

@@ -115,6 +115,6 @@ def _check(array: NDArray[Any], like: NDArray[Any]) -> None:
 
 
 def _about(photos: Sequence[Photo], config: TrainConfig) -> bytes:
-    """Return what a training is of: its config, and its photographs by name and size."""
-    shown = [(photo.name, photo.camera.width, photo.camera.height) for photo in photos]
+    """Return what a training is of: its config, and its photographs."""
+    shown = [(photo.name, photo.digest()) for photo in photos]
     return json.dumps({"format": FORMAT, "photos": shown, "config": asdict(config)}).encode()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.twin.gaussians.kernels.ssim import RADIUS, SLOPES, photo_gradient, ssim_slopes
 from nw_eval.twin.gaussians.raster.images import F32
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 DEVIATION = 1.5
 """Of the window of structural similarity, in pixels."""
@@ -37,7 +37,7 @@ class PhotoLoss:
 
 
 def photo_loss(
-    picture: F32, photo: F32, *, ssim_weight: float = 0.2, workers: Workers | None = None
+    picture: F32, photo: F32, *, ssim_weight: float = 0.2, workers: Threads | None = None
 ) -> PhotoLoss:
     """Compare a picture with a photograph as the 3DGS paper does (equation 7).
 
@@ -47,7 +47,7 @@ def photo_loss(
         ssim_weight: w.
         workers: threads that share the work; the bits do not depend on them.
     """
-    workers = workers or Workers()
+    workers = workers or Threads()
     planes, height, width = picture.shape
     stride = -(-width // 8) * 8 + 16
     slopes = np.empty((planes, SLOPES * height * stride), dtype=np.float32)

@@ -10,7 +10,7 @@ from nw_eval.twin.gaussians.exposure import Exposures
 from nw_eval.twin.gaussians.loss import depth_loss, photo_loss
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.raster.images import F32, Images
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ def compare(
     exposures: Exposures | None,
     ssim_weight: float,
     depth_weight: float,
-    workers: Workers,
+    workers: Threads,
 ) -> Compared:
     """Compare what was rendered with a photograph.
 
@@ -56,10 +56,15 @@ def compare(
         workers: threads that share the work.
     """
     seen = images.rgb if exposures is None else exposures.apply(number, images.rgb)
-    photometric = photo_loss(seen, photo.planes(), ssim_weight=ssim_weight, workers=workers)
+    wanted = photo.planes()
+    if photo.mask is not None:
+        wanted = np.where(photo.mask, wanted, seen)
+    photometric = photo_loss(seen, wanted, ssim_weight=ssim_weight, workers=workers)
     to_picture, to_map = photometric.gradient, None
+    if photo.mask is not None:  # Windows of similarity reach over its edge.
+        to_picture *= photo.mask
     if exposures is not None:
-        to_picture, to_map = exposures.back(number, images.rgb, photometric.gradient)
+        to_picture, to_map = exposures.back(number, images.rgb, to_picture)
     depth, to_depth = 0.0, np.zeros_like(images.inverse_depth)
     if photo.inverse_depth is not None and depth_weight > 0.0:
         sure = photo.confidence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ class Photo:
         rgb: (H, W, 3) uint8 display values.
         inverse_depth: (H, W) float32, 1 / depth along the optical axis; None if nothing is known.
         confidence: (H, W) float32, 0 (not known) to 1; None for 1 everywhere.
+        mask: (H, W) bool, where the picture shows the place; None for everywhere. Where it does
+            not (people, what undistortion left empty), no colour is learnt.
     """
 
     name: str
@@ -30,6 +33,7 @@ class Photo:
     rgb: NDArray[np.uint8]
     inverse_depth: F32 | None = None
     confidence: F32 | None = None
+    mask: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Check that everything has the size of the camera's image.
@@ -43,7 +47,7 @@ class Photo:
                 f"{self.name}: the picture is {self.rgb.dtype} of shape {self.rgb.shape}",
                 fix=f"give uint8 of shape {(*size, 3)}, as its camera says",
             )
-        for name in ("inverse_depth", "confidence"):
+        for name in ("inverse_depth", "confidence", "mask"):
             array = getattr(self, name)
             if array is None:
                 continue
@@ -52,6 +56,19 @@ class Photo:
                     f"{self.name}: {name} has shape {array.shape} or is not finite",
                     fix=f"give finite numbers of shape {size}, with confidence 0 where not known",
                 )
+
+    def digest(self) -> str:
+        """Return the hex sha256 of all that training takes from it."""
+        camera = self.camera
+        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.far)
+        arrays = (self.rgb, self.inverse_depth, self.confidence, self.mask)
+        content = hashlib.sha256(repr((self.rgb.shape, lens)).encode())
+        content.update(np.ascontiguousarray(camera.T_world_camera))
+        for array in arrays:
+            content.update(b"-" if array is None else b"+")
+            if array is not None:
+                content.update(np.ascontiguousarray(array))
+        return content.hexdigest()
 
     def planes(self) -> F32:
         """Return the picture as (3, H, W) float32, 0 to 1."""

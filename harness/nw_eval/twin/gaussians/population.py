@@ -12,7 +12,7 @@ from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.twin.gaussians.config import Rates
 from nw_eval.twin.gaussians.kernels.adam import adam
 from nw_eval.twin.gaussians.raster.images import Gradients
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 EPSILON = 1e-15
 """Adam's, as the 3DGS paper's code has it: gradients here are tiny."""
@@ -41,7 +41,7 @@ class Population:
         return len(self.gaussians)
 
     def move(
-        self, gradients: Gradients, rates: Rates, means_rate: float, step: int, workers: Workers
+        self, gradients: Gradients, rates: Rates, means_rate: float, step: int, workers: Threads
     ) -> None:
         """Take one step of Adam.
 

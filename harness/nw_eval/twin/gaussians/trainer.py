@@ -19,14 +19,14 @@ from nw_eval.twin.gaussians.objective import compare
 from nw_eval.twin.gaussians.photo import Photo, extent_of
 from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.raster.workers import Workers
+from nw_eval.twin.gaussians.raster.threads import Threads
 
 _ORDER, _SAMPLE = 0, 1
 """What a generator is for: with seed and step, all that its numbers depend on."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class TrainStep:
     """One step of a training, before it moved anything.
 
     Attributes:
@@ -83,7 +83,7 @@ class Trainer:
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
         self.density = _density(config, self.extent, len(start))
-        self._workers = Workers(threads)
+        self._workers = Threads(threads)
         self._rasteriser = Rasteriser(
             preset=config.preset,
             antialiased=config.antialiased,
@@ -101,7 +101,9 @@ class Trainer:
         """Whether all steps are done."""
         return self.iteration >= self.config.iterations
 
-    def run(self, until: int | None = None, report: Callable[[Step], None] | None = None) -> None:
+    def run(
+        self, until: int | None = None, report: Callable[[TrainStep], None] | None = None
+    ) -> None:
         """Take steps until so many are done, by default all.
 
         Args:
@@ -114,7 +116,7 @@ class Trainer:
             if report is not None:
                 report(step)
 
-    def step(self) -> Step:
+    def step(self) -> TrainStep:
         """Take one step.
 
         Raises:
@@ -150,7 +152,7 @@ class Trainer:
         self.density.observe(gradients, photo.camera)
         generator = self._generator(_SAMPLE, self.iteration)
         self.density.after(population, self.iteration, means_rate, generator)
-        return Step(
+        return TrainStep(
             iteration=self.iteration,
             photo=number,
             loss=loss,

@@ -27,8 +27,8 @@ from nw_eval.twin.gaussians.kernels.blend_back import G_U, GRADIENT
 from nw_eval.twin.gaussians.kernels.project import project
 from nw_eval.twin.gaussians.kernels.project_back import project_back
 from nw_eval.twin.gaussians.raster.images import F32, Gradients, Images
+from nw_eval.twin.gaussians.raster.threads import Threads
 from nw_eval.twin.gaussians.raster.window import Window
-from nw_eval.twin.gaussians.raster.workers import Workers
 
 WINDOW = 80
 """Columns of a window, a multiple of the renderer's 8-pixel blocks: four at 320 pixels share out
@@ -51,12 +51,12 @@ class Rasteriser:
         preset: PresetName = "gsplat-1.5",
         antialiased: bool = True,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        workers: Workers | None = None,
+        workers: Threads | None = None,
     ) -> None:
         self._preset = get_preset(preset)
         self._options = (self._preset.eps2d, antialiased, self._preset.min_compensation**2)
         self._background = np.asarray(background, dtype=np.float32)
-        self._workers = workers or Workers()
+        self._workers = workers or Threads()
         self._room = _Room(0)
         self._frame: _Frame | None = None
 

@@ -12,7 +12,7 @@ _BLOCK = 4096
 """Gaussians that one job handles."""
 
 
-class Workers:
+class Threads:
     """Runs jobs that write to places of their own.
 
     Args:
