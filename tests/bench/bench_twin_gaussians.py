@@ -16,7 +16,8 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path[:0] = [str(Path(__file__).parents[1] / folder) for folder in ("splat", "twin")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "splat"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "twin"))
 
 import numpy as np
 import torch
@@ -171,9 +172,8 @@ def _demonstrate(folder, iterations, strategy, width=320, count=12_000):
         found[kind] = np.mean([psnr(rgb, view.planes()) for rgb, view in pairs])
         similar = np.mean([photo_loss(rgb, view.planes()).ssim for rgb, view in pairs])
         before = np.mean([psnr(a, b.planes()) for a, b in zip(first, views, strict=True)])
-        print(
-            f"  {kind:<7} {before:5.1f} dB before, {found[kind]:5.1f} dB after, SSIM {similar:.3f}"
-        )
+        after = f"{found[kind]:5.1f} dB after, SSIM {similar:.3f}"
+        print(f"  {kind:<7} {before:5.1f} dB before, {after}")
         rows = [
             np.concatenate([view.planes(), np.clip(a, 0, 1), np.clip(b, 0, 1)], axis=2)
             for view, a, b in zip(views, first, learnt, strict=True)
@@ -195,10 +195,8 @@ def main():
     parser.add_argument("--iterations", type=int, default=3000, help="of the demonstration")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    load = os.getloadavg()[0]
-    print(
-        f"{platform.processor() or platform.machine()}, torch {torch.__version__}, load {load:.1f}"
-    )
+    machine = platform.processor() or platform.machine()
+    print(f"{machine}, torch {torch.__version__}, load {os.getloadavg()[0]:.1f}")
     print(" Gaussians    image  render    loss    back    step  1 thread  2 threads   torch/ours")
     misses = []
     cases = [(count, width) for count in (10_000, 50_000, 100_000) for width in (160, 320, 640)]

@@ -7,7 +7,7 @@
     start = gaussians_at(points, colours, sh_degree=1)
     trainer = Trainer(photos, start, TrainConfig.short(3000), threads=2)
     trainer.run()
-    write_splat(trainer.gaussians, path)
+    write_splat(path, trainer.gaussians)
 
 photo.py       a photograph, its camera, and what is known of its depth
 initial.py     Gaussians at points, such as those of a mesh

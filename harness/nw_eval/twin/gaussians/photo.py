@@ -63,11 +63,11 @@ class Photo:
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.far)
         arrays = (self.rgb, self.inverse_depth, self.confidence, self.mask)
         content = hashlib.sha256(repr((self.rgb.shape, lens)).encode())
-        content.update(np.ascontiguousarray(camera.T_world_camera))
+        content.update(camera.T_world_camera.tobytes())
         for array in arrays:
             content.update(b"-" if array is None else b"+")
             if array is not None:
-                content.update(np.ascontiguousarray(array))
+                content.update(array.tobytes())
         return content.hexdigest()
 
     def planes(self) -> F32:
