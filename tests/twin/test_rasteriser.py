@@ -158,6 +158,29 @@ def test_no_bit_depends_on_the_number_of_threads():
             assert (getattr(gradients, name) == getattr(found[0][1], name)).all(), name
 
 
+@pytest.mark.parametrize(("width", "height"), [(81, 5), (160, 1), (3, 7)])
+def test_windows_of_one_column_and_images_of_one_row_have_their_gradients(width, height):
+    gaussians = cloud(150, degree=0)
+    camera = replace(_camera(), width=width, height=height, cx=width / 2, cy=height / 2)
+    rasteriser = Rasteriser()
+    images = rasteriser.render(gaussians, camera)
+    upstream = _upstream(images)
+    gradients = rasteriser.backward(upstream)
+    pictures, p = _reference_gradients(gaussians, camera, upstream)
+    for mine, truth in zip(images.arrays(), pictures, strict=True):
+        assert np.abs(mine - truth).max() < 1e-4
+    assert _relative(gradients.means, p["means"].grad.numpy()) < 1e-4
+
+
+def test_a_view_of_nothing_is_the_background():
+    gaussians, camera = cloud(30), _camera()
+    far = replace(gaussians, means=gaussians.means + np.float32([0, 0, 1e6]))
+    rasteriser = Rasteriser(background=(0.2, 0.4, 0.6))
+    images = rasteriser.render(far, camera)
+    assert (images.rgb == np.float32([0.2, 0.4, 0.6])[:, None, None]).all()
+    assert not rasteriser.backward(_upstream(images)).visible.any()
+
+
 def test_a_degree_that_is_not_in_use_yet_gets_no_gradient():
     gaussians, camera, rasteriser = cloud(200, degree=3), _camera(), Rasteriser()
     images = rasteriser.render(gaussians, camera, sh_degree=1)
