@@ -28,8 +28,9 @@ from splat_rooms import eye_camera, room
 from nw_eval.catalogue.find import get_scene
 from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store, open_store
 from nw_eval.twin.gaussians.config import TrainConfig
+from nw_eval.twin.gaussians.evaluate import view_figures
 from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.loss import photo_loss, psnr
+from nw_eval.twin.gaussians.loss import photo_loss
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.raster.images import Images
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
@@ -168,12 +169,16 @@ def _demonstrate(folder, iterations, strategy, width=320, count=12_000):
     for kind, views in kinds.items():
         learnt = [rasteriser.render(trainer.gaussians, view.camera).rgb for view in views]
         first = [rasteriser.render(start, view.camera).rgb for view in views]
-        pairs = list(zip(learnt, views, strict=True))
-        found[kind] = np.mean([psnr(rgb, view.planes()) for rgb, view in pairs])
-        similar = np.mean([photo_loss(rgb, view.planes()).ssim for rgb, view in pairs])
-        before = np.mean([psnr(a, b.planes()) for a, b in zip(first, views, strict=True)])
-        after = f"{found[kind]:5.1f} dB after, SSIM {similar:.3f}"
-        print(f"  {kind:<7} {before:5.1f} dB before, {after}")
+        before, after = (
+            [view_figures(gaussians, view, rasteriser) for view in views]
+            for gaussians in (start, trainer.gaussians)
+        )
+        found[kind] = np.mean([each.psnr for each in after])
+        print(
+            f"  {kind:<7} {np.mean([each.psnr for each in before]):5.1f} dB before,"
+            f" {found[kind]:5.1f} dB after, {np.mean([each.psnr_corrected for each in after]):5.1f}"
+            f" dB colours aligned, SSIM {np.mean([each.ssim for each in after]):.3f}"
+        )
         rows = [
             np.concatenate([view.planes(), np.clip(a, 0, 1), np.clip(b, 0, 1)], axis=2)
             for view, a, b in zip(views, first, learnt, strict=True)

@@ -78,7 +78,7 @@ def _composite(s, j, px, py):
     T = torch.ones(len(px), dtype=px.dtype)
     going = torch.ones(len(px), dtype=torch.bool)
     total = torch.zeros(len(px), 4, dtype=px.dtype)
-    for part in j.split(256):
+    for part in j.split(256) if len(j) else ():
         dx, dy = s["u"][part] - px, s["v"][part] - py
         sigma = 0.5 * (s["a"][part] * dx * dx + s["c"][part] * dy * dy) + s["b"][part] * dx * dy
         alpha = (s["opacity"][part] * torch.exp(-sigma)).clamp(max=0.999)

@@ -15,5 +15,6 @@ config.py      what a training is asked to do
 trainer.py     the loop; objective.py, loss.py and exposure.py what it minimises
 population.py  Gaussians with their moments; densify/ how they come and go
 checkpoint.py  a training on disk
+evaluate.py    PSNR and SSIM of views that no step saw
 raster/        pictures and gradients; kernels/ its compiled half
 """
