@@ -20,7 +20,7 @@ from nw_eval.twin.gaussians.kernels.perturb import perturb
 from nw_eval.twin.gaussians.population import NAMES, Population
 from nw_eval.twin.gaussians.raster.images import Gradients
 
-MOST_IN_PLACE = 51
+MOST_IN_PLACE = 50
 """Gaussians that one is replaced by at most; more count as so many, as in the paper's code."""
 
 _BELOW_ONE = 1.0 - 2.0**-23

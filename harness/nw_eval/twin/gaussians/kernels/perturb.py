@@ -16,7 +16,7 @@ STEEPNESS, FAINT = 100.0, 0.005
 def perturb(means: Any, log_scales: Any, quats: Any, logits: Any, noise: Any, scale: Any) -> None:
     """Move each mean by its covariance times noise, the less the more opaque it is.
 
-    Kheradmand et al. 2024, equation 9: scale * curve(opacity) * Sigma * noise.
+    What Kheradmand et al. 2024 add to each step: scale * curve(opacity) * Sigma * noise.
 
     Args:
         means: (N, 3) float32, moved.
