@@ -1,0 +1,74 @@
+"""A real server that speaks the hub's protocol, a cache of one's own, and what lies on the server.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+# The client looks once, when it is imported. The other protocol for large files has a storage of
+# its own, which is not to be had on the loopback address.
+os.environ["HF_HUB_DISABLE_XET"] = "1"
+os.environ["HF_HUB_DISABLE_TELEMETRY"] = "1"
+pytest.importorskip("huggingface_hub", reason="needs the extra hub")
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from hub_server import Hub
+
+SCENE = b"""\
+nw-scene: 1
+name: far/corridor
+task: hurdles
+licence: MIT
+collision: collision.yaml
+trail: [[1.0, 0, 0.05], [2.0, 0, 0]]
+"""
+BOXES = b"boxes: [{center: [1, 0, 0.025], half_size: [0.1, 1, 0.025]}]\n"
+CARD = b"""\
+nw-policy: 1
+name: still
+robot: go1
+adapter: python:still:Still
+control: {rate: 50, action: joint_position_offset, scale: 0.25, kp: 20, kd: 0.5}
+observations:
+  proprio: {sensor: proprio, layout: parkour53}
+"""
+CODE = b"""\
+import numpy as np
+
+
+class Still:
+    def __init__(self, *args, **kwargs): pass
+
+    def reset(self, seed): pass
+
+    def act(self, observation): return np.zeros(12, np.float32)
+"""
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch):
+    server = Hub()
+    monkeypatch.setenv("HF_ENDPOINT", server.url)
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "nobody"))
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    monkeypatch.delenv("HF_HUB_OFFLINE", raising=False)
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def place(hub):
+    """A scene on the hub, with something large beside it."""
+    files = {"scene.yaml": SCENE, "collision.yaml": BOXES, ".gitattributes": b"* text\n"}
+    return hub.add("datasets", "lab/corridor", files | {"notes/large.bin": os.urandom(2_000_000)})
+
+
+@pytest.fixture
+def policy(hub):
+    return hub.add("models", "lab/still", {"policy.yaml": CARD, "still.py": CODE})
