@@ -28,25 +28,13 @@ collision: collision.yaml
 trail: [[1.0, 0, 0.05], [2.0, 0, 0]]
 """
 BOXES = b"boxes: [{center: [1, 0, 0.025], half_size: [0.1, 1, 0.025]}]\n"
+LARGE_FILE = bytes(range(250)) * 8000
 CARD = b"""\
 nw-policy: 1
 name: still
 robot: go1
-adapter: python:still:Still
-control: {rate: 50, action: joint_position_offset, scale: 0.25, kp: 20, kd: 0.5}
-observations:
-  proprio: {sensor: proprio, layout: parkour53}
-"""
-CODE = b"""\
-import numpy as np
-
-
-class Still:
-    def __init__(self, *args, **kwargs): pass
-
-    def reset(self, seed): pass
-
-    def act(self, observation): return np.zeros(12, np.float32)
+adapter: zero
+control: {action: joint_position_offset, scale: 0.25}
 """
 
 
@@ -58,6 +46,7 @@ def hub(tmp_path, monkeypatch):
     monkeypatch.delenv("HF_TOKEN", raising=False)
     monkeypatch.delenv("HF_HUB_OFFLINE", raising=False)
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("nw_eval.hub.download._PAUSES", (0.01, 0.01))
     yield server
     server.close()
 
@@ -66,9 +55,28 @@ def hub(tmp_path, monkeypatch):
 def place(hub):
     """A scene on the hub, with something large beside it."""
     files = {"scene.yaml": SCENE, "collision.yaml": BOXES, ".gitattributes": b"* text\n"}
-    return hub.add("datasets", "lab/corridor", files | {"notes/large.bin": os.urandom(2_000_000)})
+    return hub.add("datasets", "lab/corridor", files | {"notes/large.bin": LARGE_FILE})
 
 
 @pytest.fixture
 def policy(hub):
-    return hub.add("models", "lab/still", {"policy.yaml": CARD, "still.py": CODE})
+    return hub.add("models", "lab/still", {"policy.yaml": CARD})
+
+
+class Ears:
+    """Hears how far fetching is."""
+
+    def __init__(self):
+        self.messages = []
+        self.heard = []
+
+    def message(self, text):
+        self.messages.append(text)
+
+    def fetching(self, name, done, total):
+        self.heard.append((name, done, total))
+
+
+@pytest.fixture
+def ears():
+    return Ears()

@@ -11,6 +11,7 @@ import base64
 import hashlib
 import json
 import re
+import time
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
@@ -58,11 +59,15 @@ class Hub:
         self.uploads: dict[str, bytes] = {}
         self.calls: list[Call] = []
         self.breaks: list[int] = []
-        """After how many bytes the next transfers of file content break off, one each."""
+        """After how many bytes the next transfers of large files break off, one each."""
         self.announced: dict[str, dict[str, Any]] = {}
         """What the listing says otherwise than is so, by path."""
         self.sent: dict[str, bytes] = {}
         """What is sent in place of a file's content, by path."""
+        self.stalls_after: int | None = None
+        """After how many bytes of file content a transfer stops, and its connection stays."""
+        self.knows_ranges = True
+        self.is_gone = False
         self.page = 1000
         self.status: int | None = None
         """What everything is answered with, if something is wrong with the hub."""
@@ -80,7 +85,8 @@ class Hub:
         return [call for call in self.calls if "/resolve/" in call.path or call.origin == "cdn"]
 
     def close(self) -> None:
-        """Be gone: connections are refused from now on."""
+        """Be gone: connections end, and are refused from now on."""
+        self.is_gone = True
         for server in self._servers:
             server.shutdown()
             server.server_close()
@@ -112,6 +118,9 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_POST = do_PUT = do_GET
 
     def _answer(self) -> None:
+        if self.hub.is_gone:  # A connection of before.
+            self.close_connection = True
+            return
         token = (self.headers.get("Authorization") or "").removeprefix("Bearer ") or None
         url = urlsplit(self.path)
         self.hub.calls.append(
@@ -191,11 +200,13 @@ class _Handler(BaseHTTPRequestHandler):
         if token != WRITER:
             raise _Refusal(401 if token is None else 403)
         key = f"{asked['type']}s", f"{asked['organization']}/{asked['name']}"
+        url = json.dumps({"url": f"{self.hub.url}/{key[0]}/{key[1]}"}).encode()
         if key in self.hub.repositories:
-            raise _Refusal(409)
+            self._send(409, url, {})
+            return
         private = asked.get("visibility") == "private" or asked.get("private") is True
         self.hub.repositories[key] = Repository(private=private)
-        self._json({"url": f"{self.hub.url}/{key[0]}/{key[1]}"})
+        self._send(200, url, {})
 
     def preupload(self, token, body, query, kind, name, revision):
         files = json.loads(body)["files"]
@@ -256,11 +267,14 @@ class _Handler(BaseHTTPRequestHandler):
         return repository, commit
 
     def _content(self, content: bytes, facts: dict[str, str]) -> None:
-        asked = re.fullmatch(r"bytes=(\d+)-", self.headers.get("Range") or "")
+        asked = self.hub.knows_ranges and re.fullmatch(
+            r"bytes=(\d+)-", self.headers.get("Range") or ""
+        )
         start = int(asked[1]) if asked else 0
         if asked:
             facts = facts | {"Content-Range": f"bytes {start}-{len(content) - 1}/{len(content)}"}
-        after = self.hub.breaks.pop(0) if self.hub.breaks and self.command == "GET" else None
+        breaks = self.command == "GET" and len(content) >= LARGE and bool(self.hub.breaks)
+        after = self.hub.breaks.pop(0) if breaks else None
         self._send(206 if asked else 200, content[start:], facts, after=after)
 
     def _json(self, value: Any, headers: dict[str, str] | None = None) -> None:
@@ -274,8 +288,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
+        stall = self.hub.stalls_after if self.origin == "cdn" else None
         if self.command != "HEAD":
-            self.wfile.write(content[:after])
+            self.wfile.write(content[: after if stall is None else stall])
+        if stall is not None:
+            self.wfile.flush()
+            while self.hub.stalls_after is not None:
+                time.sleep(0.02)
+            self.close_connection = True
         if after is not None:
             self.close_connection = True
 

@@ -89,7 +89,6 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
     """
     from nw_eval.catalogue.inspect import inspect_scene
     from nw_eval.errors import SceneError
-    from nw_eval.files.inside import what_is
     from nw_eval.hub.push import push
     from nw_eval.hub.reference import parse
     from nw_eval.scenes.folder import folder_files, load_folder
@@ -99,7 +98,8 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
     faults = [str(each) for each in inspect_scene(folder) if each.severity == "error"]
     if faults:
         raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="mend the scene first")
-    found |= {name: path for name in _BESIDE if what_is(path := folder / name) == "file"}
+    beside = {name: folder / name for name in _BESIDE}
+    found |= {name: path for name, path in beside.items() if _is_own_file(path)}
     commit = push(
         reference,
         dict(sorted(found.items())),
@@ -111,6 +111,11 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
         files=tuple(sorted(found)),
         bytes=sum(path.stat().st_size for path in found.values()),
     )
+
+
+def _is_own_file(path: Path) -> bool:
+    """Whether a file lies there itself: a link may lead to what is nobody's business."""
+    return path.is_file() and not path.is_symlink()
 
 
 @contextmanager
