@@ -1,5 +1,4 @@
-"""A real server that speaks the hub's protocol, a cache of one's own, and what lies on the server.
-"""
+"""A real server that speaks the hub's protocol, what lies on it, and a cache of one's own."""
 
 from __future__ import annotations
 
@@ -17,28 +16,11 @@ pytest.importorskip("huggingface_hub", reason="needs the extra hub")
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from hub_content import BOXES, CARD, LARGE_FILE, SCENE
 from hub_server import Hub
 
-SCENE = b"""\
-nw-scene: 1
-name: far/corridor
-task: hurdles
-licence: MIT
-collision: collision.yaml
-trail: [[1.0, 0, 0.05], [2.0, 0, 0]]
-"""
-BOXES = b"boxes: [{center: [1, 0, 0.025], half_size: [0.1, 1, 0.025]}]\n"
-LARGE_FILE = bytes(range(250)) * 8000
-CARD = b"""\
-nw-policy: 1
-name: still
-robot: go1
-adapter: zero
-control: {action: joint_position_offset, scale: 0.25}
-"""
 
-
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def hub(tmp_path, monkeypatch):
     server = Hub()
     monkeypatch.setenv("HF_ENDPOINT", server.url)

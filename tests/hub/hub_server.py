@@ -12,6 +12,7 @@ import hashlib
 import json
 import re
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
@@ -76,9 +77,9 @@ class Hub:
 
     def add(self, kind: str, name: str, files: dict[str, bytes], **facts: bool) -> Repository:
         """Make a repository of one commit."""
-        made = self.repositories[kind, name] = Repository(**facts)
-        made.commit(files)
-        return made
+        repository = self.repositories[kind, name] = Repository(**facts)
+        repository.commit(files)
+        return repository
 
     def transfers(self) -> list[Call]:
         """Return the calls for content of files, in order; redirects are none."""
@@ -115,67 +116,72 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._answer()
 
-    do_HEAD = do_POST = do_PUT = do_GET
+    do_POST = do_PUT = do_GET  # noqa: N815 - the names that http.server calls.
 
     def _answer(self) -> None:
         if self.hub.is_gone:  # A connection of before.
             self.close_connection = True
             return
-        token = (self.headers.get("Authorization") or "").removeprefix("Bearer ") or None
+        self.token = (self.headers.get("Authorization") or "").removeprefix("Bearer ") or None
+        self.body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         url = urlsplit(self.path)
+        self.query = parse_qs(url.query)
         self.hub.calls.append(
-            Call(self.origin, self.command, url.path, self.headers.get("Range"), token)
+            Call(self.origin, self.command, url.path, self.headers.get("Range"), self.token)
         )
-        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         try:
-            if self.hub.status is not None:
-                raise _Refusal(self.hub.status)
-            if token not in {None, WRITER, READER}:
-                raise _Refusal(401, message="Invalid credentials in Authorization header")
-            for pattern, method in _ROUTES:
-                found = re.fullmatch(pattern, url.path)
-                if found and self.command in method[0]:
-                    words = {k: unquote(v) for k, v in found.groupdict().items() if v is not None}
-                    getattr(self, method[1])(
-                        token, body, query=parse_qs(url.query), **words
-                    )
-                    return
-            raise _Refusal(404)
+            self._route(url.path)()
         except _Refusal as refusal:
             headers = {"X-Error-Code": refusal.code, "X-Error-Message": refusal.message}
             self._send(refusal.status, b"{}", {k: v for k, v in headers.items() if v})
 
-    def info(self, token, _body, query, kind, name, revision="main"):
-        repository, commit = self._at(kind, name, revision, token)
+    def _route(self, path: str) -> Callable[[], None]:
+        if self.hub.status is not None:
+            raise _Refusal(self.hub.status)
+        if self.token not in {None, WRITER, READER}:
+            raise _Refusal(401, message="Invalid credentials in Authorization header")
+        for methods, pattern, name in _ROUTES:
+            found = re.fullmatch(pattern, path)
+            if found and self.command in methods:
+                self.words = {k: unquote(v) for k, v in found.groupdict().items() if v is not None}
+                return getattr(self, name)
+        raise _Refusal(404)
+
+    def info(self) -> None:
+        repository, commit = self._at()
         siblings = [{"rfilename": path} for path in repository.commits[commit]]
-        self._json({"_id": "1", "id": name, "sha": commit, "siblings": siblings})
+        self._json({"_id": "1", "id": self.words["name"], "sha": commit, "siblings": siblings})
 
-    def tree(self, token, _body, query, kind, name, revision, below=""):
-        repository, commit = self._at(kind, name, revision, token)
-        entries = []
-        for path, content in sorted(repository.commits[commit].items()):
-            if below and not path.startswith(f"{below}/"):
-                continue
-            entry: dict[str, Any] = {
-                "type": "file", "path": path, "size": len(content), "oid": git_sha(content)
-            }
-            if len(content) >= LARGE:
-                entry["lfs"] = {"oid": sha256(content), "size": len(content), "pointerSize": 130}
-            entries.append(entry | self.hub.announced.get(path, {}))
-        if query.get("recursive") == ["true"] or query.get("recursive") == ["True"]:
-            folders = {path.partition("/")[0] for path in repository.commits[commit] if "/" in path}
-            entries += [{"type": "directory", "path": one, "size": 0, "oid": "0" * 40}
-                        for one in sorted(folders)]
-        start = int(query.get("cursor", ["0"])[0])
+    def tree(self) -> None:
+        repository, commit = self._at()
+        below = self.words.get("below", "")
+        files = {
+            path: content
+            for path, content in sorted(repository.commits[commit].items())
+            if not below or path.startswith(f"{below}/")
+        }
+        entries = [self._entry(path, content) for path, content in files.items()]
+        folders = sorted({path.partition("/")[0] for path in files if "/" in path and not below})
+        entries += [{"type": "directory", "path": one, "oid": "0" * 40} for one in folders]
+        start = int(self.query.get("cursor", ["0"])[0])
+        end = start + self.hub.page
         headers = {}
-        if start + self.hub.page < len(entries):
-            more = f"{self.hub.url}{self.path.partition('?')[0]}?recursive=true"
-            headers["Link"] = f'<{more}&cursor={start + self.hub.page}>; rel="next"'
-        self._json(entries[start : start + self.hub.page], headers)
+        if end < len(entries):
+            address = f"{self.hub.url}{self.path.partition('?')[0]}?recursive=true&cursor={end}"
+            headers["Link"] = f'<{address}>; rel="next"'
+        self._json(entries[start:end], headers)
 
-    def resolve(self, token, _body, query, kind="models", *, name, revision, path):
-        repository, commit = self._at(kind, name, revision, token)
-        if repository.gated and token is None:
+    def _entry(self, path: str, content: bytes) -> dict[str, Any]:
+        entry = {"type": "file", "path": path, "size": len(content), "oid": git_sha(content)}
+        if len(content) >= LARGE:
+            lfs = {"oid": sha256(content), "size": len(content), "pointerSize": 130}
+            entry |= {"lfs": lfs}
+        return entry | self.hub.announced.get(path, {})
+
+    def resolve(self) -> None:
+        repository, commit = self._at()
+        path = self.words["path"]
+        if repository.gated and self.token is None:
             raise _Refusal(403, "GatedRepo")
         content = repository.commits[commit].get(path)
         if content is None:
@@ -190,92 +196,99 @@ class _Handler(BaseHTTPRequestHandler):
         facts |= {"X-Linked-Etag": f'"{oid}"', "X-Linked-Size": str(len(content))}
         self._send(302, b"", facts | {"Location": f"{self.hub.cdn}/{oid}"})
 
-    def stored(self, _token, _body, query, oid):
+    def stored(self) -> None:
         if self.origin != "cdn":
             raise _Refusal(404)
-        self._content(self.hub.uploads[oid], {"ETag": f'"{oid}"'})
+        self._content(self.hub.uploads[self.words["oid"]], {"ETag": f'"{self.words["oid"]}"'})
 
-    def create(self, token, body, query):
-        asked = json.loads(body)
-        if token != WRITER:
-            raise _Refusal(401 if token is None else 403)
-        key = f"{asked['type']}s", f"{asked['organization']}/{asked['name']}"
+    def create(self) -> None:
+        self._check_writer()
+        wish = json.loads(self.body)
+        key = f"{wish['type']}s", f"{wish['organization']}/{wish['name']}"
         url = json.dumps({"url": f"{self.hub.url}/{key[0]}/{key[1]}"}).encode()
         if key in self.hub.repositories:
             self._send(409, url, {})
             return
-        private = asked.get("visibility") == "private" or asked.get("private") is True
-        self.hub.repositories[key] = Repository(private=private)
+        self.hub.repositories[key] = Repository(private=wish.get("visibility") == "private")
         self._send(200, url, {})
 
-    def preupload(self, token, body, query, kind, name, revision):
-        files = json.loads(body)["files"]
-        self._json({
-            "files": [
-                {"path": one["path"], "shouldIgnore": False,
-                 "uploadMode": "lfs" if one["size"] >= LARGE else "regular"}
-                for one in files
-            ]
-        })
+    def preupload(self) -> None:
+        self._check_writer()
+        modes = {
+            one["path"]: "lfs" if one["size"] >= LARGE else "regular"
+            for one in json.loads(self.body)["files"]
+        }
+        files = [
+            {"path": path, "shouldIgnore": False, "uploadMode": mode}
+            for path, mode in modes.items()
+        ]
+        self._json({"files": files})
 
-    def batch(self, token, body, query, kind="models", *, name):
-        objects = json.loads(body)["objects"]
-        self._json({
-            "transfer": "basic",
-            "objects": [
-                one | {"actions": {"upload": {"href": f"{self.hub.url}/upload/{one['oid']}"},
-                                   "verify": {"href": f"{self.hub.url}/verify"}}}
-                for one in objects
-            ],
-        })
+    def batch(self) -> None:
+        self._check_writer()
+        verify = {"href": f"{self.hub.url}/verify"}
+        objects = [
+            one
+            | {
+                "actions": {
+                    "upload": {"href": f"{self.hub.url}/upload/{one['oid']}"},
+                    "verify": verify,
+                }
+            }
+            for one in json.loads(self.body)["objects"]
+        ]
+        self._json({"transfer": "basic", "objects": objects})
 
-    def upload(self, _token, body, query, oid):
-        if sha256(body) != oid:
+    def upload(self) -> None:
+        if sha256(self.body) != self.words["oid"]:
             raise _Refusal(400)
-        self.hub.uploads[oid] = body
+        self.hub.uploads[self.words["oid"]] = self.body
         self._json({})
 
-    def verify(self, _token, body, query):
-        if json.loads(body)["oid"] not in self.hub.uploads:
+    def verify(self) -> None:
+        if json.loads(self.body)["oid"] not in self.hub.uploads:
             raise _Refusal(404)
         self._json({})
 
-    def commit(self, token, body, query, kind, name, revision):
-        if token != WRITER:
-            raise _Refusal(403)
+    def commit(self) -> None:
+        self._check_writer()
         files: dict[str, bytes] = {}
-        for line in body.splitlines():
+        for line in self.body.splitlines():
             item = json.loads(line)
             value = item["value"]
             if item["key"] == "file":
                 files[value["path"]] = base64.b64decode(value["content"])
             elif item["key"] == "lfsFile":
                 files[value["path"]] = self.hub.uploads[value["oid"]]
-        commit = self.hub.repositories[kind, name].commit(files)
-        self._json({"commitUrl": f"{self.hub.url}/{name}/commit/{commit}", "commitOid": commit})
+        commit = self.hub.repositories[self.words["kind"], self.words["name"]].commit(files)
+        self._json({"commitUrl": f"{self.hub.url}/commit/{commit}", "commitOid": commit})
 
-    def yaml(self, _token, _body, query):
-        self._json({"errors": [], "warnings": []})
+    def _check_writer(self) -> None:
+        if self.token != WRITER:
+            raise _Refusal(401 if self.token is None else 403)
 
-    def _at(self, kind: str, name: str, revision: str, token: str | None) -> tuple[Repository, str]:
-        repository = self.hub.repositories.get((kind, name))
-        if repository is None or (repository.private and token is None):
-            raise _Refusal(401 if token is None else 404, "RepoNotFound", "Repository not found")
+    def _at(self) -> tuple[Repository, str]:
+        key = self.words.get("kind", "models"), self.words["name"]
+        revision = self.words.get("revision", "main")
+        repository = self.hub.repositories.get(key)
+        if repository is None or (repository.private and self.token is None):
+            status = 401 if self.token is None else 404
+            raise _Refusal(status, "RepoNotFound", "Repository not found")
         commit = repository.revisions.get(revision, revision)
         if commit not in repository.commits:
             raise _Refusal(404, "RevisionNotFound")
         return repository, commit
 
     def _content(self, content: bytes, facts: dict[str, str]) -> None:
-        asked = self.hub.knows_ranges and re.fullmatch(
+        span = self.hub.knows_ranges and re.fullmatch(
             r"bytes=(\d+)-", self.headers.get("Range") or ""
         )
-        start = int(asked[1]) if asked else 0
-        if asked:
+        start = int(span[1]) if span else 0
+        if span:
             facts = facts | {"Content-Range": f"bytes {start}-{len(content) - 1}/{len(content)}"}
-        breaks = self.command == "GET" and len(content) >= LARGE and bool(self.hub.breaks)
+        breaks = len(content) >= LARGE and bool(self.hub.breaks)
         after = self.hub.breaks.pop(0) if breaks else None
-        self._send(206 if asked else 200, content[start:], facts, after=after)
+        self._send(206 if span else 200, content[start:], facts, after=after)
 
     def _json(self, value: Any, headers: dict[str, str] | None = None) -> None:
         self._send(200, json.dumps(value).encode(), headers or {})
@@ -289,8 +302,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         stall = self.hub.stalls_after if self.origin == "cdn" else None
-        if self.command != "HEAD":
-            self.wfile.write(content[: after if stall is None else stall])
+        self.wfile.write(content[: after if stall is None else stall])
         if stall is not None:
             self.wfile.flush()
             while self.hub.stalls_after is not None:
@@ -302,19 +314,18 @@ class _Handler(BaseHTTPRequestHandler):
 
 _REPO = r"(?P<name>[^/]+/[^/]+?)"
 _KIND = r"(?P<kind>models|datasets)"
+_DATA = r"(?P<kind>datasets)"
 _ROUTES = (
-    (rf"/api/{_KIND}/{_REPO}(?:/revision/(?P<revision>[^/]+))?", ("GET", "info")),
-    (rf"/api/{_KIND}/{_REPO}/tree/(?P<revision>[^/]+)(?:/(?P<below>.+))?", ("GET", "tree")),
-    (rf"/(?:(?P<kind>datasets)/)?{_REPO}/resolve/(?P<revision>[^/]+)/(?P<path>.+)",
-     (("GET", "HEAD"), "resolve")),
-    ("/api/repos/create", (("POST",), "create")),
-    (rf"/api/{_KIND}/{_REPO}/preupload/(?P<revision>[^/]+)", (("POST",), "preupload")),
-    (rf"/api/{_KIND}/{_REPO}/commit/(?P<revision>[^/]+)", (("POST",), "commit")),
-    (rf"/(?:(?P<kind>datasets)/)?{_REPO}\.git/info/lfs/objects/batch", (("POST",), "batch")),
-    ("/upload/(?P<oid>[0-9a-f]+)", (("PUT",), "upload")),
-    ("/verify", (("POST",), "verify")),
-    ("/api/validate-yaml", (("POST",), "yaml")),
-    ("/(?P<oid>[0-9a-f]{64})", (("GET", "HEAD"), "stored")),
+    ("GET", rf"/api/{_KIND}/{_REPO}(?:/revision/(?P<revision>[^/]+))?", "info"),
+    ("GET", rf"/api/{_KIND}/{_REPO}/tree/(?P<revision>[^/]+)(?:/(?P<below>.+))?", "tree"),
+    ("GET", rf"/(?:{_DATA}/)?{_REPO}/resolve/(?P<revision>[^/]+)/(?P<path>.+)", "resolve"),
+    ("GET", "/(?P<oid>[0-9a-f]{64})", "stored"),
+    ("POST", "/api/repos/create", "create"),
+    ("POST", rf"/api/{_KIND}/{_REPO}/preupload/(?P<revision>[^/]+)", "preupload"),
+    ("POST", rf"/api/{_KIND}/{_REPO}/commit/(?P<revision>[^/]+)", "commit"),
+    ("POST", rf"/(?:{_DATA}/)?{_REPO}\.git/info/lfs/objects/batch", "batch"),
+    ("PUT", "/upload/(?P<oid>[0-9a-f]+)", "upload"),
+    ("POST", "/verify", "verify"),
 )
 
 

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import CARD
+from hub_content import CARD
 
 from nw_eval import api, catalogue
 from nw_eval.errors import PolicyError, SceneError
@@ -22,7 +22,7 @@ def names(folder):
     return sorted(path.relative_to(folder).as_posix() for path in Path(folder).rglob("*.*"))
 
 
-def test_a_place_is_fetched_as_it_is_with_a_digest_of_each_file(hub, place, ears):
+def test_a_place_is_fetched_as_it_is_with_a_digest_of_each_file(place, ears):
     fetched = api.fetch_scene("hub:lab/corridor", listener=ears)
     (commit,) = place.commits
     assert (fetched.revision, fetched.folder.parent.name) == (commit, commit)
@@ -37,7 +37,8 @@ def test_a_place_is_fetched_as_it_is_with_a_digest_of_each_file(hub, place, ears
     assert not api.check_scenes(["hub:lab/corridor"])[0].findings
 
 
-def test_how_far_it_is_is_heard_in_bytes(hub, place, ears):
+@pytest.mark.usefixtures("place")
+def test_how_far_it_is_is_heard_in_bytes(ears):
     api.fetch_scene("hub:lab/corridor", listener=ears)
     large = [(done, total) for name, done, total in ears.heard if name == "notes/large.bin"]
     assert large == sorted(large)
@@ -46,7 +47,8 @@ def test_how_far_it_is_is_heard_in_bytes(hub, place, ears):
     assert "3 files, 2 MB" in ears.messages[0]
 
 
-def test_what_was_fetched_needs_no_network_and_says_which_revision_it_is(hub, place, ears):
+@pytest.mark.usefixtures("place")
+def test_what_was_fetched_needs_no_network_and_says_which_revision_it_is(hub, ears):
     fetched = api.fetch_scene("hub:lab/corridor")
     hub.close()
     with heard_by(ears):
@@ -70,7 +72,7 @@ def test_a_name_stays_at_its_commit_until_it_is_fetched_again(hub, place):
     assert (second.folder / large).read_bytes() == place.commits[newer][large]
 
 
-def test_a_tag_names_its_own_revision(hub, place):
+def test_a_tag_names_its_own_revision(place):
     (first,) = place.commits
     place.revisions["v1"] = first
     newer = place.commit({"collision.yaml": b"boxes: []\n"})
@@ -78,7 +80,8 @@ def test_a_tag_names_its_own_revision(hub, place):
     assert api.fetch_scene("hub:lab/corridor").revision == newer
 
 
-def test_an_entry_of_a_suite_and_a_glob_beside_it_are_found(hub, place):
+@pytest.mark.usefixtures("place")
+def test_an_entry_of_a_suite_and_a_glob_beside_it_are_found():
     found = catalogue.references(["hub:lab/corridor", "triangles:hub:lab/corridor", "hurdles/*"])
     assert found[0][0] == found[1][0]
     assert (found[0][1], found[1][1]) == ("terrain", "triangles")
@@ -106,7 +109,8 @@ def test_the_code_of_a_policy_is_fetched_and_does_not_run_without_leave(hub, tmp
     assert not witness.exists()
 
 
-def test_a_file_that_was_changed_on_disk_is_not_used(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_file_that_was_changed_on_disk_is_not_used(hub):
     fetched = api.fetch_scene("hub:lab/corridor")
     (fetched.folder / "collision.yaml").write_text("boxes: []\n")
     forget_checks()  # Another process.
@@ -116,7 +120,8 @@ def test_a_file_that_was_changed_on_disk_is_not_used(hub, place):
     assert hub.transfers()
 
 
-def test_a_list_that_names_files_elsewhere_is_not_believed(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_list_that_names_files_elsewhere_is_not_believed():
     fetched = api.fetch_scene("hub:lab/corridor")
     path = fetched.folder.with_name("corridor.json")
     values = json.loads(path.read_text())

@@ -56,7 +56,7 @@ def release(hub):
     return publish
 
 
-def test_a_scene_is_fetched_by_its_name_and_of_its_zip_what_is_read(hub, release, monkeypatch):
+def test_a_scene_is_fetched_by_its_name_and_of_its_zip_what_is_read(hub, release):
     release()
     fetched = api.fetch_scene(REFERENCE)
     assert sorted(fetched.files) == [
@@ -84,7 +84,7 @@ def test_a_name_that_the_release_has_not_is_told_with_the_nearest(hub):
     assert not hub.calls
 
 
-def test_a_zip_that_is_not_there(hub, release):
+def test_a_zip_that_is_not_there(release):
     release()
     with pytest.raises(SceneError, match=r"ziyc/neverwhere does not hold scenes/ramp_geisel\.zip"):
         api.fetch_scene("neverwhere:ramp_geisel")

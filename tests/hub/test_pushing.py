@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
-from conftest import BOXES, SCENE
+from hub_content import BOXES, SCENE
 from hub_server import LARGE, READER, WRITER
 
 from nw_eval import api, catalogue
@@ -17,21 +15,21 @@ def folder(tmp_path):
     """A scene of boxes with a splat that is large to the hub, and files that are nobody's."""
     import numpy as np
 
-    made = tmp_path / "mine"
-    made.mkdir()
+    place = tmp_path / "mine"
+    place.mkdir()
     count = LARGE // 32 + 500
     layout = [("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)]
     splat = np.zeros(count, layout)
     splat["xyz"] = np.random.default_rng(3).uniform((-1, -1, 0), (3, 1, 0.05), (count, 3))
     splat["scale"], splat["rgba"], splat["quat"] = 0.03, 255, (255, 128, 128, 128)
-    splat.tofile(made / "splat.splat")
-    (made / "scene.yaml").write_bytes(SCENE + b"splat: splat.splat\n")
-    (made / "collision.yaml").write_bytes(BOXES)
-    (made / "LICENSE").write_text("MIT\n")
-    (made / "photos").mkdir()
-    (made / "photos" / "me.jpg").write_bytes(b"private")
-    (made / ".env").write_text("HF_TOKEN=x")
-    return made
+    splat.tofile(place / "splat.splat")
+    (place / "scene.yaml").write_bytes(SCENE + b"splat: splat.splat\n")
+    (place / "collision.yaml").write_bytes(BOXES)
+    (place / "LICENSE").write_text("MIT\n")
+    (place / "photos").mkdir()
+    (place / "photos" / "me.jpg").write_bytes(b"private")
+    (place / ".env").write_text("HF_TOKEN=x")
+    return place
 
 
 @pytest.fixture
@@ -55,7 +53,8 @@ def test_what_is_pushed_is_what_the_scene_is_made_of_and_comes_back(writer, fold
     assert catalogue.get_scene(pushed.reference).digest == catalogue.get_scene(folder).digest
 
 
-def test_a_second_push_is_a_second_revision(writer, folder):
+@pytest.mark.usefixtures("writer")
+def test_a_second_push_is_a_second_revision(folder):
     first = api.push_scene(folder, "hub:lab/mine")
     fetched = api.fetch_scene("hub:lab/mine")
     (folder / "collision.yaml").write_bytes(BOXES.replace(b"0.025", b"0.030"))
@@ -90,11 +89,12 @@ def test_a_scene_with_errors_stays_at_home(writer, folder):
     assert not writer.repositories
 
 
-def test_no_link_takes_a_file_of_elsewhere_along(writer, folder, tmp_path):
+@pytest.mark.usefixtures("writer")
+def test_no_link_takes_a_file_of_elsewhere_along(folder, tmp_path):
     (tmp_path / "secret").write_text("secret")
     (folder / "README.md").symlink_to(tmp_path / "secret")
     (folder / "splat.splat").unlink()
-    os.symlink(tmp_path / "secret", folder / "splat.splat")
+    (folder / "splat.splat").symlink_to(tmp_path / "secret")
     with pytest.raises(SceneError, match="leaves the scene's folder"):
         api.push_scene(folder, "hub:lab/mine")
     (folder / "scene.yaml").write_bytes(SCENE)
@@ -113,6 +113,7 @@ def test_a_hub_that_goes_away_changes_nothing(writer, folder):
         api.push_scene(folder, "hub:lab/mine")
 
 
-def test_a_folder_that_is_no_scene(writer, tmp_path):
+@pytest.mark.usefixtures("writer")
+def test_a_folder_that_is_no_scene(tmp_path):
     with pytest.raises(SceneError, match=r"scene\.yaml"):
         api.push_scene(tmp_path, "hub:lab/mine")

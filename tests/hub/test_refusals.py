@@ -7,16 +7,23 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import BOXES, SCENE
+from hub_content import BOXES, SCENE
 from hub_server import READER
 
 from nw_eval import api, catalogue
-from nw_eval.errors import FetchError, PolicyError, PrerequisiteError, SceneError, StoreError, UsageError
+from nw_eval.errors import (
+    FetchError,
+    PolicyError,
+    PrerequisiteError,
+    SceneError,
+    StoreError,
+    UsageError,
+)
 from nw_eval.hub import limits
 from nw_eval.hub.fetched import forget_checks
 
 
-def said(error):
+def line_of(error):
     """What an error says, which is one line."""
     text = str(error.value)
     assert "\n" not in text
@@ -36,7 +43,7 @@ def test_what_names_nothing_is_refused_before_anybody_is_asked(hub, text):
 def test_a_repository_that_is_not_there(hub):
     with pytest.raises(SceneError) as error:
         api.fetch_scene("hub:lab/nothing")
-    assert said(error) == (
+    assert line_of(error) == (
         f"hub:lab/nothing: {hub.url} has no data set 'lab/nothing', or not for you; check the "
         "name; if it is private, set HF_TOKEN, or log in with `hf auth login`"
     )
@@ -44,7 +51,8 @@ def test_a_repository_that_is_not_there(hub):
         api.fetch_policy("hub:lab/nothing")
 
 
-def test_a_revision_that_is_not_there(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_revision_that_is_not_there():
     with pytest.raises(SceneError, match="lab/corridor has no revision 'v9'; name a branch, a tag"):
         api.fetch_scene("hub:lab/corridor@v9")
 
@@ -57,7 +65,8 @@ def test_a_private_place_needs_a_token_and_opens_with_one(hub, monkeypatch):
     assert api.fetch_scene("hub:lab/secret").files
 
 
-def test_a_token_that_nobody_knows(hub, place, monkeypatch):
+@pytest.mark.usefixtures("place")
+def test_a_token_that_nobody_knows(monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "hf_stolen")
     with pytest.raises(SceneError, match=r"refuses its token \(401\); set HF_TOKEN"):
         api.fetch_scene("hub:lab/corridor")
@@ -67,23 +76,26 @@ def test_a_place_whose_owner_lets_in_only_some(hub):
     hub.add("datasets", "lab/gated", {"scene.yaml": SCENE}, gated=True)
     with pytest.raises(SceneError) as error:
         api.fetch_scene("hub:lab/gated")
-    assert f"ask for it at {hub.url}/datasets/lab/gated, then set HF_TOKEN" in said(error)
+    assert f"ask for it at {hub.url}/datasets/lab/gated, then set HF_TOKEN" in line_of(error)
 
 
-def test_a_token_is_not_told_to_where_large_files_lie(hub, place, monkeypatch):
+@pytest.mark.usefixtures("place")
+def test_a_token_is_not_told_to_where_large_files_lie(hub, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", READER)
     api.fetch_scene("hub:lab/corridor")
     assert {call.token for call in hub.calls if "/resolve/" in call.path} == {READER}
     assert {call.token for call in hub.calls if call.origin == "cdn"} == {None}
 
 
-def test_no_network(hub, place):
+@pytest.mark.usefixtures("place")
+def test_no_network(hub):
     hub.close()
     with pytest.raises(FetchError, match=rf"cannot reach {hub.url}: .*; check the network, proxy"):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_no_network_to_say_whether_what_is_kept_is_new(hub, place):
+@pytest.mark.usefixtures("place")
+def test_no_network_to_say_whether_what_is_kept_is_new(hub):
     fetched = api.fetch_scene("hub:lab/corridor")
     hub.close()
     with pytest.raises(FetchError, match=f"is revision {fetched.revision[:12]}, .* what runs use"):
@@ -91,31 +103,34 @@ def test_no_network_to_say_whether_what_is_kept_is_new(hub, place):
     assert api.fetch_scene(f"hub:lab/corridor@{fetched.revision}").folder == fetched.folder
 
 
-def test_a_hub_that_fails(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_hub_that_fails(hub):
     hub.status = 500
     with pytest.raises(FetchError, match=r"answers 500: .*; try again later"):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_a_page_of_somebody_else(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_page_of_somebody_else(hub):
     hub.status = 200
     with pytest.raises(FetchError, match="does not answer as a hub does"):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_an_endpoint_that_is_no_address(hub, monkeypatch):
+def test_an_endpoint_that_is_no_address(monkeypatch):
     monkeypatch.setenv("HF_ENDPOINT", "my-mirror")
     with pytest.raises(UsageError, match="HF_ENDPOINT 'my-mirror' is no address"):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_no_extra(hub, monkeypatch):
+def test_no_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     with pytest.raises(PrerequisiteError, match=r"pip install 'nw-eval\[hub\]'"):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_what_is_kept_needs_no_extra_either(hub, place, monkeypatch):
+@pytest.mark.usefixtures("place")
+def test_what_is_kept_needs_no_extra_either(monkeypatch):
     api.fetch_scene("hub:lab/corridor")
     forget_checks()
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
@@ -125,7 +140,8 @@ def test_what_is_kept_needs_no_extra_either(hub, place, monkeypatch):
 _OFFLINE = "from nw_eval.cli import main; main(['scenes', 'fetch', 'hub:lab/corridor'])"
 
 
-def test_a_user_who_forbids_the_network(hub, place, monkeypatch):
+@pytest.mark.usefixtures("place")
+def test_a_user_who_forbids_the_network(hub, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")  # The client looks once, when it is imported.
     ended = subprocess.run(
         [sys.executable, "-c", _OFFLINE], capture_output=True, text=True, check=False
@@ -136,6 +152,7 @@ def test_a_user_who_forbids_the_network(hub, place, monkeypatch):
     assert not hub.calls
 
 
+@pytest.mark.usefixtures("place")
 @pytest.mark.parametrize(
     ("announced", "words"),
     [
@@ -148,18 +165,19 @@ def test_a_user_who_forbids_the_network(hub, place, monkeypatch):
     ],
 )
 def test_names_and_sizes_of_strangers_are_checked_before_a_file_is_asked_for(
-    hub, place, tmp_path, announced, words
+    hub, tmp_path, announced, words
 ):
     hub.announced["collision.yaml"] = announced
     with pytest.raises(SceneError, match=words) as error:
         api.fetch_scene("hub:lab/corridor")
-    said(error)
+    line_of(error)
     assert not hub.transfers()
     assert not [path for path in tmp_path.rglob("*") if "escaped" in path.name]
 
 
 @pytest.mark.parametrize("oid", ["../../../../escaped", "", "A" * 40])
-def test_a_digest_is_one_before_a_file_is_called_by_it(hub, place, tmp_path, oid):
+@pytest.mark.usefixtures("place")
+def test_a_digest_is_one_before_a_file_is_called_by_it(hub, oid):
     hub.announced["collision.yaml"] = {"oid": oid}
     with pytest.raises(FetchError, match="does not answer as a hub does"):
         api.fetch_scene("hub:lab/corridor")
@@ -180,7 +198,8 @@ def test_a_link_of_git_is_a_file_that_holds_where_it_led(hub):
     assert not (fetched.folder / "policy.yaml").is_symlink()
 
 
-def test_no_room(hub, place, monkeypatch):
+@pytest.mark.usefixtures("place")
+def test_no_room(monkeypatch):
     class Usage:
         free = 1000
 
@@ -189,7 +208,8 @@ def test_no_room(hub, place, monkeypatch):
         api.fetch_scene("hub:lab/corridor")
 
 
-def test_a_cache_that_cannot_be_written(hub, place, tmp_path):
+@pytest.mark.usefixtures("place")
+def test_a_cache_that_cannot_be_written(tmp_path):
     Path(tmp_path / "cache").write_text("a file")
     with pytest.raises(StoreError, match="cannot write"):
         api.fetch_scene("hub:lab/corridor")

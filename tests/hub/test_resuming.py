@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from conftest import BOXES, LARGE_FILE
+from hub_content import BOXES, LARGE_FILE
 
 from nw_eval import api
 from nw_eval.errors import FetchError
@@ -19,12 +19,11 @@ REFERENCE = "hub:lab/corridor"
 
 def starts(hub):
     """From which byte on each transfer of the large file was asked for."""
-    return [
-        int((call.range or "bytes=0-")[6:-1]) for call in hub.calls if call.origin == "cdn"
-    ]
+    return [int((call.range or "bytes=0-")[6:-1]) for call in hub.calls if call.origin == "cdn"]
 
 
-def test_a_connection_that_breaks_is_gone_on_with_where_it_broke(hub, place, ears):
+@pytest.mark.usefixtures("place")
+def test_a_connection_that_breaks_is_gone_on_with_where_it_broke(hub, ears):
     hub.breaks = [700_000, 800_000]
     fetched = api.fetch_scene(REFERENCE, listener=ears)
     assert (fetched.folder / "notes" / "large.bin").read_bytes() == LARGE_FILE
@@ -35,7 +34,8 @@ def test_a_connection_that_breaks_is_gone_on_with_where_it_broke(hub, place, ear
     assert sum("going on from there" in line for line in ears.messages) == 2
 
 
-def test_a_network_that_is_lost_for_good_is_told_with_what_is_here_and_what_comes_next(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_network_that_is_lost_for_good_is_told_with_what_is_here_and_what_comes_next(hub):
     hub.breaks = [900_000, 0, 0, 0]
     with pytest.raises(FetchError) as caught:
         api.fetch_scene(REFERENCE)
@@ -51,7 +51,8 @@ def test_a_network_that_is_lost_for_good_is_told_with_what_is_here_and_what_come
 _FETCH = "import sys; from nw_eval import api; api.fetch_scene(sys.argv[1])"
 
 
-def test_a_process_that_is_killed_leaves_what_came_to_the_next(hub, place, tmp_path):
+@pytest.mark.usefixtures("place")
+def test_a_process_that_is_killed_leaves_what_came_to_the_next(hub, tmp_path):
     hub.stalls_after = 1_500_000
     child = subprocess.Popen([sys.executable, "-c", _FETCH, REFERENCE], env=dict(os.environ))
     parts = tmp_path / "cache" / "hub" / "scene" / "lab" / "corridor" / ".parts"
@@ -72,7 +73,8 @@ def test_a_process_that_is_killed_leaves_what_came_to_the_next(hub, place, tmp_p
     assert not list(parts.iterdir())
 
 
-def test_a_server_that_knows_no_ranges_sends_all_of_it_again(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_server_that_knows_no_ranges_sends_all_of_it_again(hub):
     hub.knows_ranges = False
     hub.breaks = [600_000]
     fetched = api.fetch_scene(REFERENCE)
@@ -90,7 +92,8 @@ def test_a_revision_that_changes_while_one_waits_has_bytes_of_its_own(hub, place
     assert (fetched.folder / "notes" / "large.bin").read_bytes() == other
 
 
-def test_bytes_that_are_not_those_that_were_announced_are_refused(hub, place):
+@pytest.mark.usefixtures("place")
+def test_bytes_that_are_not_those_that_were_announced_are_refused(hub):
     hub.sent["collision.yaml"] = BOXES.replace(b"0.1", b"0.9")
     with pytest.raises(FetchError, match=r"collision\.yaml is not what http://127\S+ announced"):
         api.fetch_scene(REFERENCE)
@@ -98,7 +101,8 @@ def test_bytes_that_are_not_those_that_were_announced_are_refused(hub, place):
     assert api.fetch_scene(REFERENCE).files
 
 
-def test_a_server_that_sends_more_than_it_announced_fills_no_disk(hub, place, tmp_path):
+@pytest.mark.usefixtures("place")
+def test_a_server_that_sends_more_than_it_announced_fills_no_disk(hub, tmp_path):
     hub.sent["collision.yaml"] = b"x" * 40_000
     with pytest.raises(FetchError, match="is not what"):
         api.fetch_scene(REFERENCE)

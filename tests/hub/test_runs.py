@@ -46,7 +46,7 @@ def nw_eval(capsys, *arguments):
 
 
 def test_a_run_fetches_what_it_names_and_writes_down_what_that_was(
-    hub, place, policy, suite, tmp_path, monkeypatch
+    hub, place, policy, suite, tmp_path
 ):
     ended = api.run(suite, out=tmp_path / "run", workers=1)
     assert ended.exit_code == 0
@@ -72,14 +72,15 @@ def test_a_run_fetches_what_it_names_and_writes_down_what_that_was(
     assert read_run_info(tmp_path / "again" / "run.json").scenes == info.scenes
 
 
-def test_what_lay_on_the_machine_was_not_fetched(hub, tmp_path):
+def test_what_lay_on_the_machine_was_not_fetched(tmp_path):
     api.run("smoke", policy="stand", trials=1, out=tmp_path / "run", workers=1, record="none")
     saved = json.loads((tmp_path / "run" / "run.json").read_text())
     assert saved["policy"]["fetched"] is None
     assert {scene["fetched"] for scene in saved["scenes"].values()} == {None}
 
 
-def test_a_place_that_is_not_there_is_a_fault_at_its_line_of_the_suite(hub, policy, suite):
+@pytest.mark.usefixtures("policy")
+def test_a_place_that_is_not_there_is_a_fault_at_its_line_of_the_suite(suite):
     with pytest.raises(SuiteError, match=r"far\.yaml:9:5: hub:lab/corridor: .* has no data set"):
         api.check(suite)
 
@@ -102,9 +103,8 @@ def test_the_command_says_where_it_lies_and_goes_on_without_a_network(hub, place
     assert "cannot reach" in err.splitlines()[-1]
 
 
-def test_a_policy_is_fetched_ahead_shown_and_tried_in_a_place_from_afar(
-    hub, place, policy, capsys
-):
+@pytest.mark.usefixtures("place", "policy")
+def test_a_policy_is_fetched_ahead_shown_and_tried_in_a_place_from_afar(capsys):
     code, out, _ = nw_eval(capsys, "policies", "fetch", "hub:lab/still")
     assert code == 0
     assert "hub:lab/still is revision" in out
@@ -117,7 +117,8 @@ def test_a_policy_is_fetched_ahead_shown_and_tried_in_a_place_from_afar(
     assert "no built-in scene" not in err
 
 
-def test_a_terminal_shows_a_bar_with_bytes(hub, place):
+@pytest.mark.usefixtures("place")
+def test_a_terminal_shows_a_bar_with_bytes():
     child, terminal = pty.openpty()
     ended = subprocess.Popen(
         [sys.executable, "-c", "from nw_eval.cli import main; main()", "scenes", "fetch", PLACE],
@@ -135,7 +136,7 @@ def test_a_terminal_shows_a_bar_with_bytes(hub, place):
     assert "/2.0 MB" in shown
 
 
-def test_a_token_for_writing_is_no_part_of_any_line(hub, monkeypatch, capsys):
+def test_a_token_for_writing_is_no_part_of_any_line(monkeypatch, capsys):
     monkeypatch.setenv("HF_TOKEN", WRITER)
     for kind in ("scenes", "policies"):
         code, out, err = nw_eval(capsys, kind, "fetch", "hub:lab/nothing")

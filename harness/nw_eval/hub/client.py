@@ -18,7 +18,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import FetchError, PrerequisiteError, UsageError
 from nw_eval.hub.reference import Reference
 
-_TOKEN = "set HF_TOKEN, or log in with `hf auth login`"
+_WHO = "set HF_TOKEN, or log in with `hf auth login`"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ def open_client(reference: Reference) -> Client:
 
 
 @contextmanager
-def in_words(client: Client, reference: Reference) -> Generator[None]:
+def worded(client: Client, reference: Reference) -> Generator[None]:
     """Let what the hub refuses, and what keeps one from it, be errors of ours.
 
     Raises:
@@ -101,7 +101,7 @@ def in_words(client: Client, reference: Reference) -> Generator[None]:
         page = client.url(reference, reference.revision, "").partition("/resolve/")[0]
         raise reference.error(
             "its owner lets in only whom he has granted access",
-            fix=f"ask for it at {page}, then {_TOKEN}",
+            fix=f"ask for it at {page}, then {_WHO}",
         ) from None
     except errors.RepositoryNotFoundError:
         raise _unknown(client, reference) from None
@@ -119,7 +119,7 @@ def in_words(client: Client, reference: Reference) -> Generator[None]:
         if status in {401, 403}:
             refused = "its token" if client.has_token else "anybody without a token"
             raise reference.error(
-                f"{client.endpoint} refuses {refused} ({status})", fix=_TOKEN
+                f"{client.endpoint} refuses {refused} ({status})", fix=_WHO
             ) from None
         raise FetchError(
             f"{reference.text}: {client.endpoint} answers {status}: {_first_line(error)}",
@@ -150,7 +150,7 @@ def unreachable(client: Client, reference: Reference, error: Exception) -> Fetch
 
 def _unknown(client: Client, reference: Reference) -> Exception:
     kind = "data set" if reference.kind == "scene" else "model"
-    fix = f"check the name; if it is private, {_TOKEN}"
+    fix = f"check the name; if it is private, {_WHO}"
     if client.has_token:
         fix = "check the name, and that the token may read it"
     return reference.error(

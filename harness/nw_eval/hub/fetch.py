@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 
 from nw_eval.amounts import in_words
 from nw_eval.errors import FetchError, StoreError
-from nw_eval.hub.client import Client, in_words as hub_in_words, open_client
+from nw_eval.hub.client import Client, open_client, worded
 from nw_eval.hub.download import download
 from nw_eval.hub.fetched import (
     Fetched,
@@ -64,7 +64,7 @@ def fetch(reference: Reference) -> Fetched:
         return found
     client = open_client(reference)
     try:
-        with hub_in_words(client, reference):
+        with worded(client, reference):
             commit = commit_of(client, reference)
         found = kept(reference, commit) or _bring(client, reference, commit)
     except FetchError as error:
@@ -86,7 +86,7 @@ def _bring(client: Client, reference: Reference, commit: str) -> Fetched:
         found = kept(reference, commit)
         if found is not None:
             return found
-        with hub_in_words(client, reference):
+        with worded(client, reference):
             files = files_of(client, reference, commit)
         parts = {file: _part(reference, file) for file in files}
         _check_space(reference, parts)
@@ -94,7 +94,7 @@ def _bring(client: Client, reference: Reference, commit: str) -> Fetched:
             f"fetching {reference.text}, revision {commit[:12]}: {plural(len(files), 'file')}, "
             f"{in_words(sum(file.size for file in files))}"
         )
-        with hub_in_words(client, reference):
+        with worded(client, reference):
             for file, part in parts.items():
                 download(client, reference, commit, file, part)
         return _put_together(client, reference, commit, parts)

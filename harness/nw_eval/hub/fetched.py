@@ -139,7 +139,7 @@ def _read(folder: Path) -> Fetched | None:
         with folder.with_name(f"{folder.name}.json").open("rb") as file:
             values: dict[str, Any] = json.loads(file.read(limits.MANIFEST))
         fetched = Fetched(folder=folder, **values)
-        texts = [fetched.reference, fetched.revision, fetched.endpoint, fetched.fetched]
+        texts: list[Any] = [fetched.reference, fetched.revision, fetched.endpoint, fetched.fetched]
         texts += [*fetched.files.keys(), *fetched.files.values()]
     except (OSError, ValueError, TypeError, AttributeError):
         return None

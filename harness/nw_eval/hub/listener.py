@@ -1,5 +1,7 @@
-"""Who hears how far something has been fetched. Whoever finds a scene or a policy by its name does
-not know whether it must be fetched, so listeners are not handed down: they listen in.
+"""Who hears how far something has been fetched.
+
+Whoever finds a scene or a policy by its name does not know whether it must be fetched, so listeners
+are not handed down: they listen in.
 """
 
 from __future__ import annotations

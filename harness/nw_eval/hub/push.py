@@ -8,7 +8,7 @@ from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import FetchError, UsageError
-from nw_eval.hub.client import in_words, open_client
+from nw_eval.hub.client import open_client, worded
 from nw_eval.hub.reference import MAIN, Reference, is_commit
 
 
@@ -49,7 +49,7 @@ def push(reference: Reference, files: Mapping[str, Path], *, private: bool, mess
         "repo_type": reference.repository_type,
     }
     try:
-        with in_words(client, reference):
+        with worded(client, reference):
             client.api.create_repo(**where, private=private or None, exist_ok=True)
             done: Any = client.api.create_commit(
                 **where, operations=operations, commit_message=message

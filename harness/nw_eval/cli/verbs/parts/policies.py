@@ -1,4 +1,4 @@
-"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a server, a hub."""
+"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a hub's."""
 
 from __future__ import annotations
 
@@ -174,8 +174,7 @@ class Fetch:
 
 @dataclass(frozen=True, kw_only=True)
 class Policies:
-    """List policies, show and check their cards, draft one, fold a checkpoint, serve or fetch one.
-    """
+    """List policies, show and check their cards, draft, fold, serve or fetch one."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
