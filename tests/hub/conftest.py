@@ -12,8 +12,6 @@ import pytest
 # its own, which is not to be had on the loopback address.
 os.environ["HF_HUB_DISABLE_XET"] = "1"
 os.environ["HF_HUB_DISABLE_TELEMETRY"] = "1"
-pytest.importorskip("huggingface_hub", reason="needs the extra hub")
-
 sys.path.insert(0, str(Path(__file__).parent))
 
 from hub_content import BOXES, CARD, LARGE_FILE, SCENE
@@ -22,6 +20,7 @@ from hub_server import Hub
 
 @pytest.fixture(autouse=True)
 def hub(tmp_path, monkeypatch):
+    pytest.importorskip("huggingface_hub", reason="needs the extra hub")
     server = Hub()
     monkeypatch.setenv("HF_ENDPOINT", server.url)
     monkeypatch.setenv("HF_HOME", str(tmp_path / "nobody"))

@@ -260,8 +260,10 @@ class _Handler(BaseHTTPRequestHandler):
                 files[value["path"]] = base64.b64decode(value["content"])
             elif item["key"] == "lfsFile":
                 files[value["path"]] = self.hub.uploads[value["oid"]]
-        commit = self.hub.repositories[self.words["kind"], self.words["name"]].commit(files)
-        self._json({"commitUrl": f"{self.hub.url}/commit/{commit}", "commitOid": commit})
+        kind, name = self.words["kind"], self.words["name"]
+        commit = self.hub.repositories[kind, name].commit(files)
+        url = f"{self.hub.url}/{kind}/{name}/commit/{commit}"
+        self._json({"commitUrl": url, "commitOid": commit})
 
     def _check_writer(self) -> None:
         if self.token != WRITER:

@@ -72,8 +72,9 @@ def test_a_run_fetches_what_it_names_and_writes_down_what_that_was(
     assert read_run_info(tmp_path / "again" / "run.json").scenes == info.scenes
 
 
-def test_what_lay_on_the_machine_was_not_fetched(tmp_path):
-    api.run("smoke", policy="stand", trials=1, out=tmp_path / "run", workers=1, record="none")
+def test_what_lay_on_the_machine_was_not_fetched(suite, tmp_path):
+    suite.write_text(SUITE.replace(PLACE, "flat/carpet_room").replace("hub:lab/still", "stand"))
+    api.run(suite, out=tmp_path / "run", workers=1)
     saved = json.loads((tmp_path / "run" / "run.json").read_text())
     assert saved["policy"]["fetched"] is None
     assert {scene["fetched"] for scene in saved["scenes"].values()} == {None}
@@ -117,6 +118,7 @@ def test_a_policy_is_fetched_ahead_shown_and_tried_in_a_place_from_afar(capsys):
     assert "no built-in scene" not in err
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("place")
 def test_a_terminal_shows_a_bar_with_bytes():
     child, terminal = pty.openpty()
