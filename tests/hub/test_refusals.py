@@ -149,6 +149,7 @@ def test_a_user_who_forbids_the_network(hub, monkeypatch, capsys):
     assert not hub.calls
 
 
+@pytest.mark.usefixtures("place")
 @pytest.mark.parametrize(
     ("announced", "words"),
     [
