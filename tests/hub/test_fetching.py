@@ -109,14 +109,14 @@ def test_the_code_of_a_policy_is_fetched_and_does_not_run_without_leave(hub, tmp
     assert not witness.exists()
 
 
-@pytest.mark.usefixtures("place")
-def test_a_file_that_was_changed_on_disk_is_not_used(hub):
+def test_a_file_that_was_changed_on_disk_is_not_used(hub, place):
     fetched = api.fetch_scene("hub:lab/corridor")
     (fetched.folder / "collision.yaml").write_text("boxes: []\n")
     forget_checks()  # Another process.
+    place.commit({"scene.yaml": b"another place"})
     hub.calls.clear()
     again = catalogue.get_scene("hub:lab/corridor")
-    assert len(again.solids) == 1
+    assert len(again.solids) == 1  # Fetched anew, at the revision that it was.
     assert hub.transfers()
 
 

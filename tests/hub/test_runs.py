@@ -12,8 +12,10 @@ import pytest
 from hub_server import WRITER
 
 from nw_eval import api
+from nw_eval.api.baselines.here import card_reference
 from nw_eval.cli import main
 from nw_eval.errors import SuiteError
+from nw_eval.policies import load_bundle
 from nw_eval.results.provenance import read_run_info
 
 SUITE = """\
@@ -61,7 +63,7 @@ def test_a_run_fetches_what_it_names_and_writes_down_what_that_was(
     assert set(scene.files) == {"scene.yaml", "collision.yaml", "notes/large.bin"}
     assert all(len(digest) == 64 for digest in (*scene.files.values(), *card.files.values()))
     report = (tmp_path / "run" / "report.md").read_text()
-    assert f"hub:lab/still, {card.revision[:12]}; hub:lab/corridor, {scene.revision[:12]}" in report
+    assert f"hub:lab/still {card.revision[:12]}; hub:lab/corridor {scene.revision[:12]}" in report
 
     # The network goes, both repositories have moved on before, and the same trial is the same.
     place.commit({"collision.yaml": b"boxes: []\n"})
@@ -145,3 +147,10 @@ def test_a_token_for_writing_is_no_part_of_any_line(monkeypatch, capsys):
         assert code == 2
         assert WRITER not in out + err
         assert "that the token may read it" in err
+
+
+def test_a_bank_names_the_revision_of_its_policy_for_other_machines(policy):
+    bundle = load_bundle("hub:lab/still@main")
+    reference = card_reference(bundle.reference)
+    assert reference == f"hub:lab/still@{policy.revisions['main']}"
+    assert load_bundle(reference).digest == bundle.digest

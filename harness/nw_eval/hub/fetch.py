@@ -6,6 +6,7 @@ import fcntl
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import mkdtemp
@@ -35,7 +36,7 @@ def located(reference: Reference) -> Fetched:
     """Return what a reference names: what is kept of it, or else fetched now.
 
     A branch or tag that was fetched once stays at that commit, with a network or without, until
-    `fetch` looks again.
+    `fetch` looks again; what of it is damaged or gone is fetched anew at that commit.
 
     Raises:
         SceneError, PolicyError, FetchError, PrerequisiteError, StoreError, UsageError: as `fetch`.
@@ -43,7 +44,7 @@ def located(reference: Reference) -> Fetched:
     commit = known_commit(reference)
     found = None if commit is None else kept(reference, commit)
     if found is None:
-        return fetch(reference)
+        found = fetch(reference if commit is None else replace(reference, revision=commit))
     listener().message(str(found))
     return found
 
@@ -74,7 +75,8 @@ def fetch(reference: Reference) -> Fetched:
             f"{reference.text} cannot be kept: {error.strerror or error}",
             fix="free space, or set NW_EVAL_CACHE to a folder that can be written",
         ) from error
-    remember_commit(reference, commit)
+    if not reference.is_pinned:
+        remember_commit(reference, commit)
     return found
 
 
@@ -118,7 +120,7 @@ def _put_together(
                 _link(part, folder / file.path)
         place = repository / commit / reference.label
         fetched = Fetched(
-            reference=reference.text,
+            reference=reference.name,
             kind=reference.kind,
             repository=reference.repository,
             revision=commit,

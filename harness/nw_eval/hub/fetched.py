@@ -32,7 +32,7 @@ class Fetched:
     """A place or a policy that was fetched."""
 
     reference: str
-    """What it was asked for by."""
+    """What names it, without a revision."""
     kind: Kind
     repository: str
     revision: str

@@ -45,6 +45,11 @@ class Reference:
     """The zip in the repository that holds the place; None = the repository's files are it."""
 
     @property
+    def name(self) -> str:
+        """What names it, whatever its revision."""
+        return self.text.partition("@")[0]
+
+    @property
     def repository_type(self) -> Literal["dataset", "model"]:
         """What the hub calls its kind."""
         return "dataset" if self.kind == "scene" else "model"

@@ -26,7 +26,7 @@ class _Saved(BaseModel):
 class FetchedInfo(_Saved):
     """What of a run came from a hub, and which revision it is."""
 
-    reference: str  # What it was asked for by.
+    reference: str  # What names it, without a revision: `hub:org/name`, `neverwhere:NAME`.
     revision: str  # The commit.
     files: dict[str, str]  # Hex sha256 by name.
 
