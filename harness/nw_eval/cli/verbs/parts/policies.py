@@ -153,7 +153,7 @@ class Serve:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fetch:
+class FetchPolicy:
     """Fetch a policy as its hub has it now; runs use it from then on, without a network.
 
     Nothing of it is run, and the token that it needs is not needed again. A download that breaks
@@ -183,7 +183,7 @@ class Policies:
         | Annotated[Init, tyro.conf.subcommand("init")]
         | Annotated[Fold, tyro.conf.subcommand("fold")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
-        | Annotated[Fetch, tyro.conf.subcommand("fetch")]
+        | Annotated[FetchPolicy, tyro.conf.subcommand("fetch")]
     )
 
     def __call__(self) -> int:

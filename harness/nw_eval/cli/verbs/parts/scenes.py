@@ -84,7 +84,7 @@ class Render:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fetch:
+class FetchScenes:
     """Fetch places as their hub has them now; runs use them from then on, without a network.
 
     A download that breaks goes on where it broke when the command is given again. HF_TOKEN or
@@ -107,7 +107,7 @@ class Fetch:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Push:
+class PushScene:
     """Put a scene folder into a data set of a hub, as one commit. Needs the extra `hub`.
 
     The files that the scene is made of are pushed, README and licence if they lie beside them, and
@@ -138,8 +138,8 @@ class Scenes:
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Render, tyro.conf.subcommand("render")]
-        | Annotated[Fetch, tyro.conf.subcommand("fetch")]
-        | Annotated[Push, tyro.conf.subcommand("push")]
+        | Annotated[FetchScenes, tyro.conf.subcommand("fetch")]
+        | Annotated[PushScene, tyro.conf.subcommand("push")]
     )
 
     def __call__(self) -> int:
