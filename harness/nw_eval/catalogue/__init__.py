@@ -3,6 +3,7 @@
 from nw_eval.catalogue.brought import brought, fetch_scene
 from nw_eval.catalogue.find import (
     get_scene,
+    is_meant,
     match_scenes,
     names,
     open_scene,
@@ -16,6 +17,7 @@ __all__ = [
     "brought",
     "fetch_scene",
     "get_scene",
+    "is_meant",
     "match_scenes",
     "names",
     "open_scene",
