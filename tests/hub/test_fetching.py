@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -144,3 +145,11 @@ def test_two_files_of_the_same_bytes_are_two_files(hub):
     hub.add("models", "lab/twice", {"policy.yaml": b"x", "a/__init__.py": b"", "b.py": b""})
     fetched = api.fetch_policy("hub:lab/twice")
     assert names(fetched.folder) == ["a/__init__.py", "b.py", "policy.yaml"]
+
+
+def test_what_two_ask_for_at_once_is_fetched_once(hub, place):
+    with ThreadPoolExecutor(2) as both:
+        found = list(both.map(api.fetch_scene, ["hub:lab/corridor"] * 2))
+    assert found[0].folder == found[1].folder
+    assert found[0].revision == place.revisions["main"]
+    assert len([call for call in hub.calls if call.origin == "cdn"]) == 1

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import stat
+import sys
 import zipfile
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from nw_eval import api, catalogue
@@ -68,6 +72,34 @@ def test_a_scene_is_fetched_by_its_name_and_of_its_zip_what_is_read(hub, release
     assert catalogue.get_scene(REFERENCE).name == f"neverwhere/{NAME}"
     assert catalogue.references([REFERENCE])[0][0] == f"neverwhere:{fetched.folder}"
     assert not list(fetched.folder.parents[1].glob(".parts/*"))
+
+
+def written_scan(folder):
+    """Write a scan as the release's own tool does: the writer of the tests of its reader."""
+    path = Path(__file__).parents[1] / "scenes" / "neverwhere" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("published_writer", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    vertices, faces = module.plain_mesh()
+    return module.Writer(
+        folder=folder,
+        label=module.random_label(np.random.default_rng(7)),
+        normalise=None,
+        vertices=vertices,
+        faces=faces,
+        trail=np.array([[1.7, 0.0, 0.15], [3.0, 0.1, 0.0]]),
+    ).write()
+
+
+def test_a_scan_is_the_same_place_as_if_it_had_been_unpacked_by_hand(release, tmp_path):
+    folder = written_scan(tmp_path / "real_scenes" / NAME)
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.*")}
+    release({name: path.read_bytes() for name, path in files.items()} | {"images/1.png": b"x"})
+    by_hand = catalogue.get_scene(f"neverwhere:{folder}")
+    assert catalogue.get_scene(REFERENCE).digest == by_hand.digest
+    (checked,) = api.check_scenes([REFERENCE])
+    assert [each.code for each in checked.findings if each.severity == "error"] == ["no_splat"]
 
 
 def test_a_folder_of_that_name_comes_first(hub, tmp_path, monkeypatch):

@@ -132,7 +132,7 @@ def worded(client: Client, reference: Reference) -> Generator[None]:
         ) from None
     except errors.HTTPError as error:
         raise unreachable(client, reference, error) from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise FetchError(
             f"{reference.text}: {client.endpoint} does not answer as a hub does: "
             f"{type(error).__name__}: {_first_line(error)}",

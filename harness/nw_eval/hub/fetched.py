@@ -141,7 +141,7 @@ def _read(folder: Path) -> Fetched | None:
         fetched = Fetched(folder=folder, **values)
         texts: list[Any] = [fetched.reference, fetched.revision, fetched.endpoint, fetched.fetched]
         texts += [*fetched.files.keys(), *fetched.files.values()]
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return None
     return fetched if all(isinstance(text, str) for text in texts) else None
 
@@ -150,7 +150,7 @@ def _revisions(reference: Reference) -> dict[str, Any]:
     try:
         with _revisions_file(reference).open("rb") as file:
             known: Any = json.loads(file.read(limits.MANIFEST))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return cast("dict[str, Any]", known) if isinstance(known, dict) else {}
 
