@@ -158,8 +158,7 @@ def write(folder, rounds, starts, frictions, chance):
         engine=run.engine,
     )
     with Journal.create(at.journal, header) as journal:
-        for row in rows:
-            journal.append(row)
+        journal.extend(rows)
     write_run_info(at.run_json, write_trials(at, run, rows))
     return len(rows)
 

@@ -253,6 +253,68 @@ def test_a_full_disk_is_told_and_leaves_the_finished_trials_whole(
     assert [row.trial_id for row in read_journal(path).rows] == ["t0", "t1"]
 
 
+@pytest.mark.parametrize("room", [100, 1500])  # Half of the first line, or of the second.
+def test_of_rows_that_are_there_together_a_full_disk_keeps_all_or_none(
+    path: Path, make_row: Callable[..., Row], room: int
+) -> None:
+    rows = [make_row(trial_id=f"t{k}", seed_index=k) for k in range(3)]
+    with Journal.create(path, HEADER) as journal:
+        before = path.read_bytes()
+        disk = journal._handle
+        journal._handle = FullDisk(disk, room=room)
+        with pytest.raises(StoreError, match="No space left"):
+            journal.extend(rows)
+        assert path.read_bytes() == before
+        assert journal.rows == ()
+        journal._handle = disk
+        journal.extend(rows)
+    assert read_journal(path).rows == tuple(rows)
+
+
+def test_rows_that_are_there_together_are_the_lines_that_they_are_alone_with_one_wait(
+    path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [make_row(trial_id=f"t{k}", seed_index=k, wall_s=k / 7) for k in range(2500)]
+    alone = path.with_name("alone.jsonl")
+    waits: list[int] = []
+    with Journal.create(path, HEADER) as journal, Journal.create(alone, HEADER) as other:
+        monkeypatch.setattr(os, "fsync", waits.append)
+        journal.extend(rows)
+        assert len(waits) == 1
+        for row in rows:
+            other.append(row)
+    assert path.read_bytes() == alone.read_bytes()
+
+
+def test_rows_that_contradict_each_other_are_not_written_together(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    with Journal.create(path, HEADER) as journal:
+        error = make_row(status="error", outcome="crashed", success=None)
+        journal.extend([error, make_row(attempt=2)])
+        before = path.read_bytes()
+        with pytest.raises(StoreError, match="has two different results"):
+            journal.extend([make_row(trial_id="t1"), make_row(attempt=3, outcome="timeout")])
+        assert path.read_bytes() == before
+        assert [row.attempt for row in journal.rows] == [2]
+
+
+def test_a_killed_process_keeps_whole_lines_of_rows_that_it_was_writing_together(
+    path: Path, make_row: Callable[..., Row]
+) -> None:
+    rows = [make_row(trial_id=f"t{k}", seed_index=k) for k in range(20)]
+    with Journal.create(path, HEADER) as journal:
+        journal.append(rows[0])
+        acknowledged = path.stat().st_size
+        journal.extend(rows[1:])
+    whole = path.read_bytes()
+    ends = [at + 1 for at, byte in enumerate(whole) if byte == ord("\n")]
+    for cut in range(acknowledged, len(whole), 997):
+        path.write_bytes(whole[:cut])
+        kept = read_journal(path).rows
+        assert kept == tuple(rows[: sum(end <= cut for end in ends) - 1])
+
+
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match=r"cannot write .*journal\.jsonl.*--out"):

@@ -2,13 +2,26 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.results.row import COLUMNS, MEASURED, Row, from_dict, from_dicts, rows_digest, to_dict
+from nw_eval.results.evidence.leaves import row_leaf, row_leaves
+from nw_eval.results.row import (
+    COLUMNS,
+    MEASURED,
+    Row,
+    from_dict,
+    from_dicts,
+    rows_digest,
+    texts_of,
+    to_dict,
+)
+from nw_eval.results.row import row as row_module
+from nw_eval.results.row import texts as texts_module
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,6 +101,54 @@ def test_many_rows_at_once_are_what_they_are_one_by_one(
         assert [list(map(type, to_dict(row).values())) for row in at_once] == [
             list(map(type, to_dict(row).values())) for row in one_by_one
         ]
+
+
+NUMBERS = st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.integers(0, 9))
+SINGLE = st.floats(width=32, allow_nan=False, allow_infinity=False)
+SOME = st.fixed_dictionaries(
+    {},
+    optional={
+        "trial_id": st.text(max_size=9),
+        "error_text": st.sampled_from(["", 'a, "b"\\', "é\u2028\U0001f600"]),
+        "seed": st.integers(0, 2**64 - 1),
+        "sim_s": NUMBERS,
+        "wall_s": NUMBERS,
+        "setup_s": st.sampled_from([0.0, -0.0, 0, 1.5]),
+        "contact_s": st.sampled_from([0.0, -0.0, 0, 1e-7, 1e22]),
+        "coverage_min": st.one_of(st.none(), NUMBERS),
+        "waypoint_times": st.lists(SINGLE, max_size=3).map(tuple),
+        "perturbation": st.lists(st.tuples(st.text(max_size=3), NUMBERS), max_size=2).map(tuple),
+        "outcome": st.sampled_from(["fell", "policy_failed"]),
+        "mcap_sha256": st.sampled_from(["", "ff" * 32]),
+        "tier": st.sampled_from(["critical", "supporting"]),
+    },
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(changes=st.lists(SOME, max_size=20))
+def test_the_texts_of_many_rows_are_those_of_each(
+    make_row: Callable[..., Row], changes: list[dict[str, Any]]
+) -> None:
+    rows = [make_row(**change) for change in changes]
+    encode = json.JSONEncoder(separators=(",", ":")).encode
+    for texts in texts_of(rows):
+        assert list(texts.records()) == [encode({"row": to_dict(row)}) for row in texts.rows]
+        assert list(texts.results()) == [(row.trial_id, row.arm, row.digest) for row in texts.rows]
+        assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in texts.rows}
+    assert [row for texts in texts_of(rows) for row in texts.rows] == rows
+
+
+def test_a_column_that_came_later_is_in_the_digest_of_many_rows_where_it_is_not_its_default(
+    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [make_row(seed_index=k, coverage_min=c) for k, c in enumerate((None, 0.5))]
+    later = replace(COLUMNS["coverage_min"], added=True)
+    monkeypatch.setitem(COLUMNS, "coverage_min", later)
+    monkeypatch.setattr(row_module, "CAME_LATER", ("coverage_min",))
+    monkeypatch.setattr(texts_module, "CAME_LATER", ("coverage_min",))
+    (texts,) = texts_of(rows)
+    assert [digest for _, _, digest in texts.results()] == [row.digest for row in rows]
 
 
 def test_many_rows_that_are_fine_are_not_looked_at_one_by_one(

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_eval.results.row import Row, by_column
+
+_STAGES = ("setup", "sense", "render", "policy", "physics", "log")
+"""Those that rows have the times of, each in its column."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,17 +38,13 @@ class Throughput:
 def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
     """Return the time of each stage. Rows from the cache took none and are left out."""
     run = [row for row in rows if not row.cached]
-    steps = sum(row.steps for row in run)
-    trials = sum(row.wall_s for row in run)
-    sim = sum(row.sim_s for row in run)
-    named = {
-        "setup": sum(row.setup_s for row in run),
-        "sense": sum(row.sense_s for row in run),
-        "render": sum(row.render_s for row in run),
-        "policy": sum(row.policy_s for row in run),
-        "physics": sum(row.physics_s for row in run),
-        "log": sum(row.log_s for row in run),
+    times = {name: f"{name}_s" for name in _STAGES}
+    sums: dict[str, float] = {
+        column: sum(values)
+        for column, values in by_column(run, ("steps", "wall_s", "sim_s", *times.values())).items()
     }
+    steps, trials, sim = sums["steps"], sums["wall_s"], sums["sim_s"]
+    named = {name: sums[column] for name, column in times.items()}
     # Clocks that overlap by a rounding must not make a negative stage.
     named["other"] = max(0.0, trials - sum(named.values()))
     named["waiting"] = max(0.0, info.wall_s * min(info.workers, len(run)) - trials)

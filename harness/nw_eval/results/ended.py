@@ -7,17 +7,20 @@ costs nothing while the other is whole; what neither can show is no result.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
+from typing import Any
 
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
-from nw_eval.results.evidence.digests import digests_of, write_digests
+from nw_eval.results.evidence.digests import Digests, write_digests
+from nw_eval.results.evidence.gathered import Gathered
+from nw_eval.results.evidence.leaves import run_leaf
 from nw_eval.results.journal import last_sum, read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
 from nw_eval.results.provenance import RunInfo, write_run_info
-from nw_eval.results.row import Row, rows_digest
+from nw_eval.results.row import Row, by_column, digest_of_results, rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
 
 _NAMED = 3  # trials that a sentence names before it says "and more"
@@ -37,19 +40,32 @@ def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunIn
     Raises:
         StoreError: a file cannot be written.
     """
-    kept = list(rows)
-    digests = digests_of(info, kept)
+    gathered = Gathered()
+    for _ in gathered.passing(texts_of(list(rows))):
+        pass
+    return write_gathered(folder, info, gathered)
+
+
+def write_gathered(folder: RunFolder, info: RunInfo, gathered: Gathered) -> RunInfo:
+    """Write rows of which all is known that is written; as `write_trials`.
+
+    Raises:
+        StoreError: a file cannot be written.
+    """
+    digests = Digests(run=run_leaf(info), rows=gathered.leaves)
     write_digests(folder.digests, digests)
-    ended = _write_table(folder, info, kept)
+    ended = _write_table(folder, info, gathered.columns, digest_of_results(gathered.results))
     sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
     return ended.model_copy(update=sums)
 
 
-def _write_table(folder: RunFolder, info: RunInfo, kept: Sequence[Row]) -> RunInfo:
+def _write_table(
+    folder: RunFolder, info: RunInfo, columns: Mapping[str, Sequence[Any]], digest: str
+) -> RunInfo:
     """Write trials.parquet alone: what a run was when it ended is not said anew."""
-    from nw_eval.results.parquet import write_rows
+    from nw_eval.results.parquet import write_columns
 
-    ended = info.model_copy(update={"rows_digest": rows_digest(kept)})
+    ended = info.model_copy(update={"rows_digest": digest})
     metadata = {
         "run_id": ended.id,
         "suite_digest": ended.suite_digest,
@@ -59,7 +75,7 @@ def _write_table(folder: RunFolder, info: RunInfo, kept: Sequence[Row]) -> RunIn
         "renderer": ended.renderer,
         "rows_digest": ended.rows_digest,
     }
-    write_rows(folder.trials, kept, metadata)
+    write_columns(folder.trials, columns, metadata)
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 
@@ -116,7 +132,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         return []
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        again = _write_table(folder, info, rows)
+        again = _write_table(folder, info, by_column(rows), rows_digest(rows))
         if again != info:  # Another version of Arrow writes the same rows as other bytes.
             write_run_info(folder.run_json, again)
     except StoreError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
-from nw_eval.results.row import COLUMNS, Row, from_dicts, rows_digest, to_dict
+from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -35,8 +35,23 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
     Raises:
         StoreError: the file cannot be written.
     """
-    ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=SCHEMA)
+    write_columns(path, by_column(list(rows)), metadata)
+
+
+def write_columns(
+    path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]
+) -> None:
+    """Write rows of which all values are known by column; as `write_rows`.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    keys = list(zip(columns["trial_id"], columns["arm"], strict=True))
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    arrays = [
+        pa.array(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
+    ]
+    table = pa.Table.from_arrays(arrays, schema=SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
 
 

@@ -6,12 +6,22 @@ import json
 from hashlib import sha256
 from typing import Any
 
+_ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
-def digest_of(value: Any) -> str:
-    """Return the hex sha256 of a JSON value: sorted keys, no spaces, floats by `repr`.
+
+def canonical(value: Any) -> str:
+    """Return the one text of a JSON value: sorted keys, no spaces, floats by `repr`.
 
     Raises:
         ValueError: the value holds NaN or infinity, which JSON has no word for.
     """
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return sha256(text.encode()).hexdigest()
+    return _ENCODE(value)
+
+
+def digest_of(value: Any) -> str:
+    """Return the hex sha256 of a JSON value's `canonical` text.
+
+    Raises:
+        ValueError: as there.
+    """
+    return sha256(canonical(value).encode()).hexdigest()

@@ -94,6 +94,21 @@ def test_a_run_that_is_repeated_runs_one_trial_and_has_the_same_results(go):
     assert not again.told
 
 
+def test_what_is_taken_over_is_written_together_and_shown_when_it_is_on_disk(go, monkeypatch):
+    go("first", trials=20)
+    together, extend = [], Journal.extend
+
+    def counted(journal, rows):
+        extend(journal, rows)
+        together.append(len(rows))
+        assert {row.trial_id for row in rows} <= {row.trial_id for row in journal.rows}
+
+    monkeypatch.setattr(Journal, "extend", counted)
+    again = go("again", trials=20)
+    assert together == [1, 19]  # What ran, and all that it confirmed.
+    assert len(hits(again)) == 19
+
+
 def test_what_is_taken_over_has_its_log_in_the_run_and_the_times_of_its_own_run(go):
     go("first")
     again = go("again")

@@ -118,8 +118,9 @@ class Attempts:
 
     def _take_over(self, *, at_last: bool = False) -> None:
         """Write down what the cache knows, unless that has yet to be compared."""
-        for row in self._known.agreed(at_last=at_last):
-            self._journal.append(row)
+        if rows := self._known.agreed(at_last=at_last):
+            self._journal.extend(rows)
+        for row in rows:
             self._listener.trial(row)
 
     def _dismiss(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 
 from nw_eval.gate.verdict import Verdict
@@ -39,7 +40,7 @@ def render_html(
         folder: the run's folder as a reader would type it; replay commands start with it.
         evidence: what the logs of its trials show.
     """
-    rows = sorted(rows, key=lambda row: row.trial_id)
+    rows = sorted(rows, key=attrgetter("trial_id"))
     clips, clips_left_out = clips_that_fit(evidence)
     pictures, pictures_left_out = pictures_that_fit(evidence)
     failing = course(rows, verdict)

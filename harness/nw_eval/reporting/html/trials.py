@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.tables.table import WORST
@@ -23,14 +24,18 @@ class WorstTrial:
     """That replays it; empty without a log."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrialLine:
-    """A trial in the table of all of them."""
+class TrialLine(NamedTuple):
+    """A trial in the table of all of them, cell by cell."""
 
-    row: Row
+    trial: str
+    scene: str
     setting: str
     """What was changed; empty where nothing was."""
+    outcome: str
+    reason: str
     success: str
+    at: str
+    wall: str
     command: str
 
 
@@ -59,9 +64,14 @@ def trial_lines(rows: Sequence[Row], folder: Path) -> tuple[TrialLine, ...]:
     """Return every trial, in the order of `rows`."""
     return tuple(
         TrialLine(
-            row=row,
-            setting=", ".join(f"{axis} {value:g}" for axis, value in row.perturbation),
+            trial=row.trial_id,
+            scene=row.scene,
+            setting=", ".join([f"{axis} {value:g}" for axis, value in row.perturbation]),
+            outcome=row.outcome,
+            reason=row.end_reason,
             success="" if row.success is None else f"{row.waypoints_reached}/{row.waypoints_total}",
+            at=f"{row.sim_s:.2f}",
+            wall=f"{row.wall_s:.1f}",
             command=replay_command(row, folder),
         )
         for row in rows

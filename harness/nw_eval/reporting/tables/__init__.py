@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 
 from nw_eval.gate.verdict import Verdict
@@ -36,7 +37,7 @@ def all_tables(
         folder: the run's folder as a reader would type it; replay commands start with it.
         brief: for a terminal: fewer of the worst trials, no perturbations and no provenance.
     """
-    ordered = sorted(rows, key=lambda row: row.trial_id)
+    ordered = sorted(rows, key=attrgetter("trial_id"))
     tables = (
         baseline_table(verdict.against, brief=brief),
         scenes_table(verdict),

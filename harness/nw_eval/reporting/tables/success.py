@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,18 +59,20 @@ def scenes_table(verdict: Verdict) -> Table:
 
 def outcomes_table(rows: Sequence[Row]) -> Table:
     """Return how the trials ended."""
-    counts = Counter(row.outcome for row in rows)
-    order = sorted(counts, key=lambda name: (name not in OUTCOMES, -counts[name], name))
+    ended: defaultdict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        ended[row.outcome].append(row)
+    order = sorted(ended, key=lambda name: (name not in OUTCOMES, -len(ended[name]), name))
     return Table(
         title="Outcomes",
         columns=("outcome", "trials", "share", "mean success", "most often by"),
         rows=tuple(
             (
                 name if name in OUTCOMES else f"{name} (error)",
-                str(counts[name]),
-                f"{100 * counts[name] / len(rows):.0f} %",
-                mean([row.success for row in rows if row.outcome == name]),
-                Counter(row.end_reason for row in rows if row.outcome == name).most_common(1)[0][0],
+                str(len(ended[name])),
+                f"{100 * len(ended[name]) / len(rows):.0f} %",
+                mean([row.success for row in ended[name]]),
+                Counter(row.end_reason for row in ended[name]).most_common(1)[0][0],
             )
             for name in order
         ),

@@ -104,6 +104,8 @@ def how_ended(row: Row) -> str:
 
 def replay_command(row: Row, folder: Path) -> str:
     """Return the command that replays a trial; empty if it has no log in the folder."""
+    if not row.mcap_path:
+        return ""
     try:
         checked(row.mcap_path)
     except OutsideError:

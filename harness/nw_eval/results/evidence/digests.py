@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +13,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.results.bounded import bounded_bytes
-from nw_eval.results.evidence.leaves import row_leaf, run_leaf
 from nw_eval.results.evidence.merkle import root_of
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
 from nw_eval.results.seal import seal, unseal
 
 _MOST = 64 * 2**20
@@ -38,11 +35,6 @@ class Digests:
         return root_of(bytes.fromhex(leaf) for leaf in (self.run, *ordered)).hex()
 
 
-def digests_of(info: RunInfo, rows: Iterable[Row]) -> Digests:
-    """Return the digests of a run with these rows."""
-    return Digests(run=run_leaf(info), rows={row.trial_id: row_leaf(row) for row in rows})
-
-
 def write_digests(path: Path, digests: Digests) -> None:
     """Write digests.json with its checksum, whole or not at all.
 
@@ -50,7 +42,10 @@ def write_digests(path: Path, digests: Digests) -> None:
         StoreError: it cannot be written.
     """
     ordered = {name: digests.rows[name] for name in sorted(digests.rows)}
-    text = json.dumps({"digests": 1, "run": digests.run, "rows": ordered}, indent=2)
+    # As `indent=2` would have it, by the encoder that is written in C.
+    rows = json.dumps(ordered, separators=(",\n    ", ": "))[1:-1]
+    rows = f"{{\n    {rows}\n  }}" if rows else "{}"
+    text = f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {rows}\n}}'
     with atomic_path(path) as temporary:
         temporary.write_text(seal(text)[0], encoding="utf-8")
 

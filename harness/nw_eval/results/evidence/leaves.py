@@ -8,13 +8,15 @@ its own.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from hashlib import file_digest
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from nw_eval.results.evidence.merkle import leaf_hash
 from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import COLUMNS, Row
+from nw_eval.results.row import COLUMNS, Row, RowTexts
 
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _VALUES = attrgetter(*COLUMNS)
@@ -53,9 +55,28 @@ def row_leaf(row: Row) -> str:
     for place in _REALS:  # A whole number comes back from Parquet as a real one.
         if type(values[place]) is int:
             values[place] = float(values[place])
-    while _DEFAULTS[len(values) - 1] == (True, values[-1]):
-        values.pop()
-    return leaf_hash(_ENCODE(values).encode()).hex()
+    return leaf_hash(_ENCODE(values[: _without_defaults(values)]).encode()).hex()
+
+
+def row_leaves(texts: RowTexts) -> dict[str, str]:
+    """Return the `row_leaf` of each of some rows, by trial."""
+    names, values = texts.values["trial_id"], texts.values
+    if any(int in set(map(type, values[name])) for name in COLUMNS.reals):
+        return dict(zip(names, map(row_leaf, texts.rows), strict=True))
+    counts = map(_without_defaults, zip(*values.values(), strict=True))
+    entries = zip(*texts.texts.values(), strict=True)
+    return {
+        name: leaf_hash(f"[{','.join(entry[:count])}]".encode()).hex()
+        for name, entry, count in zip(names, entries, counts, strict=True)
+    }
+
+
+def _without_defaults(values: Sequence[Any]) -> int:
+    """Return how many values there are but for the last that came later, and are as they would."""
+    count = len(values)
+    while _DEFAULTS[count - 1] == (True, values[count - 1]):
+        count -= 1
+    return count
 
 
 def log_sha256(path: Path) -> str:

@@ -25,20 +25,12 @@ def root_of(leaves: Iterable[bytes]) -> bytes:
     Args:
         leaves: the `leaf_hash` of every entry, in order.
     """
-    trees: list[bytes] = []  # Of the list so far: full ones, each smaller than the one before.
-    for number, leaf in enumerate(leaves, start=1):
-        trees.append(leaf)
-        while number % 2 == 0:  # As often as two trees are of one size.
-            number //= 2  # noqa: PLW2901 - the bits of the count are the trees.
-            right = trees.pop()
-            trees[-1] = _node(trees[-1], right)
+    trees = list(leaves)
     if not trees:
         return sha256().digest()
-    while len(trees) > 1:
-        right = trees.pop()
-        trees[-1] = _node(trees[-1], right)
+    while len(trees) > 1:  # All but the last one are of one size, a power of two.
+        alone = trees[len(trees) & ~1 :]
+        pairs = zip(trees[::2], trees[1::2], strict=False)
+        trees = [sha256(b"\x01" + left + right).digest() for left, right in pairs]
+        trees += alone
     return trees[0]
-
-
-def _node(left: bytes, right: bytes) -> bytes:
-    return sha256(b"\x01" + left + right).digest()

@@ -10,10 +10,10 @@ from nw_eval.errors import StoreError
 from nw_eval.plural import plural
 from nw_eval.results.evidence.digests import Digests
 from nw_eval.results.evidence.discrepancy import Discrepancy
-from nw_eval.results.evidence.leaves import row_leaf
+from nw_eval.results.evidence.leaves import row_leaves
 from nw_eval.results.journal import read_journal
 from nw_eval.results.parquet_apart import read_rows_apart
-from nw_eval.results.row import COLUMNS, Row
+from nw_eval.results.row import COLUMNS, Row, texts_of
 from nw_eval.results.run_folder import RunFolder
 
 _SHOWN = 4  # columns that a sentence names
@@ -103,7 +103,9 @@ def _parquet(folder: RunFolder) -> Copy:
 
 def _copy(file: str, rows: Collection[Row]) -> Copy:
     by_trial = {row.trial_id: row for row in rows}
-    leaves = {trial: row_leaf(row) for trial, row in by_trial.items()}
+    leaves: dict[str, str] = {}
+    for texts in texts_of(list(by_trial.values())):
+        leaves |= row_leaves(texts)
     fault = "" if len(by_trial) == len(rows) else "it has two rows of one trial"
     return Copy(file=file, rows=by_trial, leaves=leaves, fault=fault)
 

@@ -48,9 +48,10 @@ def joined(
             one = SourcedRow(row=row, sources=(source,))
             earlier = held.get(row.trial_id)
             held[row.trial_id] = one if earlier is None else _which(earlier, one)
-    if gaps := [place for place, trial in enumerate(trials) if trial.id not in held]:
+    names = [trial.id for trial in trials]
+    if gaps := [place for place, name in enumerate(names) if name not in held]:
         raise _gap(sources, trials, gaps, count)
-    return tuple(held[trial.id] for trial in trials)
+    return tuple(map(held.__getitem__, names))
 
 
 def _which(one: SourcedRow, two: SourcedRow) -> SourcedRow:

@@ -14,7 +14,8 @@ from nw_eval.files.cache import sync_folder
 from nw_eval.files.inside import inside
 from nw_eval.results.bank.against import Against
 from nw_eval.results.bounded import bounded_bytes
-from nw_eval.results.ended import write_trials
+from nw_eval.results.ended import write_gathered
+from nw_eval.results.evidence.gathered import Gathered
 from nw_eval.results.journal import JournalHeader, write_journal
 from nw_eval.results.merge.logs import take_logs
 from nw_eval.results.merge.rows import SourcedRow
@@ -27,7 +28,7 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import rows_digest
+from nw_eval.results.row import rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
 
 _LAYOUT_BYTES = 4 * 2**20
@@ -155,8 +156,9 @@ def _fill(
         scene_digests={name: scene.digest for name, scene in info.scenes.items()},
         engine=info.engine,
     )
-    write_journal(folder.journal, header, rows)
-    ended = write_trials(folder, info, rows)
+    gathered = Gathered()
+    write_journal(folder.journal, header, gathered.passing(texts_of(rows)))
+    ended = write_gathered(folder, info, gathered)
     write_run_info(folder.run_json, ended)
     return ended, lost
 

@@ -6,20 +6,26 @@ from nw_eval.results.row.row import (
     MEASURED,
     OF_THE_PLAN,
     Row,
+    by_column,
     from_dict,
     from_dicts,
-    rows_digest,
     to_dict,
 )
+from nw_eval.results.row.texts import Result, RowTexts, digest_of_results, rows_digest, texts_of
 
 __all__ = [
     "COLUMNS",
     "MEASURED",
     "OF_THE_PLAN",
     "Column",
+    "Result",
     "Row",
+    "RowTexts",
+    "by_column",
+    "digest_of_results",
     "from_dict",
     "from_dicts",
     "rows_digest",
+    "texts_of",
     "to_dict",
 ]

@@ -95,9 +95,11 @@ class Column:
         """Return a value as a row has it; JSON and Arrow have lists in place of tuples."""
         if not self.is_list:
             return value
+        if not value:
+            return ()
         if self.kind == Settings:
-            return tuple((str(name), float(number)) for name, number in value or ())
-        return tuple(value or ())
+            return tuple((str(name), float(number)) for name, number in value)
+        return tuple(value)
 
 
 class NamedColumns(dict[str, Column]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from operator import attrgetter
@@ -159,12 +159,12 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        kept = dict(zip(_OF_THE_RESULT, _RESULT(self), strict=True))
-        for name in _CAME_LATER:
+        kept = dict(zip(OF_THE_RESULT, _RESULT(self), strict=True))
+        for name in CAME_LATER:
             if not COLUMNS[name].in_digest(kept[name]):
                 del kept[name]
-        kept["fraction"] = kept.pop("success")  # What it was called when the first were published.
-        kept["contact_s"] = self.contact_s  # It came before later ones were left out.
+        for name, word in CALLED.items():
+            kept[word] = kept.pop(name)
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
         return sha256(_ENCODE(kept).encode()).hexdigest()
@@ -197,15 +197,42 @@ COLUMNS = columns_of(Row)
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
-_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
-_CAME_LATER = tuple(name for name in _OF_THE_RESULT if COLUMNS[name].added)
-_RESULT, _ALL = attrgetter(*_OF_THE_RESULT), attrgetter(*COLUMNS)
+AT_ONCE = 1000
+"""Rows that are turned into columns together: few enough for a processor's cache."""
+
+OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
+"""The columns of a row's digest."""
+
+# `contact_s` came before later ones were left out.
+CAME_LATER = tuple(name for name in OF_THE_RESULT if COLUMNS[name].added and name != "contact_s")
+"""Those that the digest leaves out while they have their defaults."""
+
+CALLED = {"success": "fraction"}
+"""What the digest calls a column: as it was called when the first digests were published."""
+
+_RESULT, _ALL = attrgetter(*OF_THE_RESULT), attrgetter(*COLUMNS)
 _ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
 
 def to_dict(row: Row) -> dict[str, Any]:
     """Return a row as plain JSON values."""
     return dict(zip(COLUMNS, _ALL(row), strict=True))
+
+
+def by_column(rows: Sequence[Row], names: Collection[str] = COLUMNS) -> dict[str, list[Any]]:
+    """Return values of rows by column: faster by far than one column after the other.
+
+    Args:
+        rows: in any order.
+        names: of two columns or more.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    values_of = attrgetter(*names)
+    for first in range(0, len(rows), AT_ONCE):
+        some = map(values_of, rows[first : first + AT_ONCE])
+        for name, values in zip(names, zip(*some, strict=True), strict=True):
+            columns[name].extend(values)
+    return columns
 
 
 def from_dict(values: dict[str, Any]) -> Row:
@@ -238,9 +265,10 @@ def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
 
 def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
     """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
-    names = list(COLUMNS)
-    if not values or not all(list(one) == names for one in values):
+    if not values or (names := list(values[0])) != list(COLUMNS):
         return None  # The columns of another version, or in another order.
+    if not all(list(one) == names for one in values):
+        return None
     columns = zip(*(one.values() for one in values), strict=True)
     table: dict[str, Sequence[Any]] = dict(zip(names, columns, strict=True))
     try:
@@ -264,9 +292,3 @@ def _of_kept(values: dict[str, Any]) -> Row:
     row = object.__new__(Row)
     object.__setattr__(row, "__dict__", values)
     return row
-
-
-def rows_digest(rows: Iterable[Row]) -> str:
-    """Return one hex sha256 for a set of rows, whatever their order and wall times."""
-    parts = sorted((row.trial_id, row.arm, row.digest) for row in rows)
-    return sha256(json.dumps(parts).encode()).hexdigest()

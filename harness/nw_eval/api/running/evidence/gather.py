@@ -48,9 +48,11 @@ def _logs(folder: RunFolder, rows: Iterable[Row]) -> dict[str, Path]:
     """Return where logs lie, by trial, as far as there are any in the folder."""
     found: dict[str, Path] = {}
     for row in rows:
+        if not row.mcap_path:
+            continue
         try:
             path = inside(folder.path, row.mcap_path)
-        except OutsideError:  # It has none, or a stranger's row says so.
+        except OutsideError:  # A stranger's row says so.
             continue
         if what_is(path) == "file":
             found[row.trial_id] = path
