@@ -13,6 +13,7 @@ from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.row import COLUMNS, Row, from_dicts, rows_digest, to_dict
+from nw_eval.results.tables.arrays import table_of_rows
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -36,7 +37,7 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
         StoreError: the file cannot be written.
     """
     ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    table = pa.Table.from_pylist([to_dict(row) for row in ordered], schema=SCHEMA)
+    table = table_of_rows([to_dict(row) for row in ordered], SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
 
 
