@@ -15,7 +15,7 @@ def begin(arguments: Sequence[str]) -> None:
     It imports for as long as the verb does itself and the run is planned, on another core. Where
     the guess is wrong, it ends with this process.
     """
-    if not arguments or arguments[0] != "run" or _HELP & set(arguments):
+    if len(arguments) < 2 or arguments[0] != "run" or _HELP & set(arguments):
         return
     if not any(word.replace("_", "-").startswith(_FENCELESS) for word in arguments):
         from nw_eval.rollout.confined.start import prepare

@@ -12,6 +12,7 @@ none. The files of most runs have a megabyte, and the oldest go first.
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -81,7 +82,8 @@ class KeptEvidence:
         """Return what is kept under a key, in the order of its logs; None if nothing is."""
         path = self.folder / key
         try:
-            if not key or path.stat().st_size > _MOST_FILE:
+            facts = path.lstat()
+            if not stat.S_ISREG(facts.st_mode) or facts.st_size > _MOST_FILE:
                 return None
             name, _, content = bytes(read_sealed(path)).partition(b"\n")
             logs = ReadLogs.model_validate_json(content).logs
