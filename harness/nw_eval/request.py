@@ -65,7 +65,7 @@ class Request:
     trials: int | None = None
     """Trials per scene, against a baseline at most; the suite's own number when absent."""
     scenes: tuple[str, ...] | None = None
-    """Only scenes that match one of these globs."""
+    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
     seed: int | None = None
     """Another panel of starts than the suite's own: other trials in the same scenes."""
     baseline: str | None = None

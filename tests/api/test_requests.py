@@ -247,6 +247,15 @@ def test_no_globs_are_not_all_scenes():
 
 
 @pytest.mark.usefixtures("project")
+def test_a_split_chooses_among_the_scenes_of_the_suite():
+    path = suite("hurdles/one*, ./one")
+    names = [scene.name for scene in api.check(path).scenes]
+    kept = [scene.name for scene in api.check(path, scenes=["split:eval", "one"]).scenes]
+    assert kept == ["hurdles/one_high_stone_plaza", "one"]
+    assert set(kept) < set(names)
+
+
+@pytest.mark.usefixtures("project")
 @pytest.mark.parametrize(
     ("changes", "option"),
     [

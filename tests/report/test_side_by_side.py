@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from matplotlib import colormaps
 from PIL import Image
@@ -10,12 +12,13 @@ from nw_eval.cli.text.judging.comparison import comparison_text
 from nw_eval.gate.side_by_side.result import (
     ComparedPolicy,
     ComparedScene,
+    ComparedTask,
     PolicyComparison,
     SceneParting,
 )
 from nw_eval.reporting.side_by_side.page import comparison_page
 from nw_eval.reporting.side_by_side.picture import draw_comparison
-from nw_eval.stats import Interval
+from nw_eval.stats import Estimate, Interval
 from nw_eval.stats.hazard import differences
 from nw_eval.stats.ranks import Ranks
 
@@ -32,6 +35,14 @@ def policy(label, mean, best, worst):
     )
 
 
+def task(name, *means):
+    estimates = (
+        Estimate(mean=mean, interval=Interval(mean - 0.1, mean + 0.1), n=10, confidence=0.95)
+        for mean in means
+    )
+    return ComparedTask(task=name, scenes=1, estimates=tuple(estimates))
+
+
 @pytest.fixture
 def found():
     _, at = differences([0, 0, 10], [0, 10, 0])
@@ -44,6 +55,7 @@ def found():
             ComparedScene(scene="hurdles/a", starts=10, means=(0.8, 0.9, 0.4)),
             ComparedScene(scene="hurdles/b", starts=10, means=(1.0, 1.0, 0.0)),
         ),
+        tasks=(task("hurdles", 0.8, 0.9, 0.4), task("gaps", 0.7, 0.6, 0.2)),
         partings=(
             SceneParting(scene="hurdles/b", policy=2, at=at, shown=True),
             SceneParting(scene=None, policy=1, at=weak, shown=False),
@@ -64,6 +76,14 @@ def test_the_terminal_has_ranks_scenes_and_partings(found):
     assert "x       hurdles/b            2  0 of 10        10 of 10          yes" in lines
     assert "new|er  all together         2  0 of 10        5 of 10           suspect" in lines
     assert "3 starts of some only left out" in " ".join(lines)
+
+
+def test_success_by_task_stands_where_there_are_several(found):
+    (gaps,) = [line for line in comparison_page(found).splitlines() if line.startswith("| gaps ")]
+    assert [cell.strip() for cell in gaps.split("|")[1:-1]] == [
+        "gaps", "1", "0.700 (0.60 to 0.80)", "0.600 (0.50 to 0.70)", "0.200 (0.10 to 0.30)",
+    ]  # fmt: skip
+    assert "Success by task" not in comparison_page(replace(found, tasks=found.tasks[:1]))
 
 
 def test_a_page_of_markdown_escapes_what_would_break_its_tables(found):

@@ -2,6 +2,7 @@
 
 from nw_eval.catalogue.find import (
     get_scene,
+    is_meant,
     match_scenes,
     names,
     open_scene,
@@ -13,6 +14,7 @@ from nw_eval.catalogue.found import FoundScene
 __all__ = [
     "FoundScene",
     "get_scene",
+    "is_meant",
     "match_scenes",
     "names",
     "open_scene",

@@ -108,10 +108,20 @@ def references(
     return tuple(found)
 
 
+def is_meant(name: str, pattern: str) -> bool:
+    """Say whether a glob over the names of scenes, or `split:train` or `split:eval`, means one."""
+    among = _of_split(pattern)
+    return fnmatchcase(name, pattern) if among is None else name in among
+
+
+def _of_split(pattern: str) -> tuple[str, ...] | None:
+    """Return the scenes of a split; None if the pattern is none."""
+    return next((names(split) for split in SPLITS if pattern == f"split:{split}"), None)
+
+
 def _match(pattern: str, base: Path) -> list[str]:
-    for split in SPLITS:
-        if pattern == f"split:{split}":
-            return list(names(split))
+    if (among := _of_split(pattern)) is not None:
+        return list(among)
     matched = [name for name in names() if fnmatchcase(name, pattern)]
     if matched:
         return matched

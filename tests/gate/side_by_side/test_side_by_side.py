@@ -71,6 +71,21 @@ def test_policies_are_ranked_with_their_scenes_and_where_they_part():
     assert found.waypoints == 12
 
 
+def test_success_by_task_weighs_the_scenes_of_a_task_equally():
+    def with_a_gap(one):
+        low = {("gaps/one", *name[1:]): at for name, at in one.results.items() if "low" in name[0]}
+        gap = {name: replace(at, scene=name[0], task="gaps") for name, at in low.items()}
+        key = KEY.model_copy(update={"scenes": SCENES | {"gaps/one": "33" * 32}})
+        return replace(one, results={**one.results, **gap}, key=key)
+
+    gaps, hurdles = side_by_side([with_a_gap(GOOD), with_a_gap(LAME)]).tasks
+    assert (gaps.task, gaps.scenes) == ("gaps", 1)
+    assert (hurdles.task, hurdles.scenes) == ("hurdles", 2)
+    assert [each.mean for each in hurdles.estimates] == [1.0, 0.625]
+    assert [each.mean for each in gaps.estimates] == [1.0, 1.0]
+    assert hurdles.estimates[1].interval.low < 0.625 < hurdles.estimates[1].interval.high
+
+
 def test_a_waypoint_that_only_alone_would_be_sure_is_suspect():
     found = side_by_side([GOOD, entrant("shaky", [[4] * 10, [4] * 5 + [2] * 5])], confidence=0.95)
     assert {(each.scene, each.shown) for each in found.partings} == {

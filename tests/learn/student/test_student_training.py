@@ -105,6 +105,23 @@ def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, mo
     assert same_as(whole, cut)
 
 
+def test_a_training_that_has_ended_takes_more_rounds_as_if_it_had_been_planned_with_them(
+    tmp_path, config, whole
+):
+    budget = f"steps: {config.budget.steps}"
+    first = SMALL.replace("rounds: 2", "rounds: 1").replace(
+        budget, f"steps: {config.budget.steps // 2}"
+    )
+    _, short = begun(tmp_path / "short", first)
+    assert resume_student(short.path, say=lambda _: None, workers=1).policy.name == "round-1"
+    short.config.write_text(SMALL.replace(budget, f"steps: {config.budget.steps + 2}"))
+    with pytest.raises(IncomparableError, match="of another config"):
+        resume_student(short.path, say=lambda _: None, workers=1)
+    short.config.write_text(SMALL)
+    assert resume_student(short.path, say=lambda _: None, workers=1).is_done
+    assert same_as(whole, short)
+
+
 @pytest.mark.nightly
 def test_a_training_goes_on_after_a_sigkill_as_if_nothing_had_happened(tmp_path, config, whole):
     _, cut = begun(tmp_path / "cut", SMALL)

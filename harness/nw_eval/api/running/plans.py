@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -240,9 +239,11 @@ def _chosen(
     found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
 ) -> tuple[FoundScene, ...]:
     """Return the scenes that match a glob; all of them if there are no globs to match."""
+    from nw_eval.catalogue import is_meant
+
     if globs is None:
         return tuple(found)
-    chosen = tuple(x for x in found if any(fnmatchcase(x.scene.name, glob) for glob in globs))
+    chosen = tuple(x for x in found if any(is_meant(x.scene.name, glob) for glob in globs))
     if not chosen:
         wanted = ", ".join(globs)
         raise UsageError(

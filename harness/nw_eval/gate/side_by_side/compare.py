@@ -22,6 +22,7 @@ from nw_eval.gate.side_by_side.entrant import Entrant, StartName, check_alike
 from nw_eval.gate.side_by_side.result import (
     ComparedPolicy,
     ComparedScene,
+    ComparedTask,
     PolicyComparison,
     SceneParting,
 )
@@ -79,6 +80,7 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
             )
             for index, (scene, names) in enumerate(met[0].items())
         ),
+        tasks=_tasks(entrants[0], met[0], groups, confidence),
         shared=bool(shared),
         partings=partings,
         waypoints=waypoints,
@@ -147,6 +149,28 @@ def _policy(
         interval=estimate.interval,
         completed=sum(int((group == 1.0).sum()) for group in groups),
         ranks=ranks,
+    )
+
+
+def _tasks(
+    entrant: Entrant,
+    starts: _Starts,
+    groups: Sequence[Sequence[NDArray[np.float64]]],
+    confidence: float,
+) -> tuple[ComparedTask, ...]:
+    """Return success by task; a scene's is that of any of its trials."""
+    places: dict[str, list[int]] = {}
+    for place, names in enumerate(starts.values()):
+        places.setdefault(entrant.results[names[0]].task, []).append(place)
+    return tuple(
+        ComparedTask(
+            task=task,
+            scenes=len(which),
+            estimates=tuple(
+                mean_of_scenes([values[place] for place in which], confidence) for values in groups
+            ),
+        )
+        for task, which in sorted(places.items())
     )
 
 

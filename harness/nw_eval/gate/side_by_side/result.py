@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nw_eval.stats import Interval
+from nw_eval.stats import Estimate, Interval
 from nw_eval.stats.hazard import HazardDifference
 from nw_eval.stats.ranks import Ranks
 
@@ -40,6 +40,16 @@ class ComparedScene:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ComparedTask:
+    """The scenes of one task, these weighted equally."""
+
+    task: str
+    scenes: int
+    estimates: tuple[Estimate, ...]
+    """Success of each policy, as `ComparedPolicy.mean` and `interval`."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneParting:
     """The first waypoint at which a policy parts from the first one."""
 
@@ -62,6 +72,8 @@ class PolicyComparison:
     confidence: float
     policies: tuple[ComparedPolicy, ...]
     scenes: tuple[ComparedScene, ...]
+    """In alphabetical order."""
+    tasks: tuple[ComparedTask, ...]
     """In alphabetical order."""
     partings: tuple[SceneParting, ...]
     """By policy and scene, all scenes together before each; those shown first."""

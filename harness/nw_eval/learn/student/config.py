@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from nw_eval.cards.model import Rate
 from nw_eval.learn.program.config import ConfigModel, TrainingConfig
+from nw_eval.suite.digest import digest_of
 
 Width = Annotated[int, Field(ge=8, le=1024)]
 
@@ -122,3 +124,13 @@ class StudentConfig(TrainingConfig):
     network: NetworkSizes = NetworkSizes()
     randomise: Randomise = Randomise()
     learns: Learns = Learns()
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 of what decides the curve as far as it goes.
+
+        More rounds may follow, each with as large a share of the budget: they change nothing of
+        those before them.
+        """
+        fields = self.model_dump(mode="json", by_alias=True, exclude={"device", "rounds", "budget"})
+        return digest_of(fields | {"samples": str(Fraction(self.budget.steps, self.rounds))})

@@ -12,8 +12,11 @@ _MOST = 12
 
 
 def comparison_tables(found: PolicyComparison) -> tuple[Table, ...]:
-    """Return the policies, the scenes and where they part; the last is left out if it is empty."""
-    tables = [_policies(found), _scenes(found)]
+    """Return the policies, tasks, scenes and where they part, of these what there is to say."""
+    tables = [_policies(found)]
+    if len(found.tasks) > 1:
+        tables.append(_tasks(found))
+    tables.append(_scenes(found))
     return (*tables, _partings(found)) if found.partings else tuple(tables)
 
 
@@ -56,6 +59,25 @@ def _met(found: PolicyComparison) -> str:
     if found.shared:
         return f"from the {starts} that all have a result from{left}"
     return f"from {starts} of its own each: too few are shared for a comparison of the same{left}"
+
+
+def _tasks(found: PolicyComparison) -> Table:
+    labels = tuple(each.label for each in found.policies)
+    percent = f"{100 * found.confidence:.4g} %"
+    return Table(
+        title="Success by task",
+        columns=("task", "scenes", *labels),
+        rows=tuple(
+            (
+                each.task,
+                str(each.scenes),
+                *(f"{one.mean:.3f} ({span(one.interval)})" for one in each.estimates),
+            )
+            for each in found.tasks
+        ),
+        numbers=frozenset({"scenes"}),
+        note=f"In brackets what fresh starts in these scenes may give, {percent} each alone.",
+    )
 
 
 def _scenes(found: PolicyComparison) -> Table:

@@ -31,7 +31,7 @@ class BisectSeries:
     everyone: bool = False
     """Judge every checkpoint: searching alone seldom sees that a series is not monotone."""
     scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs."""
+    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """The most rounds for each checkpoint; those of the suite's gate when absent."""
     starts: int | None = None

@@ -41,7 +41,7 @@ class PlanTrials:
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per scene, against a baseline at most."""
     scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs."""
+    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
 
     def __call__(self) -> int:
         self._check()
