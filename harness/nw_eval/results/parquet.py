@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.row import COLUMNS, Row, from_dicts, rows_digest, to_dict
-from nw_eval.results.tables.arrays import table_of_rows
+from nw_eval.results.tables.arrays import array_of
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -37,7 +38,10 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
         StoreError: the file cannot be written.
     """
     ordered = sorted(rows, key=lambda row: (row.trial_id, row.arm))
-    table = table_of_rows([to_dict(row) for row in ordered], SCHEMA)
+    values = map(itemgetter(*SCHEMA.names), map(to_dict, ordered))
+    columns: Sequence[Sequence[Any]] = list(zip(*values, strict=True)) or [()] * len(SCHEMA)
+    arrays = [array_of(each, field.type) for each, field in zip(columns, SCHEMA, strict=True)]
+    table = pa.Table.from_arrays(arrays, schema=SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
 
 

@@ -1,53 +1,45 @@
 """Arrow's arrays from plain values, laid out here: https://arrow.apache.org/docs/format/Columnar.html.
 
-Arrow's own `array` and `Table.from_pylist` import pandas wherever it is installed, to see whether
-they were given something of it. That takes longer than to write ten thousand rows.
+Arrow's own `array`, on which all its other ways stand, imports pandas wherever that is
+installed, to see whether it was given something of it: longer than to write ten thousand rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import accumulate, chain
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 
-def table_of_rows(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
-    """Return the table that `pa.Table.from_pylist` makes.
+def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """Return what `pa.array` does, of a type that rows have.
 
     Args:
-        rows: values by name: texts, numbers, truth values, sequences of numbers, and pairs of text
-            and number. None is understood where a single number may be missing.
-        schema: of just these.
+        values: texts, numbers, truth values, sequences of numbers, or of pairs of text and number;
+            None where a number may be missing.
+        kind: the type.
 
     Raises:
-        OverflowError, TypeError, ValueError: a value is not of its column's type.
+        OverflowError, TypeError, ValueError: a value is not of that type.
     """
-    lines = map(itemgetter(*schema.names), rows)  # Row by row, as they lie in memory.
-    columns: Sequence[Sequence[Any]] = list(zip(*lines, strict=True)) or [()] * len(schema)
-    arrays = [_array(values, field.type) for values, field in zip(columns, schema, strict=True)]
-    return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
     if pa.types.is_dictionary(kind):
         words = {word: number for number, word in enumerate(dict.fromkeys(values))}
-        numbers = _array(list(map(words.__getitem__, values)), kind.index_type)
-        return pa.DictionaryArray.from_arrays(numbers, _array(list(words), kind.value_type))
+        numbers = array_of(list(map(words.__getitem__, values)), kind.index_type)
+        return pa.DictionaryArray.from_arrays(numbers, array_of(list(words), kind.value_type))
     if pa.types.is_string(kind):
         data = "".join(values).encode()
         lengths = values if data.isascii() else [value.encode() for value in values]
         return _laid_out(kind, values, _ends(lengths), data)
     if pa.types.is_map(kind):
         pairs = list(chain.from_iterable(values))
-        keys = _array([name for name, _ in pairs], kind.key_type)
-        items = _array([number for _, number in pairs], kind.item_type)
+        keys = array_of([name for name, _ in pairs], kind.key_type)
+        items = array_of([number for _, number in pairs], kind.item_type)
         return pa.MapArray.from_arrays(_offsets(values), keys, items)
     if pa.types.is_list(kind):
-        parts = _array(list(chain.from_iterable(values)), kind.value_type)
+        parts = array_of(list(chain.from_iterable(values)), kind.value_type)
         return pa.ListArray.from_arrays(_offsets(values), parts)
     if pa.types.is_boolean(kind):
         return _laid_out(kind, values, _bits(values))
