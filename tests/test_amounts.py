@@ -30,3 +30,4 @@ def test_whatever_else_is_refused_with_an_example(text):
 def test_a_sentence_rounds_to_hundredths():
     words = [in_words(count) for count in (2 * 10**9, 2_306_000_000, 512_345_678, 3 * 10**12)]
     assert words == ["2 GB", "2.31 GB", "512.35 MB", "3000 GB"]
+    assert [in_words(count) for count in (999_000, 345, 0)] == ["999 kB", "0.34 kB", "0 kB"]

@@ -17,6 +17,7 @@ from nw_eval.api import (
     ListedSensor,
     ListedSuite,
     Published,
+    PushedScene,
     RunIndex,
     RunReport,
     SavedBaseline,
@@ -42,6 +43,8 @@ from nw_eval.api import (
     diff_baselines,
     draw_sensors,
     evaluate,
+    fetch_policy,
+    fetch_scene,
     fold_policy,
     foxglove_layout,
     index_runs,
@@ -59,6 +62,7 @@ from nw_eval.api import (
     prune_cache,
     publish,
     publish_error,
+    push_scene,
     read_ledger,
     read_rows,
     record_verdict,
@@ -89,6 +93,7 @@ from nw_eval.engine.forecast import Forecast
 from nw_eval.engine.plan import Plan
 from nw_eval.errors import (
     CodeError,
+    FetchError,
     IncomparableError,
     NwEvalError,
     PolicyError,
@@ -103,6 +108,7 @@ from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.ledger.report import LedgerReport
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
+from nw_eval.hub.fetched import Fetched
 from nw_eval.onboarding.probe.rows import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.request import Request
@@ -138,6 +144,8 @@ __all__ = [
     "CheckedScene",
     "CodeError",
     "Comparison",
+    "FetchError",
+    "Fetched",
     "FoldedGraph",
     "Forecast",
     "IncomparableError",
@@ -154,6 +162,7 @@ __all__ = [
     "PrerequisiteError",
     "ProbeReport",
     "Published",
+    "PushedScene",
     "ReplayReport",
     "Request",
     "Row",
@@ -195,6 +204,8 @@ __all__ = [
     "diff_baselines",
     "draw_sensors",
     "evaluate",
+    "fetch_policy",
+    "fetch_scene",
     "fold_policy",
     "foxglove_layout",
     "index_runs",
@@ -212,6 +223,7 @@ __all__ = [
     "prune_cache",
     "publish",
     "publish_error",
+    "push_scene",
     "read_ledger",
     "read_rows",
     "record_verdict",

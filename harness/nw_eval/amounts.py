@@ -8,6 +8,7 @@ import re
 _UNITS = {f"{letter}B": 10 ** (3 * n) for n, letter in enumerate("KMGT", 1)} | {
     f"{letter}IB": 2 ** (10 * n) for n, letter in enumerate("KMGT", 1)
 }
+_SIZES = ((10**9, "GB"), (10**6, "MB"), (10**3, "kB"))
 # Digits enough for a byte of a thousand terabytes.
 _AMOUNT = re.compile(r"(\d{1,15}(?:\.\d{1,15})?) ?([KMGT]I?B)", re.ASCII | re.IGNORECASE)
 
@@ -26,6 +27,7 @@ def bytes_of(text: str) -> int:
 
 
 def in_words(count: int) -> str:
-    """Return a number of bytes such as `2.31 GB` or `500 MB`."""
-    number, unit = (count / 1e9, "GB") if count >= 10**9 else (count / 1e6, "MB")
+    """Return a number of bytes such as `2.31 GB`, `500 MB` or `1.2 kB`."""
+    size, unit = next((one for one in _SIZES if count >= one[0]), _SIZES[-1])
+    number = count / size
     return f"{number:.2f}".rstrip("0").rstrip(".") + f" {unit}"

@@ -12,6 +12,7 @@
     │  ├─ DivergedError    exit 4   physics that left all bounds
     │  └─ ServerError      exit 4   a policy's server that cannot be asked: no failure of it
     ├─ StoreError          exit 4   results that cannot be written, or that are damaged
+    ├─ FetchError          exit 4   a hub that cannot be reached, or fails
     └─ IncomparableError   exit 5   runs that do not pair
 
 A message says what happened, the value, the place and the fix, in that order, on one line. Names
@@ -141,6 +142,12 @@ class ServerError(TrialError):
 
 class StoreError(NwEvalError):
     """Results cannot be written or are damaged."""
+
+    exit_code = 4
+
+
+class FetchError(NwEvalError):
+    """Something is to be fetched, and the network or the hub does not let it come now."""
 
     exit_code = 4
 

@@ -59,7 +59,8 @@ class Request:
     robot: str | None = None
     """go1 or go2; the suite's own when absent."""
     policy: str | None = None
-    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
+    own when absent."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     trials: int | None = None

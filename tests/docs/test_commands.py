@@ -64,6 +64,17 @@ NOT_RUN = MappingProxyType(
         "nw-eval study observations mine.yaml --out my-study": (
             "some minutes; test_study_configs.py reads the config of the page"
         ),
+        **dict.fromkeys(
+            [
+                "nw-eval scenes fetch hub:org/corridor",
+                "nw-eval scenes fetch hub:org/corridor@v2",
+                "nw-eval scenes fetch neverwhere:hurdle_stata_v1",
+                "nw-eval policies fetch hub:org/trot",
+                "nw-eval run my-place.yaml --policy hub:org/trot",
+                "nw-eval scenes push ./my-place hub:org/my-place",
+            ],
+            "nobody's repositories; tests/hub fetches from a hub of its own, and pushes to it",
+        ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
         "nw-eval train student student-rgb-small": (
             "minutes; tests/learn/student trains smaller ones"

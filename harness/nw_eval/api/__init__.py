@@ -17,6 +17,7 @@ from nw_eval.api.baselines.listed import (
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
 from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
+from nw_eval.api.elsewhere import PushedScene, fetch_policy, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.places import (
     CheckedScene,
@@ -90,6 +91,7 @@ __all__ = [
     "ListedSensor",
     "ListedSuite",
     "Published",
+    "PushedScene",
     "Request",
     "RunIndex",
     "RunReport",
@@ -116,6 +118,8 @@ __all__ = [
     "diff_baselines",
     "draw_sensors",
     "evaluate",
+    "fetch_policy",
+    "fetch_scene",
     "fold_policy",
     "foxglove_layout",
     "index_runs",
@@ -133,6 +137,7 @@ __all__ = [
     "prune_cache",
     "publish",
     "publish_error",
+    "push_scene",
     "read_ledger",
     "read_rows",
     "record_verdict",

@@ -92,12 +92,17 @@ def check_policy(
         PolicyError: it cannot be run at all.
         SceneError: there is no such scene.
     """
+    from nw_eval.catalogue import brought, parse_reference
     from nw_eval.onboarding.probe.report import probe_policy
     from nw_eval.onboarding.probe.rows import FLAT
     from nw_eval.policies import load_bundle
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
-    return probe_policy(bundle, scene=scene or FLAT, allow_code=allow_code)
+    place = scene or FLAT
+    plain, _ = parse_reference(place)
+    # The process that tries the policy has no network.
+    place = f"{place.removesuffix(plain)}{brought(plain)}"
+    return probe_policy(bundle, scene=place, allow_code=allow_code)
 
 
 def init_policy(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from nw_eval.built_in.entries import ENTRIES
 from nw_eval.built_in.splits import SPLITS, Split, split_of
+from nw_eval.catalogue.brought import brought
 from nw_eval.errors import SceneError, nearest
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
@@ -37,13 +38,16 @@ def get_scene(name_or_path: str | Path) -> Scene:
     """Return a built-in scene by its name, or the scene of a folder by its path.
 
     Args:
-        name_or_path: a name, a folder, or `neverwhere:<folder>`; `triangles:` before a folder makes
-            its mesh collide by its own triangles, slow and exact, to check the terrain with.
+        name_or_path: a name, a folder, `neverwhere:<folder>`, or a place that `brought` fetches;
+            `triangles:` before a folder makes its mesh collide by its own triangles, slow and
+            exact, to check the terrain with.
 
     Raises:
         SceneError: no such scene (with the nearest name), or the folder cannot be read.
+        FetchError, PrerequisiteError, StoreError: as `brought`.
     """
-    return open_scene(*parse_reference(str(name_or_path)))
+    reference, collision = parse_reference(str(name_or_path))
+    return open_scene(brought(reference), collision)
 
 
 def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
@@ -87,7 +91,8 @@ def references(
 
     Args:
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
-            of scene folders; `triangles:` before any of them as in `get_scene`.
+            of scene folders, `neverwhere:...`, `hub:...`; `triangles:` before any of them as in
+            `get_scene`. What is not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
         collision: how meshes collide, whatever the patterns say of it; as they say if None.
 
@@ -97,6 +102,7 @@ def references(
 
     Raises:
         SceneError: a pattern matches nothing, with the nearest name.
+        FetchError, PrerequisiteError, StoreError: as `brought`.
     """
     found: dict[tuple[str, Collision], None] = {}
     for pattern in patterns:
@@ -127,8 +133,11 @@ def _match(pattern: str, base: Path) -> list[str]:
         return matched
     if not pattern:
         raise SceneError("a scene pattern is empty", fix=f"name one of: {', '.join(names())}")
-    if pattern.startswith(PREFIX):
-        return [f"{PREFIX}{(base / reference_path(pattern)).resolve()}"]
+    here = brought(pattern, base)
+    if here.startswith(PREFIX):
+        return [f"{PREFIX}{(base / reference_path(here)).resolve()}"]
+    if here != pattern:
+        return [here]
     folder = base / pattern
     if what_is(folder) == "folder":
         return [str(folder.resolve())]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from nw_eval.cli.terminal.fetching import fetches_shown
 from nw_eval.cli.terminal.interruption import INTERRUPTED, interruption
 from nw_eval.cli.terminal.last_words import tell, unforeseen
 from nw_eval.errors import NwEvalError, StoreError
@@ -33,8 +34,9 @@ def end_of(arguments: Sequence[str], *, description: str) -> End:
             verb = parse(arguments, description=description)
         except SystemExit as error:  # Help, or usage.
             return End(code=error.code if isinstance(error.code, int) else StoreError.exit_code)
-        # A verb that forgets its code has not passed: int(None) raises.
-        return End(code=int(verb()), is_written=getattr(verb, "leaves_verdict", False))
+        with fetches_shown():
+            # A verb that forgets its code has not passed: int(None) raises.
+            return End(code=int(verb()), is_written=getattr(verb, "leaves_verdict", False))
     except BaseException as error:  # noqa: BLE001 - this is the outermost place.
         return End(code=_code_of(error))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.confinement import Fence, offered
@@ -16,8 +17,9 @@ from nw_eval.results.machine import (
     machine_info,
     rows_code_digest,
 )
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
+from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.words import Backend
 
 if TYPE_CHECKING:
@@ -118,15 +120,33 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
         checkpoint_digest=bundle.checkpoint_digest,
         card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
+        fetched=None if bundle.card_path is None else _fetched(bundle.card_path),
     )
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
     trials = Counter(trial.scene for trial in plan.trials)
     return {
-        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=trials[scene.name])
-        for scene in plan.scenes
+        found.scene.name: SceneInfo(
+            digest=found.scene.digest,
+            task=found.scene.task,
+            trials=trials[found.scene.name],
+            fetched=_fetched(reference_path(found.reference)),
+        )
+        for found in plan.found
     }
+
+
+def _fetched(path: Path) -> FetchedInfo | None:
+    """Return what a policy or a scene was fetched as, if it was."""
+    from nw_eval.hub.fetched import origin_of
+
+    origin = origin_of(path)
+    if origin is None:
+        return None
+    return FetchedInfo(
+        reference=origin.reference, revision=origin.revision, files=dict(origin.files)
+    )
 
 
 def _renderer(render: Backend) -> str:

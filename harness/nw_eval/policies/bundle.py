@@ -8,7 +8,7 @@ import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
@@ -18,6 +18,9 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.files.shipped import available, shipped
 from nw_eval.policies.code_digest import code_digest
+
+if TYPE_CHECKING:
+    from nw_eval.hub.fetched import Fetched
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""
@@ -184,7 +187,8 @@ def load_bundle(
 
     Args:
         name_or_path: name of a shipped bundle or of one in the project's `policies/`, a folder
-            with a `policy.yaml` (also relative to the shipped policies), or a card.
+            with a `policy.yaml` (also relative to the shipped policies), a card, or
+            `hub:org/name[@revision]`, which is fetched if it is not on this machine.
         search: the project folder, by default the working directory.
         checkpoint: weights to use in place of those of the card's `checkpoint`. They are the
             caller's choice: their digest is computed and recorded, not compared with the card's. So
@@ -194,6 +198,7 @@ def load_bundle(
         PolicyError: there is no such bundle; the card has problems; a file of weights is missing,
             too large, outside the card's folder, or has another digest than the card says; the
             code beside the card is too large or cannot be read.
+        FetchError, PrerequisiteError, StoreError: as `find_card`.
     """
     card_path = find_card(name_or_path, search=search)
     card = load_card(card_path)
@@ -251,7 +256,15 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
 
     Raises:
         PolicyError: there is no such bundle.
+        FetchError: it is not on this machine, and its hub cannot be reached.
+        PrerequisiteError: it is not on this machine, and the extra `hub` is not installed.
+        StoreError: it cannot be kept.
     """
+    if str(name_or_path).startswith("hub:"):
+        from nw_eval.hub.fetch import located
+        from nw_eval.hub.reference import parse
+
+        return card_of_fetched(located(parse(str(name_or_path), "policy")))
     known = available("policies", search)
     if str(name_or_path) in known:
         return known[str(name_or_path)] / CARD_FILE
@@ -281,6 +294,20 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
         f"unknown policy {str(name_or_path)!r}: {missing}",
         fix=nearest(str(path), known),
     )
+
+
+def card_of_fetched(fetched: Fetched) -> Path:
+    """Return the card of what was fetched.
+
+    Raises:
+        PolicyError: it has none.
+    """
+    if what_is(fetched.folder / CARD_FILE) != "file":
+        raise PolicyError(
+            f"{fetched.reference}: its revision {fetched.revision[:12]} has no {CARD_FILE}",
+            fix="name a repository that is a bundle; weights alone need a card of yours",
+        )
+    return fetched.folder / CARD_FILE
 
 
 def _imports_code(card: Card) -> bool:

@@ -23,12 +23,21 @@ class _Saved(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
+class FetchedInfo(_Saved):
+    """What of a run came from a hub, and which revision it is."""
+
+    reference: str  # What names it, without a revision: `hub:org/name`, `neverwhere:NAME`.
+    revision: str  # The commit.
+    files: dict[str, str]  # Hex sha256 by name.
+
+
 class SceneInfo(_Saved):
     """One scene of a run."""
 
     digest: str
     task: str
     trials: int = Field(ge=0)  # Planned.
+    fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
 
 class PolicyInfo(_Saved):
@@ -40,6 +49,7 @@ class PolicyInfo(_Saved):
     checkpoint_digest: str
     card: str = ""  # Path of the card, for --resume.
     origin: str = ""  # What the digest is of where there are no weights: server, code.
+    fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
 
 class CodeInfo(_Saved):

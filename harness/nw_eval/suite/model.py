@@ -189,7 +189,8 @@ class Suite(_Strict):
     name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
     robot: Robot = Field(description="The robot.")
     policy: Annotated[str, Field(min_length=1)] = Field(
-        description="Default policy: a bundle's name, its folder, or its card. --policy overrides."
+        description="Default policy: a bundle's name, its folder, its card, or "
+        "hub:org/name[@revision]. --policy overrides."
     )
     protocol: Protocol = Field(
         "strict", description="neverwhere-2026 is the published evaluation, bug for bug."
@@ -198,7 +199,8 @@ class Suite(_Strict):
     seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
     episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
     scenes: Patterns = Field(
-        description="Names, globs, paths of scene folders, neverwhere:<path> for a published one."
+        description="Names, globs, paths of scene folders, neverwhere:<path or name> for a "
+        "published one, hub:org/name[@revision] for one of a hub."
     )
     perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
     record: Record = Field("failures", description="Trials whose images are kept in the logs.")

@@ -98,7 +98,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
 
 
 def card_reference(card: str) -> str:
-    """Return what finds a card on another machine: a shipped name, or a path from this folder.
+    """Return what finds a card on another machine: a shipped name, a path, a hub's revision.
 
     Args:
         card: its absolute path; empty for a policy without one.
@@ -107,8 +107,12 @@ def card_reference(card: str) -> str:
         Empty for a card that lies elsewhere.
     """
     from nw_eval.files.shipped import shipped
+    from nw_eval.hub.fetched import origin_of
 
     folder = Path(card).parent
+    fetched = origin_of(folder) if card else None
+    if fetched is not None:
+        return f"{fetched.reference}@{fetched.revision}"
     for root in (shipped("policies").resolve(), Path.cwd()):
         if card and folder.is_relative_to(root):
             relative = folder.relative_to(root).as_posix()

@@ -51,6 +51,7 @@ def provenance_table(run: RunInfo) -> Table:
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned{_saved(run)}",
+        "fetched": "; ".join(_fetched(run)),
         "baseline": ""
         if run.baseline is None
         else f"{run.baseline.name}, {run.baseline.sha256[:12]}",
@@ -70,6 +71,12 @@ def provenance_table(run: RunInfo) -> Table:
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def _fetched(run: RunInfo) -> list[str]:
+    """Return which revisions policy and scenes are that came from a hub."""
+    origins = [run.policy.fetched, *(scene.fetched for scene in run.scenes.values())]
+    return [f"{each.reference} {each.revision[:12]}" for each in origins if each is not None]
 
 
 def _parts(run: RunInfo) -> str:

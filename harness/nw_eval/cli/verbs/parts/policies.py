@@ -1,4 +1,4 @@
-"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a server."""
+"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a hub's."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Show:
     """Say what a card says: every term, every joint, whatever is not by default, the checkpoint."""
 
     policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, or a card."""
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     allow_code: bool = False
@@ -55,7 +55,7 @@ class Check:
     """
 
     policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, or a card."""
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     scene: str | None = None
@@ -122,7 +122,7 @@ class Serve:
     """Serve a policy over a websocket, for `adapter: remote`, until SIGINT or SIGTERM."""
 
     policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, or a card."""
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     host: str = "127.0.0.1"
@@ -153,8 +153,28 @@ class Serve:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FetchPolicy:
+    """Fetch a policy as its hub has it now; runs use it from then on, without a network.
+
+    Nothing of it is run, and the token that it needs is not needed again. A download that breaks
+    goes on where it broke when the command is given again. HF_TOKEN or `hf auth login` says who you
+    are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    """
+
+    policy: tyro.conf.Positional[str]
+    """hub:org/name, or hub:org/name@revision."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.parts.elsewhere import fetched_lines
+
+        print(fetched_lines(api.fetch_policy(self.policy)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Policies:
-    """List policies, show and check their cards, draft one, fold a checkpoint, serve a policy."""
+    """List policies, show and check their cards, draft, fold, serve or fetch one."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
@@ -163,6 +183,7 @@ class Policies:
         | Annotated[Init, tyro.conf.subcommand("init")]
         | Annotated[Fold, tyro.conf.subcommand("fold")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
+        | Annotated[FetchPolicy, tyro.conf.subcommand("fetch")]
     )
 
     def __call__(self) -> int:

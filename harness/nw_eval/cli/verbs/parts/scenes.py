@@ -1,4 +1,4 @@
-"""`nw-eval scenes`: what places there are, and what they look like."""
+"""`nw-eval scenes`: what places there are, what they look like, and those of a hub."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Show:
     """Say everything about one scene, and draw it from above with its trail and heights."""
 
     scene: tyro.conf.Positional[str]
-    """A built-in name, a scene folder, or neverwhere:<folder>."""
+    """A built-in name, a scene folder, neverwhere:<folder or published name>, or hub:org/name."""
     out: Path | None = None
     """A PNG of the view from above."""
 
@@ -48,7 +48,7 @@ class Check:
     """Find what is wrong with scenes: files, scale, holes, trail, spawn. Exit code 2 if any is."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Built-in names, scene folders, or neverwhere:<folder>."""
+    """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -84,14 +84,62 @@ class Render:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FetchScenes:
+    """Fetch places as their hub has them now; runs use them from then on, without a network.
+
+    A download that breaks goes on where it broke when the command is given again. HF_TOKEN or
+    `hf auth login` says who you are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    """
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """hub:org/name, hub:org/name@revision, or neverwhere:NAME of the published release."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.parts.elsewhere import fetched_lines
+        from nw_eval.errors import UsageError
+
+        if not self.scenes:
+            raise UsageError("no scene to fetch", fix="name one, such as hub:org/name")
+        for scene in self.scenes:
+            print(fetched_lines(api.fetch_scene(scene)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushScene:
+    """Put a scene folder into a data set of a hub, as one commit. Needs the extra `hub`.
+
+    The files that the scene is made of are pushed, README and licence if they lie beside them, and
+    nothing else. A scene that `scenes check` finds errors in is not.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """The folder, with its scene.yaml."""
+    to: tyro.conf.Positional[str]
+    """hub:org/name; the repository is made if it is not there."""
+    private: bool = False
+    """Make a repository that only its owner sees."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.text.parts.elsewhere import pushed_line
+
+        print(pushed_line(api.push_scene(self.scene, self.to, private=self.private)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scenes:
-    """List the places that suites can name, show, check or draw them."""
+    """List the places that suites can name, show, check or draw them; fetch and push them."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
         | Annotated[Render, tyro.conf.subcommand("render")]
+        | Annotated[FetchScenes, tyro.conf.subcommand("fetch")]
+        | Annotated[PushScene, tyro.conf.subcommand("push")]
     )
 
     def __call__(self) -> int:

@@ -1,0 +1,159 @@
+"""What has been fetched: where it lies, which revision it is, and that it is still what came.
+
+    <cache>/hub/<kind>/<org>/<name>/<commit>/<label>/         the files
+                                            <label>.json      what they are: a `Fetched`
+                                   <label>.revisions.json     which commit a branch or tag meant
+
+`kind` is scene or policy, and `label` the name of the folder that people see: the repository's, or
+of a published scene its own. A folder and its list appear together or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path, cache_dir
+from nw_eval.files.inside import OutsideError, inside
+from nw_eval.hub import limits
+from nw_eval.hub.reference import Kind, Reference, is_commit
+
+_ROOM = "hub"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fetched:
+    """A place or a policy that was fetched."""
+
+    reference: str
+    """What names it, without a revision."""
+    kind: Kind
+    repository: str
+    revision: str
+    """The commit, 40 hexadecimal digits."""
+    endpoint: str
+    """The hub that it came from."""
+    fetched: str
+    """When: UTC in ISO 8601."""
+    folder: Path
+    files: Mapping[str, str]
+    """Hex SHA-256 of each, by name in the folder."""
+    bytes: int
+    """Of all files together."""
+
+    def __str__(self) -> str:
+        day = self.fetched.partition("T")[0]
+        return f"{self.reference} is revision {self.revision[:12]}, fetched {day}"
+
+
+def repository_folder(reference: Reference) -> Path:
+    """Return (and create) the folder of everything that was fetched of a repository.
+
+    Raises:
+        StoreError: it cannot be made.
+    """
+    return cache_dir(_ROOM, reference.kind, *reference.repository.split("/"))
+
+
+def known_commit(reference: Reference) -> str | None:
+    """Return which commit a reference meant when it was last fetched; None if it never was."""
+    if reference.is_pinned:
+        return reference.revision
+    commit = _revisions(reference).get(reference.revision)
+    return commit if isinstance(commit, str) and is_commit(commit) else None
+
+
+def remember_commit(reference: Reference, commit: str) -> None:
+    """Keep which commit a reference means from now on.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    known = _revisions(reference) | {reference.revision: commit}
+    with atomic_path(_revisions_file(reference)) as temporary:
+        temporary.write_text(json.dumps(known, indent=2, sort_keys=True), encoding="utf-8")
+
+
+def kept(reference: Reference, commit: str) -> Fetched | None:
+    """Return what is kept of a reference at a commit; None if nothing is, or not as it came."""
+    found = _read(repository_folder(reference) / commit / reference.label)
+    return found if found is not None and _is_whole(found.folder) else None
+
+
+def write_list(fetched: Fetched, path: Path) -> None:
+    """Write what `kept` reads; the folder is not part of it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    values = {name: value for name, value in asdict(fetched).items() if name != "folder"}
+    path.write_text(json.dumps(values, indent=2), encoding="utf-8")
+
+
+def origin_of(path: Path) -> Fetched | None:
+    """Return what a file or folder was fetched as; None for one that was not."""
+    try:
+        room = cache_dir(_ROOM).resolve()
+        parts = path.resolve().relative_to(room).parts
+    except (ValueError, StoreError):  # Elsewhere; or there is no cache.
+        return None
+    return _read(room.joinpath(*parts[:5])) if len(parts) >= 5 else None
+
+
+def digest_of(path: Path) -> str:
+    """Return the hex SHA-256 of a file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+@cache
+def _is_whole(folder: Path) -> bool:
+    """Whether all files are there and what they were; looked at once in a process."""
+    fetched = _read(folder)
+    try:
+        return fetched is not None and all(
+            digest_of(inside(folder, name)) == digest for name, digest in fetched.files.items()
+        )
+    except (OSError, OutsideError):
+        return False
+
+
+def forget_checks() -> None:
+    """Have folders looked at again: something has been fetched."""
+    _is_whole.cache_clear()
+
+
+def _read(folder: Path) -> Fetched | None:
+    """Return what the list beside a folder says; None if there is none, or it is damaged."""
+    try:
+        with folder.with_name(f"{folder.name}.json").open("rb") as file:
+            values: dict[str, Any] = json.loads(file.read(limits.MANIFEST))
+        fetched = Fetched(folder=folder, **values)
+        texts: list[Any] = [fetched.reference, fetched.revision, fetched.endpoint, fetched.fetched]
+        texts += [*fetched.files.keys(), *fetched.files.values()]
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return None
+    return fetched if all(isinstance(text, str) for text in texts) else None
+
+
+def _revisions(reference: Reference) -> dict[str, Any]:
+    try:
+        with _revisions_file(reference).open("rb") as file:
+            known: Any = json.loads(file.read(limits.MANIFEST))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return cast("dict[str, Any]", known) if isinstance(known, dict) else {}
+
+
+def _revisions_file(reference: Reference) -> Path:
+    return repository_folder(reference) / f"{reference.label}.revisions.json"

@@ -1,0 +1,112 @@
+"""What a repository holds at a revision: names and sizes, checked before anything is fetched."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import PurePosixPath
+from typing import Any
+
+from nw_eval.amounts import in_words
+from nw_eval.clean import clean
+from nw_eval.files.inside import OutsideError, checked
+from nw_eval.hub import limits
+from nw_eval.hub.client import Client
+from nw_eval.hub.reference import Reference, is_commit
+
+_SECONDS = 15.0
+"""That the hub may take to say which commit a revision is."""
+
+
+_IDENTITY = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemoteFile:
+    """A file of a repository, as the hub says."""
+
+    path: str
+    """Relative, with slashes; it leaves no folder."""
+    size: int
+    """Bytes."""
+    identity: str
+    """Hex SHA-256 of a large file; of a small one Git's own digest: SHA-1 with a header."""
+
+
+def commit_of(client: Client, reference: Reference) -> str:
+    """Return the commit that a reference means now: 40 hexadecimal digits.
+
+    Raises:
+        ValueError: the hub gives none.
+    """
+    info: Any = client.api.repo_info(
+        reference.repository,
+        repo_type=reference.repository_type,
+        revision=reference.revision,
+        timeout=_SECONDS,
+    )
+    commit = str(info.sha)
+    if not is_commit(commit):
+        raise ValueError(f"{clean(commit, at_most=60)!r} is no commit")
+    return commit
+
+
+def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteFile, ...]:
+    """Return the files that are to be fetched, sorted by name.
+
+    Names that begin with a dot are for Git and the hub, and are left out.
+
+    Raises:
+        SceneError, PolicyError: by the reference's kind: a name leaves the folder, there are too
+            many files or too large ones, or the archive is missing.
+        ValueError: the hub gives a digest that is none.
+    """
+    archive = reference.archive
+    entries: Any = client.api.list_repo_tree(
+        reference.repository,
+        None if archive is None else str(PurePosixPath(archive).parent),
+        recursive=archive is None,
+        revision=commit,
+        repo_type=reference.repository_type,
+    )
+    found: list[RemoteFile] = []
+    for entry in islice(entries, 4 * limits.FILES):
+        if getattr(entry, "size", None) is None or archive not in {None, entry.path}:
+            continue  # A folder, or another place's archive.
+        if any(part.startswith(".") for part in _checked(reference, entry.path).parts):
+            continue
+        identity = str(entry.blob_id if entry.lfs is None else entry.lfs.sha256)
+        if not _IDENTITY.fullmatch(identity):  # It is to be the name of a file.
+            raise ValueError(f"{clean(identity, at_most=80)!r} is no digest")
+        found.append(RemoteFile(path=entry.path, size=int(entry.size), identity=identity))
+    _check_amount(reference, found)
+    return tuple(sorted(found, key=lambda file: file.path))
+
+
+def _check_amount(reference: Reference, files: list[RemoteFile]) -> None:
+    if not files:
+        missing = reference.archive or "any file"
+        raise reference.error(
+            f"{reference.repository} does not hold {missing}", fix="check name and revision"
+        )
+    if len(files) > limits.FILES:
+        raise reference.error(
+            f"it has more than {limits.FILES} files", fix="give the place a repository of its own"
+        )
+    total = sum(file.size for file in files)
+    if min(file.size for file in files) < 0 or total > limits.BYTES:
+        raise reference.error(
+            f"it has {in_words(total)}, over the limit of {in_words(limits.BYTES)}",
+            fix="leave out of the repository what the place or policy does not need",
+        )
+
+
+def _checked(reference: Reference, path: str) -> PurePosixPath:
+    try:
+        return checked(path)
+    except OutsideError as error:
+        raise reference.error(
+            f"the name {clean(path, at_most=100)!r} in it cannot be kept: {error}",
+            fix="fetch nothing from its owner before that is explained",
+        ) from None
