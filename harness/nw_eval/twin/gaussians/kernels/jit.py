@@ -1,0 +1,34 @@
+"""How the kernels of training are compiled and kept.
+
+They are built of the renderer's vector layer, so that the name of their kept code carries a hash of
+its sources as well as of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import nw_eval.splat.kernels as renderer
+from nw_eval.machine_code import jit
+from nw_eval.machine_code.jit import hash_sources
+from nw_eval.machine_code.kept import kept_code
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kernel(function: Function) -> Function:
+    """Compile like the renderer's kernels; see `nw_eval.machine_code.jit.kernel`."""
+    compiled: Any = jit.kernel(function)
+    kept = kept_code(function, _version())
+    if kept is not None:
+        compiled._cache = kept  # noqa: SLF001 - Numba has no public way to bring one's own cache.
+    return compiled
+
+
+@cache
+def _version() -> str:
+    folders = (Path(__file__).parent, Path(renderer.__path__[0]))
+    return "".join(hash_sources(folder) for folder in folders)

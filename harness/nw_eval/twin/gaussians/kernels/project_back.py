@@ -1,0 +1,205 @@
+"""From gradients of records to gradients of Gaussians: project.py, line by line, backwards.
+
+What project.py decides by comparison (who is shown, which bound of the Jacobian holds, which colour
+is cut at 0) is decided in the same way here, and has no gradient.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nw_eval.machine_code.jit import inlined
+from nw_eval.splat.kernels import view as at
+from nw_eval.twin.gaussians.kernels.blend_back import (
+    G_A,
+    G_B,
+    G_C,
+    G_INVERSE,
+    G_OPACITY,
+    G_RED,
+    G_U,
+    G_V,
+)
+from nw_eval.twin.gaussians.kernels.ellipsoid import rotation, rotation_back
+from nw_eval.twin.gaussians.kernels.harmonics import basis, slope
+from nw_eval.twin.gaussians.kernels.jit import kernel
+from nw_eval.twin.gaussians.kernels.project import (
+    HALF_LOG2E,
+    LEAST_KEPT,
+    LN2,
+    camera_point,
+    own_axes,
+    screen_rows,
+)
+
+
+@inlined
+def _footprint_back(g: Any, p: Any, q: Any, options: Any) -> Any:
+    """Return the gradient with respect to the footprint's xx, xy, yy."""
+    eps2d, antialiased, floor2 = options
+    xx0 = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
+    xy = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    yy0 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    xx, yy = xx0 + eps2d, yy0 + eps2d
+    after = xx * yy - xy * xy
+    half = HALF_LOG2E / after
+    # A = half yy, B = -2 half xy, C = half xx; half moves with 1 / after.
+    g_after = -(g[G_A] * yy - 2.0 * g[G_B] * xy + g[G_C] * xx) * half / after
+    g_xx, g_xy, g_yy = g[G_C] * half, -2.0 * g[G_B] * half, g[G_A] * half
+    if antialiased:
+        before = xx0 * yy0 - xy * xy
+        if before / after > max(floor2, LEAST_KEPT):
+            opacity = 0.5 * g[G_OPACITY] / LN2
+            g_before = opacity / before
+            g_after -= opacity / after
+            g_xx += g_before * yy0
+            g_yy += g_before * xx0
+            g_xy -= 2.0 * g_before * xy
+    return g_xx + g_after * yy, g_xy - 2.0 * g_after * xy, g_yy + g_after * xx
+
+
+@inlined
+def _colour_back(g: Any, sh: Any, i: Any, count: Any, unit: Any, values: Any, out: Any) -> Any:
+    """Write the gradient of a Gaussian's harmonics; return that of its direction.
+
+    `values` is room for twice sixteen numbers.
+    """
+    basis(unit[0], unit[1], unit[2], count, values)
+    values[16:] = 0.0
+    for channel in range(3):
+        colour = 0.5
+        for k in range(count):
+            colour += values[k] * sh[i, k, channel]
+        if colour <= 0.0:
+            continue
+        along = float(g[G_RED + channel])
+        for k in range(count):
+            out[i, k, channel] = along * values[k]
+            values[16 + k] += along * sh[i, k, channel]
+    if count == 1:
+        return 0.0, 0.0, 0.0
+    return slope(unit[0], unit[1], unit[2], count, values[16:])
+
+
+@inlined
+def _rows_back(g: Any, view: Any, point: Any, rows: Any, g_t: Any, g_u: Any) -> Any:
+    """Return the gradient with respect to the camera point x, y, z."""
+    x, y, z = point
+    r = view[at.R : at.R + 9]
+    fx, fy = view[at.FX], view[at.FY]
+    gx, gy = g[G_U] * fx / z, g[G_V] * fy / z
+    gz = -(gx * x + gy * y) / z - g[G_INVERSE] / (z * z)
+    # t = fx / z (r0 + a r2), a = -x / z within bounds; likewise u.
+    gz -= (g_t[0] * rows[0] + g_t[1] * rows[1] + g_t[2] * rows[2]) / z
+    gz -= (g_u[0] * rows[3] + g_u[1] * rows[4] + g_u[2] * rows[5]) / z
+    if view[at.X_LOW] < x / z < view[at.X_HIGH]:
+        g_a = fx / z * (g_t[0] * r[6] + g_t[1] * r[7] + g_t[2] * r[8])
+        gx -= g_a / z
+        gz += g_a * x / (z * z)
+    if view[at.Y_LOW] < y / z < view[at.Y_HIGH]:
+        g_b = fy / z * (g_u[0] * r[6] + g_u[1] * r[7] + g_u[2] * r[8])
+        gy -= g_b / z
+        gz += g_b * y / (z * z)
+    return gx, gy, gz
+
+
+@kernel
+def project_back(
+    gaussians: Any,
+    count: Any,
+    view: Any,
+    options: Any,
+    first: Any,
+    end: Any,
+    depths: Any,
+    screen: Any,
+    out: Any,
+) -> None:
+    """Write the gradients of the Gaussians first..end-1; zero for those that are not shown.
+
+    Args:
+        gaussians: as `project` takes them.
+        count: harmonics per channel that are in use.
+        view: (SIZE,) float64.
+        options: as `project` takes them.
+        first: first Gaussian.
+        end: behind the last one.
+        depths: (N,) float32 of `project`.
+        screen: (N, GRADIENT) float32, gradients with respect to records.
+        out: arrays shaped like those of `gaussians`.
+    """
+    means, log_scales, quats, logits, sh = gaussians
+    g_means, g_scales, g_quats, g_logits, g_sh = out
+    values = np.empty(32)
+    scales = np.empty(3)
+    r = view[at.R : at.R + 9]
+    for i in range(first, end):
+        g_means[i], g_scales[i], g_quats[i] = 0.0, 0.0, 0.0
+        g_logits[i] = 0.0
+        g_sh[i] = 0.0
+        if not np.isfinite(depths[i]):
+            continue
+        g = screen[i]
+        x, y, z = camera_point(view, means[i])
+        turn = rotation(quats[i])
+        for k in range(3):
+            scales[k] = math.exp(float(log_scales[i, k]))
+        rows = screen_rows(view, x, y, z)
+        t, u = rows[:3], rows[3:]
+        p, q = own_axes(turn, scales, t), own_axes(turn, scales, u)
+        g_xx, g_xy, g_yy = _footprint_back(g, p, q, options)
+        # log2 of the logistic function has slope (1 - opacity) / ln 2.
+        g_logits[i] = g[G_OPACITY] / LN2 / (1.0 + math.exp(float(logits[i])))
+        g_p = (
+            2.0 * g_xx * p[0] + g_xy * q[0],
+            2.0 * g_xx * p[1] + g_xy * q[1],
+            2.0 * g_xx * p[2] + g_xy * q[2],
+        )
+        g_q = (
+            2.0 * g_yy * q[0] + g_xy * p[0],
+            2.0 * g_yy * q[1] + g_xy * p[1],
+            2.0 * g_yy * q[2] + g_xy * p[2],
+        )
+        g_scales[i, 0] = g_p[0] * p[0] + g_q[0] * q[0]
+        g_scales[i, 1] = g_p[1] * p[1] + g_q[1] * q[1]
+        g_scales[i, 2] = g_p[2] * p[2] + g_q[2] * q[2]
+        # p = S R' t: what moves p moves scales, turn and t, one axis at a time.
+        a = (scales[0] * g_p[0], scales[1] * g_p[1], scales[2] * g_p[2])
+        b = (scales[0] * g_q[0], scales[1] * g_q[1], scales[2] * g_q[2])
+        g_turn = (
+            a[0] * t[0] + b[0] * u[0],
+            a[1] * t[0] + b[1] * u[0],
+            a[2] * t[0] + b[2] * u[0],
+            a[0] * t[1] + b[0] * u[1],
+            a[1] * t[1] + b[1] * u[1],
+            a[2] * t[1] + b[2] * u[1],
+            a[0] * t[2] + b[0] * u[2],
+            a[1] * t[2] + b[1] * u[2],
+            a[2] * t[2] + b[2] * u[2],
+        )
+        rotation_back(quats[i], g_turn, g_quats[i])
+        g_t = (
+            turn[0] * a[0] + turn[1] * a[1] + turn[2] * a[2],
+            turn[3] * a[0] + turn[4] * a[1] + turn[5] * a[2],
+            turn[6] * a[0] + turn[7] * a[1] + turn[8] * a[2],
+        )
+        g_u = (
+            turn[0] * b[0] + turn[1] * b[1] + turn[2] * b[2],
+            turn[3] * b[0] + turn[4] * b[1] + turn[5] * b[2],
+            turn[6] * b[0] + turn[7] * b[1] + turn[8] * b[2],
+        )
+        gx, gy, gz = _rows_back(g, view, (x, y, z), rows, g_t, g_u)
+        # The direction of the harmonics moves with the mean too, across itself.
+        dx = float(means[i, 0]) - view[at.EYE]
+        dy = float(means[i, 1]) - view[at.EYE + 1]
+        dz = float(means[i, 2]) - view[at.EYE + 2]
+        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        unit = (dx * inverse, dy * inverse, dz * inverse)
+        d = _colour_back(g, sh, i, count, unit, values, g_sh)
+        along = d[0] * unit[0] + d[1] * unit[1] + d[2] * unit[2]
+        for k in range(3):
+            across = (d[k] - unit[k] * along) * inverse
+            g_means[i, k] = r[k] * gx + r[3 + k] * gy + r[6 + k] * gz + across

@@ -1,0 +1,1 @@
+"""Pictures of Gaussians, and gradients back to them."""

@@ -1,0 +1,7 @@
+"""Makes the helpers of this folder and of the renderer's tests importable."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "splat"))

@@ -1,0 +1,93 @@
+"""Trainings on disk: the same bits after a break, and a sentence about a file that is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_capture import beginning, photos
+from test_trainer import BUSY
+
+from nw_eval.arrays import pack
+from nw_eval.errors import StoreError
+from nw_eval.files.cache import sealed_path
+from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
+from nw_eval.twin.gaussians.population import NAMES
+from nw_eval.twin.gaussians.trainer import Trainer
+
+
+@pytest.mark.parametrize("strategy", ["default", "mcmc"])
+def test_a_training_that_was_left_goes_on_with_the_same_bits(tmp_path, strategy):
+    taken, config = photos(), replace(BUSY, strategy=strategy)
+    whole = Trainer(taken, beginning(degree=1), config)
+    whole.run()
+    trainer = Trainer(taken, beginning(degree=1), config)
+    for until in (13, 44):  # Between two times at which some come and go.
+        trainer.run(until)
+        save_training(tmp_path / "state", trainer)
+        trainer = resume_training(tmp_path / "state", taken, config, threads=2)
+        assert trainer.iteration == until
+    trainer.run()
+    assert trainer.is_done
+    for name in NAMES:
+        assert (getattr(trainer.gaussians, name) == getattr(whole.gaussians, name)).all()
+    assert (trainer.exposures.maps == whole.exposures.maps).all()
+
+
+@pytest.fixture
+def saved(tmp_path):
+    trainer = Trainer(photos(2), beginning(), BUSY)
+    trainer.run(3)
+    save_training(tmp_path / "state", trainer)
+    return tmp_path / "state"
+
+
+def test_a_file_that_is_missing_or_damaged_is_named(saved):
+    with pytest.raises(StoreError, match="none: no training"):
+        resume_training(saved.with_name("none"), photos(2), BUSY)
+    content = bytearray(saved.read_bytes())
+    content[len(content) // 2] ^= 1
+    saved.with_name("damaged").write_bytes(content)
+    with pytest.raises(StoreError, match="not what was written"):
+        resume_training(saved.with_name("damaged"), photos(2), BUSY)
+
+
+def test_other_photographs_and_other_wishes_are_noticed(saved):
+    other = photos(2)
+    other[1].rgb[0, 0, 0] ^= 1
+    masked = [replace(photo, mask=np.ones((48, 72), dtype=bool)) for photo in photos(2)]
+    wishes = [(photos(3), BUSY), (other, BUSY), (masked, BUSY), (photos(2), replace(BUSY, seed=5))]
+    for taken, config in wishes:
+        with pytest.raises(StoreError, match="other photographs, or asked for other things"):
+            resume_training(saved, taken, config)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("mean.quats", np.zeros((3, 4), dtype=np.float32)),
+        ("values.sh", np.zeros((700, 2, 3), dtype=np.float32)),
+        ("exposure.maps", np.zeros((2, 3, 4))),
+        ("density.views", None),
+        ("iteration", np.array(10**9)),
+        ("iteration", np.array([1, 2])),
+    ],
+)
+def test_arrays_that_do_not_belong_together_are_refused(saved, monkeypatch, name, array):
+    from nw_eval.twin.gaussians import checkpoint
+
+    def tampered(arrays):
+        changed = {key: value for key, value in arrays.items() if key != name}
+        return pack(changed if array is None else changed | {name: array})
+
+    monkeypatch.setattr(checkpoint, "pack", tampered)
+    trainer = Trainer(photos(2), beginning(), BUSY)
+    save_training(saved, trainer)
+    with pytest.raises(StoreError, match="missing or do not belong together"):
+        resume_training(saved, photos(2), BUSY)
+
+
+def test_bytes_that_hold_no_arrays_are_refused(tmp_path):
+    with sealed_path(tmp_path / "state") as path:
+        path.write_bytes(b"\x05\0\0\0[[[[[")
+    with pytest.raises(StoreError, match="no training to go on with"):
+        resume_training(tmp_path / "state", photos(2), BUSY)

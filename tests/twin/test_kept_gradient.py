@@ -1,0 +1,14 @@
+"""Under which name the machine code of training's kernels is kept."""
+
+from pathlib import Path
+
+import nw_eval.splat.kernels as renderer
+import nw_eval.twin.gaussians.kernels as training
+from nw_eval.machine_code.jit import hash_sources
+from nw_eval.twin.gaussians.kernels.blend_back import blend_back
+
+
+def test_a_change_in_the_renderers_vector_layer_compiles_the_gradient_anew():
+    name = blend_back._cache._cache_file._name
+    for package in (renderer, training):
+        assert hash_sources(Path(package.__path__[0])) in name
