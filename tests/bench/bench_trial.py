@@ -14,12 +14,13 @@ import sys
 from dataclasses import astuple, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import thread_time
 
 import onnx
 from onnx import TensorProto, helper
 
 from nw_eval.files.shipped import shipped
-from nw_eval.rollout.clock import StageSeconds
+from nw_eval.rollout.clock import StageClock, StageSeconds
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -79,10 +80,10 @@ def measure(folder: Path) -> tuple[StageSeconds, float, int]:
                 record="all",
                 mcap=folder / f"{trial.id}.mcap",
             )
-            result = run_trial(job, library=library)
+            result = run_trial(job, library=library, clock=StageClock(thread_time))
             assert result.status == "ok", result.error_text
             if index:  # The first one loads and compiles.
-                total = [a + b for a, b in zip(total, astuple(result.cpu), strict=True)]
+                total = [a + b for a, b in zip(total, astuple(result.wall), strict=True)]
                 simulated += result.sim_seconds
     names = (field.name for field in fields(StageSeconds))
     stages = StageSeconds(**dict(zip(names, total, strict=True)))

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +16,8 @@ from nw_eval.errors import StoreError
 from nw_eval.results import parquet
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.parquet import read_rows, write_rows
-from nw_eval.results.row import Row, rows_digest
+from nw_eval.results.row import Row, rows_digest, to_dict
+from nw_eval.results.tables.arrays import array_of
 from nw_eval.results.tables.sealed import sealed
 from nw_eval.words import FAULTS, OUTCOMES
 
@@ -50,6 +54,40 @@ def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row
     write_rows(tmp_path / "one.parquet", rows, {"b": "2", "a": "1"})
     write_rows(tmp_path / "two.parquet", rows[::-1], {"a": "1", "b": "2"})
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
+
+
+def test_columns_are_those_that_arrow_makes_of_the_same_values(
+    make_row: Callable[..., Row],
+) -> None:
+    rows = [
+        make_row(trial_id="b", perturbation=(("friction", 0.6), ("load", 2.0))),
+        make_row(trial_id="é", waypoint_times=(), error_text="größer\nals 漢", coverage_min=0.25),
+        make_row(
+            trial_id="c", seed=2**64 - 1, cached=True, waypoint_times=(0.5, 1.25), mcap_path=""
+        ),
+    ]
+    for count in (0, 1, 3):
+        plain = [to_dict(row) for row in rows[:count]]
+        for field in SCHEMA:
+            values = [row[field.name] for row in plain]
+            array = array_of(values, field.type)
+            array.validate(full=True)
+            assert array.equals(pa.array(values, field.type)), field.name
+
+
+def test_pandas_is_not_imported_to_write_rows(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+    code = """
+import json, sys
+from pathlib import Path
+from nw_eval.results.parquet import write_rows
+from nw_eval.results.row import from_dict
+write_rows(Path(sys.argv[1]), [from_dict(json.loads(sys.argv[2]))], {})
+sys.exit("pandas" in sys.modules)
+"""
+    row = json.dumps(to_dict(make_row(perturbation=(("friction", 0.6),))))
+    command = [sys.executable, "-c", code, str(tmp_path / "t.parquet"), row]
+    subprocess.run(command, check=True, timeout=120)
+    assert len(read_rows(tmp_path / "t.parquet")[0]) == 1
 
 
 def test_metadata_that_readers_look_for_carry_the_prefix(

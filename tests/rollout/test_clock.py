@@ -13,16 +13,16 @@ def test_an_inner_stage_stops_the_outer_one():
         time.sleep(0.02)
         with clock("render"):
             time.sleep(0.06)
-    assert 0.06 <= clock.wall.render < 0.2
-    assert 0.02 <= clock.wall.log < 0.055
+    assert 0.06 <= clock.stages.render < 0.2
+    assert 0.02 <= clock.stages.log < 0.055
 
 
 def test_sleeping_takes_wall_time_but_no_cpu_time():
-    clock = StageClock()
-    with clock("policy"):
+    wall, processor = StageClock(), StageClock(time.thread_time)
+    with wall("policy"), processor("policy"):
         time.sleep(0.05)
-    assert clock.wall.policy >= 0.05
-    assert clock.cpu.policy < 0.02
+    assert wall.stages.policy >= 0.05
+    assert processor.stages.policy < 0.02
 
 
 def test_a_stage_that_raises_is_still_counted():
@@ -35,4 +35,4 @@ def test_a_stage_that_raises_is_still_counted():
 
     with pytest.raises(ZeroDivisionError):
         fail()
-    assert clock.wall.physics >= 0.01
+    assert clock.stages.physics >= 0.01

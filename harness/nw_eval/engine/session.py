@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.cache.opening import known_trials
 from nw_eval.engine.cache.store import limit_bytes
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.meanwhile import Meanwhile
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
@@ -53,6 +54,7 @@ def carry_out(
     prelude: Prelude | None = None,
     enough: Enough | None = None,
     cache: bool = True,
+    meanwhile: Callable[[], None] | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
@@ -74,6 +76,7 @@ def carry_out(
             run there.
         enough: asked between rounds whether the rest need not run: see `run_trials`.
         cache: whether results of earlier runs are taken over: see `engine.cache.known`.
+        meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
         IncomparableError: the run to resume was made under something else.
@@ -107,7 +110,9 @@ def carry_out(
                 info = prelude(folder, info)
                 write_run_info(folder.run_json, info)
             if info.stopped_after != 0 and not info.interrupted:
-                _make_ready(plan, folder, listener)
+                ready_scans(plan.scenes, listener)
+                if plan.renders:
+                    build_splats(plan.scenes, listener)
                 jobs = plan_jobs(plan, folder)
                 with place.hire(plan, jobs, folder, listener) as hire:
                     info = _run(
@@ -120,6 +125,7 @@ def carry_out(
                         workers=place.workers,
                         enough=enough,
                         uncached=_uncached(cache=cache, in_process=in_process),
+                        meanwhile=None if in_process else meanwhile,
                         listener=listener,
                     )
             _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
@@ -187,18 +193,15 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
     return info
 
 
-def _make_ready(plan: Plan, folder: RunFolder, listener: Listener) -> None:
-    """Make what all workers need, and how Foxglove is to show the logs of this policy."""
-    # They know the simulator, and take as long.
+def _write_layout(plan: Plan, folder: RunFolder) -> None:
+    """Write how Foxglove is to show the logs of this policy."""
+    # They know the simulator, which this process may have no other use for.
     from nw_eval.viewing.foxglove import layout_json
     from nw_eval.viewing.shown import shown_by_card
 
-    ready_scans(plan.scenes, listener)
     with atomic_path(folder.layout) as temporary:
         shown = shown_by_card(plan.bundle.card, get_robot(plan.suite.robot))
         temporary.write_text(layout_json(shown), encoding="utf-8")
-    if plan.renders:
-        build_splats(plan.scenes, listener)
 
 
 def _run(
@@ -212,27 +215,36 @@ def _run(
     workers: int | None,
     enough: Enough | None,
     uncached: str,
+    meanwhile: Callable[[], None] | None,
     listener: Listener,
 ) -> RunInfo:
     """Run jobs, but for what the cache knows; return what run.json is to say afterwards."""
 
+    def beside_trials() -> None:
+        _write_layout(plan, folder)
+        if meanwhile is not None:
+            meanwhile()
+
     def seen() -> RunInfo:
         return info.model_copy(update={"cache": known.info.after(info.cache)})
 
-    with known_trials(
-        plan,
-        folder,
-        off=uncached,
-        listener=listener,
-        doubted=lambda: write_run_info(folder.run_json, seen()),
-    ) as known:
+    with (
+        known_trials(
+            plan,
+            folder,
+            off=uncached,
+            listener=listener,
+            doubted=lambda: write_run_info(folder.run_json, seen()),
+        ) as known,
+        Meanwhile(hire, beside_trials) as begins,
+    ):
         outcome = run_trials(
             jobs,
             journal=journal,
             folder=folder,
             policy=plan.bundle.name,
             arm=plan.arm,
-            hire=hire,
+            hire=begins,
             workers=workers,
             enough=enough,
             listener=listener,

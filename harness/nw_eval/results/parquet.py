@@ -13,6 +13,7 @@ from nw_eval.errors import StoreError
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
+from nw_eval.results.tables.arrays import array_of
 from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
 
 SCHEMA_VERSION = "2"
@@ -49,7 +50,7 @@ def write_columns(
     keys = list(zip(columns["trial_id"], columns["arm"], strict=True))
     order = sorted(range(len(keys)), key=keys.__getitem__)
     arrays = [
-        pa.array(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
+        array_of(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
     ]
     table = pa.Table.from_arrays(arrays, schema=SCHEMA)
     write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})

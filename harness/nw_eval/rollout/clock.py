@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter, thread_time
+from time import perf_counter
 from typing import Literal, Self, get_args
 
 Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]
@@ -11,7 +12,7 @@ Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]
 
 @dataclass(frozen=True, kw_only=True)
 class StageSeconds:
-    """Seconds that a trial spent in each stage, by one clock."""
+    """Seconds that a trial spent in each stage."""
 
     setup: float = 0.0  # scene, robot, renderer and policy, before the first step
     physics: float = 0.0
@@ -22,44 +23,40 @@ class StageSeconds:
 
 
 class StageClock:
-    """Adds up wall seconds and the thread's CPU seconds of each stage.
+    """Adds up the seconds of each stage.
 
-    Stages nest: while an inner one runs, the outer one stands still, so no second counts twice.
+    Stages nest: while an inner one runs, the outer one stands still, so no second counts twice. A
+    control step has five of them, and what the clock itself takes is nobody's: it does little.
+
+    Args:
+        now: seconds that pass, of the wall if nothing is said; `time.thread_time` is the processor.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = perf_counter) -> None:
         stages: tuple[Stage, ...] = get_args(Stage)
-        self._wall: dict[Stage, float] = dict.fromkeys(stages, 0.0)
-        self._cpu: dict[Stage, float] = dict.fromkeys(stages, 0.0)
+        self._now = now
+        self._spent: dict[Stage, float] = dict.fromkeys(stages, 0.0)
         self._running: list[Stage] = []
-        self._wall_began, self._cpu_began = perf_counter(), thread_time()
+        self._began = 0.0
 
     def __call__(self, stage: Stage) -> Self:
         """Credit the time from now to the end of the `with` block to a stage; only for `with`."""
-        self._turn(self._running[-1] if self._running else None)
-        self._running.append(stage)
+        now, running = self._now(), self._running
+        if running:
+            self._spent[running[-1]] += now - self._began
+        running.append(stage)
+        self._began = now
         return self
 
     def __enter__(self) -> None:
         pass
 
     def __exit__(self, *_: object) -> None:
-        self._turn(self._running.pop())
+        now = self._now()
+        self._spent[self._running.pop()] += now - self._began
+        self._began = now
 
     @property
-    def wall(self) -> StageSeconds:
-        """Wall seconds so far."""
-        return StageSeconds(**self._wall)
-
-    @property
-    def cpu(self) -> StageSeconds:
-        """CPU seconds of the calling thread so far."""
-        return StageSeconds(**self._cpu)
-
-    def _turn(self, stage: Stage | None) -> None:
-        """Credit the time since the last turn to the stage that was running."""
-        wall, cpu = perf_counter(), thread_time()
-        if stage is not None:
-            self._wall[stage] += wall - self._wall_began
-            self._cpu[stage] += cpu - self._cpu_began
-        self._wall_began, self._cpu_began = wall, cpu
+    def stages(self) -> StageSeconds:
+        """Seconds so far."""
+        return StageSeconds(**self._spent)

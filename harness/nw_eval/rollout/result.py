@@ -44,7 +44,6 @@ class TrialResult:
 
     wall_seconds: float = 0.0  # all of the trial
     wall: StageSeconds = field(default_factory=StageSeconds)
-    cpu: StageSeconds = field(default_factory=StageSeconds)  # of the trial's own thread
     mcap_bytes: int = 0  # 0 = no log was kept
     mcap_error: str = ""  # why there is no log, although one was asked for
 

@@ -20,12 +20,15 @@ if TYPE_CHECKING:
     from nw_eval.words import Fault, Outcome
 
 
-def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
+def run_trial(
+    job: TrialJob, *, library: Library | None = None, clock: StageClock | None = None
+) -> TrialResult:
     """Run one trial and write its log.
 
     Args:
         job: which trial, and where its log goes.
         library: scenes and bundles that this process has loaded already.
+        clock: for its stages; one of wall seconds if None.
 
     Returns:
         The result. A fault of policy, physics or of this program is a result with status `error`,
@@ -33,7 +36,7 @@ def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
         but the user's Ctrl-C.
     """
     began = perf_counter()
-    clock = StageClock()
+    clock = clock or StageClock()
     try:
         with clock("setup"):
             trial = open_trial(job, library or Library(), clock)
@@ -44,7 +47,7 @@ def run_trial(job: TrialJob, *, library: Library | None = None) -> TrialResult:
     else:
         with trial:
             result = _run(trial, clock)
-    return replace(result, wall=clock.wall, cpu=clock.cpu, wall_seconds=perf_counter() - began)
+    return replace(result, wall=clock.stages, wall_seconds=perf_counter() - began)
 
 
 def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from nw_eval.errors import IncomparableError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from nw_eval.api.running.evidence.kept import KeptEvidence
     from nw_eval.gate.verdict import Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.results.bank.against import Against
@@ -89,6 +91,36 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
 
     judged = as_begun(run)
     return written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
+
+
+def prepare_pages() -> None:
+    """Import and compile what pages are made with, so that they take a while less afterwards.
+
+    Nothing is raised: what cannot be had, `report` says.
+    """
+    with suppress(Exception):
+        from nw_eval.api.running.evidence import gather, kept
+        from nw_eval.gate.baseline import combine
+        from nw_eval.reporting import markdown
+        from nw_eval.reporting.html.environment import compile_templates
+        from nw_eval.results import parquet
+
+        _ = gather, kept, combine, markdown, parquet
+        compile_templates()
+
+
+def report_here(run: Path) -> RunReport:
+    """As `report`, of a run that this machine has just made: earlier ones may have its logs, too.
+
+    Raises:
+        StoreError: as `report`.
+    """
+    from nw_eval.api.running.evidence.kept import KeptEvidence
+    from nw_eval.results.run_folder import RunFolder
+
+    judged = as_begun(run)
+    kept = KeptEvidence.of_run(judged.info)
+    return written(judged, RunFolder(path=judged.folder).report_md, kept=kept)
 
 
 def as_begun(run: str | Path) -> RunReport:
@@ -193,8 +225,13 @@ def judged_rows(
     )
 
 
-def written(judged: RunReport, out: Path) -> RunReport:
+def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -> RunReport:
     """Write the pages of a judged run: one in Markdown, and beside it the other in HTML.
+
+    Args:
+        judged: the run.
+        out: of either page.
+        kept: what its logs may have shown before; None = they are read.
 
     Raises:
         StoreError: they cannot be written.
@@ -206,7 +243,7 @@ def written(judged: RunReport, out: Path) -> RunReport:
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows)
+    evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows, kept)
     texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
     for path, text in texts.items():
         write_report(path, text)

@@ -8,7 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, get_args
 
 from nw_eval.api.running.plans import check_workers, plan
-from nw_eval.api.running.reports import RunReport, report
+from nw_eval.api.running.reports import RunReport, prepare_pages, report_here
 from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.plural import plural
@@ -147,6 +147,7 @@ def roll_out(
         # What is enough shows in whole rounds only, of which a part has none.
         enough=None if contest is None or plan.shard is not None else contest.enough,
         cache=cache,
+        meanwhile=prepare_pages,
     )
 
 
@@ -231,7 +232,7 @@ def judged(folder: RunFolder) -> RunReport:
 
     try:
         with TracebackIn(folder.path):
-            outcome = report(folder.path)
+            outcome = report_here(folder.path)
     except UsageError:  # As if nothing had run: it is no run's folder any more.
         Presence(folder.journal).check()
         raise

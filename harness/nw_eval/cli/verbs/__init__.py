@@ -9,9 +9,8 @@ from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Annotated, Any, cast
 
-import tyro
-
 from nw_eval import __version__
+from nw_eval.cli.verbs.ahead import begin
 
 _VERBS = MappingProxyType(
     {
@@ -53,6 +52,9 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
     if list(arguments) == ["--version"]:
         print(f"nw-eval {__version__}")
         raise SystemExit(0)
+    begin(arguments)
+    import tyro
+
     # The other verbs take longer to import than many a verb takes to run.
     if arguments and arguments[0] in _VERBS:
         try:
@@ -68,6 +70,8 @@ def _verb(name: str) -> Any:
 
 
 def _parsed(form: Any, arguments: Sequence[str], **words: Any) -> Callable[[], int]:
+    import tyro
+
     verb = tyro.cli(
         form,
         args=arguments,

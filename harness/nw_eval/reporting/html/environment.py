@@ -40,6 +40,13 @@ def render(template: str, **values: Any) -> str:
     )
 
 
+def compile_templates() -> None:
+    """Compile all templates, which takes longer than to lay out a page by them."""
+    environment = _environment()
+    for name in environment.list_templates(extensions=("j2",)):
+        environment.get_template(name)
+
+
 @cache
 def _environment() -> Environment:
     return Environment(

@@ -10,11 +10,9 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.confined.access import opening_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.confined.start import prepare_for
-from nw_eval.sensors import check_card
 
 
 def vet_bundle(
@@ -39,6 +37,8 @@ def vet_bundle(
     if bundle.card.adapter == "remote":
         bundle = _with_server(bundle, robot, allow_code=allow_code)
     if bundle.checkpoint is None and not bundle.code_sha256:
+        from nw_eval.rollout.check_bundle import check_bundle
+
         # There is nothing of a stranger's to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code)
         return bundle
@@ -58,6 +58,7 @@ def vet_bundle(
 def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
     """Return a remote bundle with the digest of what is served, which takes what the card makes."""
     from nw_eval.policies.remote.client import ask_server  # Not everybody has websockets.
+    from nw_eval.sensors import check_card
 
     code_from = bundle.folder if allow_code else None
     card = bundle.card_path
@@ -79,5 +80,8 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def _check(*, card: str, checkpoint: str | None, robot: str, allow_code: bool) -> None:
+    # It knows sensors, and they the simulator, for which the caller may have no use.
+    from nw_eval.rollout.check_bundle import check_bundle
+
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     check_bundle(bundle, get_robot(robot), allow_code=allow_code)

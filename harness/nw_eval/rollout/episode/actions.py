@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,7 @@ class Actions:
         delay: the actions that wait.
         applied: the raw action that is applied, (12,).
         output: what the policy returned last, (12,).
-        earlier: what it returned before that, (`EARLIER_OUTPUTS`, 12), the newest first.
+        earlier: what it returned before that, (12,) each of `EARLIER_OUTPUTS`, the newest first.
         filter: what they pass through.
     """
 
@@ -58,14 +59,15 @@ class Actions:
         self.delay = ActionDelay(delay_steps, count)
         self.applied = Held(np.zeros(count))
         self.output = Held(np.zeros(count))
-        self.earlier = Held(np.zeros((EARLIER_OUTPUTS, count)))
+        self.earlier = HeldRow([np.zeros(count)] * EARLIER_OUTPUTS)
         self.filter = action_filter
         self._control = control
         self._joints = joints
 
     def take(self, action: Array) -> None:
         """Take a new action of the policy, (12,) raw."""
-        self.earlier.array = np.vstack([self.output.array, self.earlier.array[:-1]])
+        # A policy may write into what it has returned.
+        self.earlier.arrays = (self.output.array.copy(), *self.earlier.arrays[:-1])
         self.output.array = action
         self.applied.array = self.delay.push(action)
         if self.filter is not None:
@@ -79,8 +81,8 @@ class Actions:
         """
         applied = self.applied.array if self.filter is None else self.filter.output
         targets = self._control.targets(applied)
-        index = int(np.abs(targets).argmax())
-        if not abs(targets[index]) < HUGE:
+        # No square is larger than the sum of all, which one call gives.
+        if not targets.dot(targets) < HUGE * HUGE and (index := _first_huge(targets)) is not None:
             raise PolicyFailedError(
                 f"the policy's action makes a target of {targets[index]:.3g} for joint "
                 f"{self._joints[index]}",
@@ -103,3 +105,25 @@ class Held:
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of an array of the same shape."""
         self.array = np.frombuffer(state).reshape(self.array.shape).copy()
+
+
+class HeldRow:
+    """Several arrays of float64 of one shape, likewise."""
+
+    def __init__(self, arrays: Sequence[Array]) -> None:
+        self.arrays = tuple(arrays)
+
+    def state(self) -> bytes:
+        """Return their numbers."""
+        return b"".join(map(np.ndarray.tobytes, self.arrays))
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of as many arrays of the same shape."""
+        rows = np.frombuffer(state).reshape(len(self.arrays), *self.arrays[0].shape)
+        self.arrays = tuple(rows.copy())
+
+
+def _first_huge(targets: Array) -> int | None:
+    """Return which target is the largest, if there is no sense in it."""
+    index = int(np.abs(targets).argmax())
+    return None if abs(targets[index]) < HUGE else index

@@ -143,7 +143,7 @@ class Episode:
         """
         moment: Moment | None = None
         observation: Mapping[str, NDArray[Any]] = {}
-        action = np.zeros_like(self._actions.output.array)
+        action: Array | None = None
         is_asked = self.step % self._hold == 0
         if self.step > 0 or not self.world.protocol.first_step_is_blind:
             moment = self._moment()
@@ -152,7 +152,7 @@ class Episode:
                 with self._clock("policy"):
                     action = self._ask(observation)
         if is_asked:
-            self._actions.take(action)
+            self._actions.take(self._no_action() if action is None else action)
         return Decision(
             observation=observation,
             action=self._actions.output.array,
@@ -240,6 +240,9 @@ class Episode:
         self.world.restore(state.world)
         self.step = state.step
 
+    def _no_action(self) -> Array:
+        return np.zeros_like(self._actions.output.array)
+
     def _moment(self) -> Moment:
         return Moment(
             world=self.world,
@@ -247,7 +250,7 @@ class Episode:
             step=self.step,
             applied_action=self._actions.applied.array,
             last_output=self._actions.output.array,
-            earlier_outputs=tuple(self._actions.earlier.array),
+            earlier_outputs=self._actions.earlier.arrays,
         )
 
     def _sense(self, moment: Moment) -> dict[str, NDArray[Any]]:

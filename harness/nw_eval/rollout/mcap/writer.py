@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from functools import lru_cache
 from typing import IO, Any
 
 import numpy as np
@@ -55,8 +55,8 @@ class McapWriter:
         self._stream = stream
         # Zstandard's own sum of a chunk is ten times as fast as MCAP's, which is left out.
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
-        self._schemas: dict[str, Schema] = {}
-        self._channels: list[Channel] = []
+        self._schemas: dict[type[Any], bytes] = {}  # Records, by the kind that each is of.
+        self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
@@ -69,23 +69,13 @@ class McapWriter:
 
     def channel(self, topic: str, kind: type[Any]) -> int:
         """Begin a topic of one kind of protobuf message; return its number."""
-        name = kind.DESCRIPTOR.full_name
-        if name not in self._schemas:
-            number = len(self._schemas) + 1
-            self._schemas[name] = Schema(
-                id=number, name=name, encoding="protobuf", data=_descriptors(kind)
-            )
-            self._add(_record(self._schemas[name]))
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding="protobuf",
-            metadata={},
-            schema_id=self._schemas[name].id,
-        )
-        self._channels.append(channel)
-        self._add(_record(channel))
-        return channel.id
+        if kind not in self._schemas:
+            self._schemas[kind] = _schema(len(self._schemas) + 1, kind)
+            self._add(self._schemas[kind])
+        number = len(self._channels) + 1
+        self._channels.append(_channel(number, topic, list(self._schemas).index(kind) + 1))
+        self._add(self._channels[-1])
+        return number
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
         """Append a message; times must not decrease."""
@@ -143,17 +133,17 @@ class McapWriter:
         self._end_chunk()
         self._put(DataEnd(data_section_crc=0))
         start = self._stream.tell()
-        groups: tuple[tuple[Opcode, Iterable[McapRecord]], ...] = (
+        groups: tuple[tuple[Opcode, Iterable[bytes]], ...] = (
             (Opcode.SCHEMA, self._schemas.values()),
             (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+            (Opcode.STATISTICS, [_record(self._statistics())]),
+            (Opcode.CHUNK_INDEX, map(_record, self._chunks)),
+            (Opcode.ATTACHMENT_INDEX, map(_record, self._attachments)),
+            (Opcode.METADATA_INDEX, map(_record, self._metadata)),
         )
         summary, offsets = b"", b""
         for opcode, records in groups:
-            group = b"".join(map(_record, records))
+            group = b"".join(records)
             offsets += _record(
                 SummaryOffset(
                     group_opcode=opcode,
@@ -254,7 +244,18 @@ def _record(record: McapRecord) -> bytes:
     return builder.end()
 
 
-@cache
-def _descriptors(kind: type[Any]) -> bytes:
-    """Return the schema of a message with all that it is made of; the same in every log."""
-    return build_file_descriptor_set(kind).SerializeToString(deterministic=True)
+# The logs of a policy's trials have the same schemas and channels.
+@lru_cache(maxsize=256)
+def _schema(number: int, kind: type[Any]) -> bytes:
+    """Return the record of a kind of message, with all that it is made of."""
+    data = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
+    name = kind.DESCRIPTOR.full_name
+    return _record(Schema(id=number, name=name, encoding="protobuf", data=data))
+
+
+@lru_cache(maxsize=1024)
+def _channel(number: int, topic: str, schema: int) -> bytes:
+    channel = Channel(
+        id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=schema
+    )
+    return _record(channel)

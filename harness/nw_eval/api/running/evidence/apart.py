@@ -35,17 +35,15 @@ class WantedLog:
 
 
 def read_apart(
-    wanted: Sequence[WantedLog], folder: Path, *, picture_bytes: int, clip_bytes: int
+    wanted: Sequence[WantedLog], folder: Path, room: dict[str, int]
 ) -> list[tuple[WantedLog, ReadLog]]:
     """Return each log with what it shows, in no order.
 
     Args:
         wanted: logs below the folder.
         folder: the only one that can be read.
-        picture_bytes: that the picture of a place may have.
-        clip_bytes: that a clip may have.
+        room: bytes that one `picture` of a place and one `clip` may have.
     """
-    room = {"picture": picture_bytes, "clip": clip_bytes}
     rules = Rules(reads=(folder.resolve(),), seconds=_PROCESSOR_SECONDS)
     found: list[tuple[WantedLog, ReadLog]] = []
     waiting, started, end = [list(wanted)], 0, monotonic() + _SECONDS

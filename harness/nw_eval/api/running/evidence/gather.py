@@ -8,6 +8,8 @@ from pathlib import Path
 from nw_eval.api.running.evidence.apart import WantedLog, read_apart
 from nw_eval.api.running.evidence.chosen import MOST_CLIPS, clipped_trials, drawn_trials
 from nw_eval.api.running.evidence.compose import composed
+from nw_eval.api.running.evidence.content import ReadLog
+from nw_eval.api.running.evidence.kept import KeptEvidence
 from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.reporting.html.evidence import CLIP_BYTES, PICTURE_BYTES, LogEvidence
 from nw_eval.results.row import Row
@@ -19,12 +21,15 @@ _LARGEST_PICTURE = 40_000
 """Bytes of one place's; the built-in places take some hundred, scans more."""
 
 
-def gather_evidence(folder: RunFolder, rows: Iterable[Row]) -> LogEvidence:
+def gather_evidence(
+    folder: RunFolder, rows: Iterable[Row], kept: KeptEvidence | None = None
+) -> LogEvidence:
     """Return what logs show; what cannot be read costs its part, and the remarks say so.
 
     Args:
         folder: of the run.
         rows: its trials, in any order. Errors are not drawn: how far they came is no result.
+        kept: what the same logs have shown before, and where to keep it; None = they are read.
     """
     results = [row for row in rows if row.status == "ok"]
     logs = _logs(folder, results)
@@ -32,16 +37,33 @@ def gather_evidence(folder: RunFolder, rows: Iterable[Row]) -> LogEvidence:
     clips = {row.trial_id for row in clipped_trials(present)}
     drawn = {logs[row.trial_id]: row for row in _within(drawn_trials(present), logs)}
     scenes = len({row.scene for row in drawn.values()})
-    read = read_apart(
-        [
-            WantedLog(path=path, scene=row.scene, clip=row.trial_id in clips)
-            for path, row in drawn.items()
-        ],
-        folder.path,
-        picture_bytes=min(_LARGEST_PICTURE, PICTURE_BYTES // max(1, scenes)),
-        clip_bytes=CLIP_BYTES // MOST_CLIPS,
-    )
-    return composed(results, {drawn[log.path].trial_id: content for log, content in read})
+    wanted = [
+        WantedLog(path=path, scene=row.scene, clip=row.trial_id in clips)
+        for path, row in drawn.items()
+    ]
+    room = {
+        "picture": min(_LARGEST_PICTURE, PICTURE_BYTES // max(1, scenes)),
+        "clip": CLIP_BYTES // MOST_CLIPS,
+    }
+    read = _read(wanted, folder, room, kept)
+    return composed(results, {drawn[log.path].trial_id: content for log, content in read.items()})
+
+
+def _read(
+    wanted: Sequence[WantedLog],
+    folder: RunFolder,
+    room: dict[str, int],
+    kept: KeptEvidence | None,
+) -> dict[WantedLog, ReadLog]:
+    """Return what each log shows: as the same logs have before, if that is kept."""
+    key = "" if kept is None else kept.key(wanted, room)
+    known = None if kept is None else kept.find(key)
+    if known is not None and len(known) == len(wanted):
+        return dict(zip(wanted, known, strict=True))
+    read = dict(read_apart(wanted, folder.path, room))
+    if kept is not None:
+        kept.keep(key, [read[log] for log in wanted])
+    return read
 
 
 def _logs(folder: RunFolder, rows: Iterable[Row]) -> dict[str, Path]:

@@ -66,4 +66,4 @@ class Pair:
             result = ended(trial, trial.episode.run(watcher))
             path = Path(job.mcap)
             watcher.trajectory(result.success).write(path)
-        return replace(result, wall=clock.wall, cpu=clock.cpu, mcap_bytes=path.stat().st_size)
+        return replace(result, wall=clock.stages, mcap_bytes=path.stat().st_size)
