@@ -81,7 +81,7 @@ NOT_RUN = MappingProxyType(
         ),
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume runs/student-rgb": "hours",
-        "nw-eval run hurdles --policy runs/student-rgb/policies/round-4": (
+        "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (
             "the policy is there after hours; tests/learn/student runs smaller ones"
         ),
     }
