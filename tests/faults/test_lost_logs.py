@@ -119,7 +119,7 @@ def test_a_run_folder_that_is_replaced_in_mid_run_is_not_taken_for_the_run(tiny_
 def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp_path, monkeypatch):
     suite = tmp_path / "suite.yaml"
     suite.write_text(SUITE)
-    written = reports.report
+    written = reports.report_here
 
     def remove_and_report(path, **settings):
         told = written(path, **settings)
@@ -128,7 +128,7 @@ def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp
         (path / "report.md").write_text("PASS")
         return told
 
-    monkeypatch.setattr("nw_eval.api.running.runs.report", remove_and_report)
+    monkeypatch.setattr("nw_eval.api.running.runs.report_here", remove_and_report)
     with pytest.raises(StoreError, match="run was removed or replaced"):
         api.run(suite, out=tmp_path / "run", workers=1)
 
@@ -136,13 +136,13 @@ def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp
 def test_a_folder_that_is_removed_before_the_report_is_a_fault_and_no_misuse(tmp_path, monkeypatch):
     suite = tmp_path / "suite.yaml"
     suite.write_text(SUITE)
-    written = reports.report
+    written = reports.report_here
 
     def report_on_nothing(path, **settings):
         shutil.rmtree(path)
         return written(path, **settings)
 
-    monkeypatch.setattr("nw_eval.api.running.runs.report", report_on_nothing)
+    monkeypatch.setattr("nw_eval.api.running.runs.report_here", report_on_nothing)
     with pytest.raises(StoreError, match="run was removed or replaced"):
         api.run(suite, out=tmp_path / "run", workers=1)
 

@@ -80,8 +80,7 @@ def test_a_script_is_vetted_without_being_loaded_here(tmp_path, monkeypatch):
         raise AssertionError("a script was loaded in the parent")
 
     monkeypatch.setattr(torch.jit, "load", refuse)
-    monkeypatch.setattr(vetting, "check_bundle", refuse)
-    assert check_bundle.check_bundle is not refuse
+    monkeypatch.setattr(check_bundle, "check_bundle", refuse)  # Of this process alone.
     (tmp_path / "policy.yaml").write_text(CARD % "joint_vel")
     vetting.vet_bundle(load_bundle(tmp_path, checkpoint=tmp_path / "policy.pt"), "go1")
     (tmp_path / "policy.yaml").write_text(CARD % "gravity")

@@ -93,6 +93,14 @@ FILES: tuple[StrangersFile, ...] = (
         refused="code, servers and renderers that its reader did not name",
     ),
     StrangersFile(
+        kind="repository of a hub, zip of a published scene",
+        read_by="readers of our own, zipfile",
+        where="the main process",
+        may="be files in a folder of the cache",
+        refused="names that leave it, links, counts and sizes over the limits, bytes of another "
+        "digest",
+    ),
+    StrangersFile(
         kind="rows: journal, Parquet, run.json, digests.json",
         read_by="json, pyarrow, pydantic",
         where="the main process",

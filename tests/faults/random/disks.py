@@ -4,11 +4,15 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from functools import cache
 from pathlib import Path
 
 _WITHIN = "NW_EVAL_FAULTS_MOUNTS"
 _OWN = ["unshare", "--user", "--map-root-user", "--mount", "--propagation", "private"]
+
+_PATIENCE = 10.0
+"""Seconds."""
 
 
 def enter_namespace():
@@ -35,7 +39,9 @@ def may_mount():
         try:
             disk(mounted, size=4096 * 4)
             enlarge(mounted)
-            write_protect(protected)  # Some systems have disks, and nothing remounted read-only.
+            write_protect(
+                protected, patience=0.0
+            )  # Some systems have disks, and nothing remounted read-only.
         except (OSError, subprocess.CalledProcessError):
             return False
         finally:
@@ -54,10 +60,20 @@ def enlarge(folder):
     _run("mount", "-o", "remount,size=256m", str(folder))
 
 
-def write_protect(folder):
+def write_protect(folder, patience=_PATIENCE):
     """Let nothing below a folder be opened for writing; what is open remains so."""
     _run("mount", "--bind", str(folder), str(folder))
-    _run("mount", "-o", "remount,bind,ro", str(folder))
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            _run("mount", "-o", "remount,bind,ro", str(folder))
+        except subprocess.CalledProcessError:
+            # Busy: a log was opened for writing since the line before, and will be closed.
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
+        else:
+            return
 
 
 def release(folder):

@@ -84,6 +84,7 @@ def same_as(whole, cut):
     return curves[0] == curves[1] and files[0].read_bytes() == files[1].read_bytes()
 
 
+@pytest.mark.nightly
 def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, monkeypatch):
     _, cut = begun(tmp_path / "cut", SMALL)
     step = Learner.step

@@ -181,9 +181,13 @@ TIPS = np.array([kind == CYLINDER for kind, _ in SHAPES])
 """Cylinders stand on end here, and fall over sooner or later for nothing."""
 
 
+GROUNDS = ["height field", pytest.param("triangles", marks=pytest.mark.nightly)]
+"""Triangles are the slow way, with which the other is checked."""
+
+
 @pytest.mark.parametrize("deed", DEEDS)
 @pytest.mark.parametrize("slope", [0.0, 0.3])
-@pytest.mark.parametrize("ground", ["height field", "triangles"])
+@pytest.mark.parametrize("ground", GROUNDS)
 def test_on_smooth_ground_shapes_move_as_on_a_plain_box(ground, slope, deed):
     over, went = moved(world(ground, slope), slope=slope, **DEEDS[deed])
     truth, true_went = moved(world("box", slope), slope=slope, **DEEDS[deed])
@@ -195,7 +199,7 @@ def test_on_smooth_ground_shapes_move_as_on_a_plain_box(ground, slope, deed):
 
 
 @pytest.mark.parametrize("deed", DEEDS)
-@pytest.mark.parametrize("ground", ["height field", "triangles"])
+@pytest.mark.parametrize("ground", GROUNDS)
 def test_nothing_stays_under_noisy_ground(ground, deed):
     over, went = moved(world(ground, noise=0.002), **DEEDS[deed])
     # Valleys of the noise are 6 mm deep, and peaks as high.
@@ -205,7 +209,7 @@ def test_nothing_stays_under_noisy_ground(ground, deed):
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.5, 4.0])
-@pytest.mark.parametrize("ground", ["height field", "triangles"])
+@pytest.mark.parametrize("ground", GROUNDS)
 def test_shapes_that_run_against_a_step_are_stopped_and_not_thrown_up(ground, speed):
     height = 0.15
     model = world(ground, step=height)
