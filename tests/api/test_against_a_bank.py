@@ -116,6 +116,7 @@ def elsewhere(bank):
     return replace(bank, manifest=manifest, panels=(replace(bank.panels[0], machine=machine),))
 
 
+@pytest.mark.nightly
 def test_rows_of_rounds_are_those_of_a_plain_run_and_end_when_it_is_settled(project):
     ears = Ears()
     judged = against(ears=ears)
@@ -274,6 +275,7 @@ def test_where_the_bank_s_bits_are_repeated_its_panel_is_known_after_a_round():
     assert {row.arm for row in judged.rows} == {"candidate"}
 
 
+@pytest.mark.nightly
 def test_ctrl_c_while_the_bank_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
     forged(elsewhere)
     with monkeypatch.context() as patch:

@@ -44,6 +44,7 @@ def series(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_was(series):
     heard = []
     settings = {"good": "good.onnx", "bad": "last.onnx", "starts": 12, "workers": 2}

@@ -67,6 +67,7 @@ def test_a_store_is_made_once(built, monkeypatch):
     assert built.store.stat().st_mtime_ns == before
 
 
+@pytest.mark.nightly
 def test_a_damaged_store_is_made_anew(tmp_path, monkeypatch):
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path))
     splat = BuiltInSplat(place=tiny_place())

@@ -503,9 +503,9 @@ def test_a_default_pose_whose_hips_have_the_other_sign_is_told(tmp_path):
     "change",
     [
         {"joints": [*ROBOT_ORDER[3:6], *ROBOT_ORDER[:3], *ROBOT_ORDER[9:], *ROBOT_ORDER[6:9]]},
-        {"action": "joint_position"},
+        pytest.param({"action": "joint_position"}, marks=pytest.mark.nightly),
         {"scale": 1.0},
-        {"kp": 10},
+        pytest.param({"kp": 10}, marks=pytest.mark.nightly),
         {"default_pose": {"hip": 0.0, "thigh": 0.9, "calf": -1.8}},
     ],
     ids=lambda change: next(iter(change)),

@@ -146,6 +146,7 @@ def test_a_progress_display_that_breaks_costs_the_display_and_nothing_else(capsy
     assert line.startswith("warning: no more progress is shown, unforeseen: RuntimeError")
 
 
+@pytest.mark.nightly
 def test_a_verdict_stands_whatever_becomes_of_its_print(regressed_run):
     argv = [*NW_EVAL, "report", str(regressed_run)]
     with Path("/dev/full").open("wb") as no_room:

@@ -130,6 +130,7 @@ def test_nothing_outlives_a_caller_that_is_killed(functions, tmp_path, function,
     assert is_gone(child, seconds=10.0)
 
 
+@pytest.mark.nightly
 def test_a_time_limit_ends_what_trusted_code_has_started_too(functions, tmp_path):
     mark = tmp_path / "mark"
     with pytest.raises(PolicyError, match="no answer"):

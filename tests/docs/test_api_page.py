@@ -37,6 +37,7 @@ def printed(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_checkpoint_is_evaluated_in_five_lines(printed):
     assert len([line for line in BLOCKS[0].splitlines() if line]) == 5
     assert re.fullmatch(r"RAN [01]\.\d+\n", printed[0])

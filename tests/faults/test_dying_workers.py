@@ -103,8 +103,12 @@ def test_a_signal_is_told_from_an_exit(tiny_run):
 
 @pytest.mark.parametrize(
     "deed",
-    ["sys.exit(0)", "raise KeyboardInterrupt", "raise GeneratorExit", "raise Odd(1, 2)"],
-    ids=["exit", "interrupt", "generator", "unpicklable"],
+    [
+        pytest.param("sys.exit(0)", id="exit"),
+        pytest.param("raise KeyboardInterrupt", id="interrupt", marks=pytest.mark.nightly),
+        pytest.param("raise GeneratorExit", id="generator", marks=pytest.mark.nightly),
+        pytest.param("raise Odd(1, 2)", id="unpicklable"),
+    ],
 )
 def test_nothing_that_a_policy_raises_ends_the_run(tiny_run, deed):
     outcome = tiny_run("raiser", deed=deed, trials=1).go(workers=1)

@@ -151,6 +151,7 @@ def by_way(outcome, ways):
     return {ways[row.trial_id]: row for row in outcome.rows}
 
 
+@pytest.mark.nightly
 def test_what_a_policy_does_twice_is_its_result_and_what_a_machine_does_never_is(
     misbehave, workers
 ):
@@ -220,6 +221,7 @@ def test_a_run_cut_between_a_failure_and_its_repeat_goes_on_to_the_same_rows(mis
     assert retold.error_text != told.error_text, "it names the process, and counts for nothing"
 
 
+@pytest.mark.nightly
 def test_a_policy_that_ends_its_process_has_failed(misbehave):
     run, by_trial = misbehave(["leaves 0", "leaves 7", "fine", "error then leaves"])
     rows = by_way(run.go(workers=2), by_trial)

@@ -2,6 +2,8 @@
 
 import time
 
+import pytest
+
 
 def by_status(outcome):
     groups = {"ok": [], "error": []}
@@ -10,6 +12,7 @@ def by_status(outcome):
     return groups["ok"], groups["error"]
 
 
+@pytest.mark.nightly
 def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     run = tiny_run("hangs", trials=4, time_limit=6.0)  # A busy machine takes 2 s for the others.
     began = time.perf_counter()

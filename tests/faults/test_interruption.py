@@ -129,6 +129,7 @@ def test_a_second_ctrl_c_ends_at_once_and_leaves_no_worker(tiny_run, tmp_path):
     assert read_journal(run.folder.journal).rows
 
 
+@pytest.mark.nightly
 def test_workers_do_not_outlive_a_parent_that_is_killed(tiny_run, tmp_path):
     run = tiny_run("slow", name="cut", trials=6)
     process = start(run, tmp_path)

@@ -276,6 +276,7 @@ def test_a_policy_that_only_fails_has_regressed_and_one_fault_of_the_machine_hid
     assert "1 trial ended in errors (1 crashed)" in verdict.reasons[0]
 
 
+@pytest.mark.nightly
 def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> None:
     rng = np.random.default_rng(5)
     passed = 0

@@ -80,6 +80,7 @@ def test_options_have_twins_in_the_ini_file_and_win_over_them(suite, run, pytest
     assert (judged.info.policy.name, len(judged.rows)) == ("stand", 1)
 
 
+@pytest.mark.nightly
 def test_workers_of_xdist_share_one_run(suite, pytester, folders, in_process_conftest):
     suite(scenes=[FLAT, HURDLE, LOGS], trials=4)
     done = pytester.runpytest_subprocess(*in_process_conftest, "-n", "2", "-v", "tiny.yaml")

@@ -32,6 +32,7 @@ def room_100k():
     return room(100_000)
 
 
+@pytest.mark.nightly
 def test_a_room_of_100k_agrees_to_95_db(room_100k):
     pairs = _compare(room_100k, [eye_camera(i, 160, 90) for i in range(4)])
     assert psnr(*((image.rgb, rgb) for image, rgb, _, _ in pairs)) >= 95

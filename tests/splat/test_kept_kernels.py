@@ -68,6 +68,7 @@ def test_code_is_kept_in_a_private_folder_and_found_again(run, kept):
     assert run() == (2, 0, "None")
 
 
+@pytest.mark.nightly
 def test_a_damaged_file_is_compiled_again_and_the_next_process_finds_it(run, kept):
     first, second = kept
     whole = {path: path.read_bytes() for path in kept}
@@ -107,6 +108,7 @@ def test_a_folder_that_others_may_write_is_not_used_and_that_is_said(run, kept):
     assert "kernels may be written by others; remove it, or set NW_EVAL_CACHE" in note
 
 
+@pytest.mark.nightly
 def test_workers_use_the_folder_that_the_first_process_lends(run, kept, tmp_path):
     kept[0].parent.chmod(0o777)
     lent = tmp_path / "lent"

@@ -84,6 +84,7 @@ def run_part(composite: Any, workspace: Path, job: dict[str, Any]) -> None:
     (workspace / part["path"]).rename(workspace / "parts" / name)
 
 
+@pytest.mark.nightly
 def test_jobs_that_share_a_suite_are_planned_and_one_that_is_missing_is_no_pass(
     composite: Any, tmp_path: Path
 ) -> None:

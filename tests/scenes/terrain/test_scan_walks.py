@@ -57,6 +57,7 @@ def test_the_shipped_policy_finishes_on_the_scan_of_a_place(tmp_path, place, noi
     assert success(str(scan), place, load_bundle("go1-parkour")) == 1.0
 
 
+@pytest.mark.nightly
 def test_a_mesh_touched_by_its_own_triangles_carries_the_robot_too(tmp_path):
     place = "hurdles/one_low_carpet"
     scan = write_scan(tmp_path / "scan", get_scene(place), noise=0.002)
