@@ -343,6 +343,7 @@ def test_a_bank_whose_policy_is_not_here_says_where_to_name_it():
         against("other", baseline_policy="./soft")
 
 
+@pytest.mark.nightly
 def test_an_object_is_compared_with_a_bank_as_a_policy_by_name_is():
     judged = api.evaluate(lambda _: np.zeros(12), suite="quick.yaml", card=LIMP, baseline="shipped")
     assert (judged.verdict.verdict, judged.bank.name) == ("REGRESSED", "shipped")
@@ -353,6 +354,7 @@ def test_an_object_is_compared_with_a_bank_as_a_policy_by_name_is():
     assert (again.verdict.against.basis, again.info.baseline.checked) == ("panel", "bits")
 
 
+@pytest.mark.nightly
 def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_bank():
     text = SUITE.replace(", hurdles/two_logs_park", "").replace("trials: 4", "trials: 2")
     text = text.replace("max_drop: 0.5", "max_drop: 0.2").replace(
@@ -389,6 +391,7 @@ def parts_of(number, **changes):
     return [against(f"part-{word[0]}", shard=word, trials=2, **changes) for word in words]
 
 
+@pytest.mark.nightly
 def test_parts_run_all_rounds_and_are_judged_against_their_bank_once_they_are_merged(project):
     ears = Ears()
     parts = parts_of(2, ears=ears)

@@ -36,6 +36,7 @@ def test_the_same_place_gives_the_same_bytes():
     assert digest(first) == digest(second)
 
 
+@pytest.mark.nightly
 def test_the_bytes_do_not_depend_on_threads_or_hash_seeds():
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]);"

@@ -40,6 +40,7 @@ def file_size_limit(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.nightly
 def test_a_log_that_does_not_fit_the_disk_costs_the_log_and_not_the_trial(tiny_run):
     run = tiny_run("fine", name="full", trials=2)
     with file_size_limit(8_000):

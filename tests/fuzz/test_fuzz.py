@@ -35,7 +35,13 @@ def fuzz(*arguments):
 
 
 @pytest.mark.timeout(0)
-@pytest.mark.parametrize("target", INPUTS)
+@pytest.mark.parametrize(
+    "target",
+    [
+        pytest.param(target, marks=() if number % 2 == 0 else pytest.mark.nightly)
+        for number, target in enumerate(INPUTS)
+    ],
+)
 def test_mutated_files_are_read_whole_or_refused_in_words(target, tmp_path):
     count = max(1, int(INPUTS[target] * FACTOR))
     tally = fuzz(target, "--inputs", str(count), "--seed", SEED, "--keep", str(tmp_path))

@@ -112,6 +112,7 @@ def test_a_check_names_the_code_or_says_that_there_is_no_checkpoint(folder, tmp_
     assert "code outside the card's folder is not part of it" in said
 
 
+@pytest.mark.nightly
 def test_a_run_of_other_code_is_not_resumed(folder, tmp_path):
     (tmp_path / "suite.yaml").write_text(SUITE.replace("POLICY", str(folder)))
     out = tmp_path / "run"

@@ -61,6 +61,7 @@ def test_last_failed_runs_the_scenes_that_failed_and_then_the_verdict(suite, run
     assert ran() == [{FLAT, HURDLE, LOGS}]
 
 
+@pytest.mark.nightly
 def test_options_have_twins_in_the_ini_file_and_win_over_them(suite, run, pytester, folders, other):
     suite("deep/tiny.nw.yaml", trials=3)
     pytester.makeini(f"""

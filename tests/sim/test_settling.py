@@ -76,6 +76,7 @@ def height_of_least_energy():
     return standing(joints)[1]
 
 
+@pytest.mark.nightly
 def test_the_robot_sinks_to_the_height_of_least_energy(go1, flat):
     # Servos of kp 20 are springs of 20 N m / rad that sag under 12.986 kg. MuJoCo's friction is
     # soft and lets feet and joints creep until it carries no load, so that the robot ends where

@@ -129,6 +129,7 @@ def test_a_process_that_has_no_folder_compiles_in_memory(run, tmp_path):
     assert note.startswith("kernels are compiled in every process: cannot write ")
 
 
+@pytest.mark.nightly
 def test_a_process_that_cannot_write_compiles_in_memory_and_leaves_nothing(run, tmp_path):
     assert run(LIMITED="1") == (0, 2, "None")
     assert list((tmp_path / "cache" / "kernels").iterdir()) == []

@@ -51,7 +51,7 @@ def test_training_shows_views_that_it_was_not_told(strategy):
     assert (steps[-1].count > len(start)) == (strategy != "fixed")
 
 
-@pytest.mark.parametrize("strategy", ["default", "mcmc"])
+@pytest.mark.parametrize("strategy", ["default", pytest.param("mcmc", marks=pytest.mark.nightly)])
 def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(strategy):
     taken = photos(depth=True)
     results = []

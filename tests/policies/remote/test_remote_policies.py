@@ -326,6 +326,7 @@ def test_an_array_that_claims_100_gb_takes_no_memory():
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)]
 )
+@pytest.mark.nightly
 def test_the_command_serves_until_it_is_interrupted(local, tmp_path, number):
     served = ["-c", "from nw_eval.cli import main; main()", "policies", "serve"]
     command = [sys.executable, *served, str(local.folder), "--port", "0"]
