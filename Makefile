@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	$(BIN)/nw-eval run suites/hurdles.yaml
+	$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10
 
 # Types are checked by one core while the other compiles the kernels.
 test: $(VENV)/.installed-dev

@@ -196,6 +196,21 @@ def test_the_policy_of_the_bank_passes_without_a_trial_by_what_the_bank_holds(ca
     assert api.run("quick.yaml", baseline="shipped", out=Path("below")).exit_code == 1
 
 
+def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(
+            ["run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d"]
+        )
+    assert caught.value.code == 0
+    assert "nothing to run" not in capsys.readouterr().err
+    judged = api.report("d")
+    assert (len(judged.rows), judged.info.stopped_after) == (2, None)
+    assert judged.verdict.against.basis == "same"
+    known = {row.seed: row.state_digest for row in api.report("whole").rows}
+    assert all(known[row.seed] == row.state_digest for row in judged.rows)
+    assert judged.verdict.verdict == "PASS"
+
+
 def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     ears = Ears()
 

@@ -79,6 +79,10 @@ NOT_RUN = MappingProxyType(
         "nw-eval train student student-rgb-small": (
             "minutes; tests/learn/student trains smaller ones"
         ),
+        "nw-eval twin build photographs/ --out corridor --tag-edge 0.16": (
+            "minutes; tests/twin/building builds a room by night"
+        ),
+        "nw-eval scenes check ./corridor": "of that place",
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume runs/student-rgb": "hours",
         "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (

@@ -19,7 +19,7 @@ from nw_eval.sim import Limits
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
 from nw_eval.suite import Suite, load_suite
-from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb
+from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb, Validity
 from nw_eval.suite.trials import MAX_TRIALS
 from nw_eval.words import OUTCOMES, Protocol, Tier
 
@@ -42,7 +42,12 @@ def test_every_key_is_there_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "model"), [("key of `episode`", EpisodeRules), ("key of `gate`", Gate)]
+    ("heading", "model"),
+    [
+        ("key of `episode`", EpisodeRules),
+        ("key of `gate`", Gate),
+        ("key of `validity`", Validity),
+    ],
 )
 def test_keys_and_defaults_of_parts_are_those_of_the_code(
     heading: str, model: type[BaseModel]

@@ -40,6 +40,8 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
         "examples/parkour-student-go1",
         "examples/playground-go1",
         "examples/walk-these-ways-go1",
+        "go1-act-depth",
+        "go1-act-rgb",
         "go1-parkour",
         "mine",
         "stand",

@@ -6,6 +6,9 @@
 3.  Lower bound of mean success at or above the bar: PASS. Upper bound below it: REGRESSED.
 4.  Otherwise INCONCLUSIVE, with the chance that more trials would decide.
 
+Trials that left the captured volume (`gate.validity`) count for neither side: the lower bound takes
+them for failures, the upper one for successes. Where too many did, nothing is judged: INCONCLUSIVE.
+
 Scenes weigh equally; `informational` ones do not count. Each bound errs with probability at most
 1 - confidence, for any distribution of success (`stats.betting`), however often one adds whole
 rounds of trials and looks again. A `critical` scene is also judged alone, and can only convict: its
@@ -30,6 +33,7 @@ import numpy as np
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
+from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.results.row import Row
@@ -62,26 +66,30 @@ def judge(
     Raises:
         StoreError: a trial appears twice.
     """
-    groups = by_scene(rows, planned)
-    scores = tuple(score(scene, groups[scene], planned.get(scene, 0), gate) for scene in groups)
-    condemned = _condemned(groups, scores, gate)
+    groups, left = by_scene(rows, planned), that_left(rows, gate)
+    scores = tuple(
+        score(scene, found, planned.get(scene, 0), gate, left) for scene, found in groups.items()
+    )
+    condemned = _condemned(groups, scores, left, gate)
     scores = tuple(replace(item, condemned=item.scene in condemned) for item in scores)
-    counted = [
-        values
-        for item in scores
-        if item.tier != "informational" and (values := successes(groups[item.scene])).size
-    ]
-    bounds = Interval(lower_bound(counted, gate.confidence), upper_bound(counted, gate.confidence))
+    judged = [groups[item.scene] for item in scores if item.tier != "informational"]
+    counted = [values for found in judged if (values := successes(found, left)).size]
+    bounds = _bounds(judged, left, gate)
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
-    seen = courses(groups, scores)
+    seen = courses(groups, scores, left)
+    capped = over_the_cap(rows, left, gate)
     word, reasons = _compare(bounds, scores, gate, alone=against is None)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
+    elif capped:
+        word, reasons = "INCONCLUSIVE", [capped]
     elif condemned:
         # The suite's mean speaks first only if it convicts too.
         alone = [_alone(scene, most, gate) for scene, most in condemned.items()]
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *alone]
-    elif word == "INCONCLUSIVE" and gate.success_rate is not None and not _is_moot(against):
+    elif word in {"PASS", "RAN"} and (unseen := _unseen(scores)):
+        word, reasons = "INCONCLUSIVE", [*unseen, *reasons]
+    elif _is_open(word, left, against) and gate.success_rate is not None:
         reasons.append(advice(counted, seen, gate, gate.success_rate))
     drop = gate.most_drop
     return Verdict(
@@ -96,21 +104,45 @@ def judge(
         drop=drop,
         drop_passes=(
             chance_to_pass(seen, gate, effect - drop)
-            if word == "PASS" and effect is not None
+            if word == "PASS" and effect is not None and not left
             else None
         ),
         reasons=(
             *reasons,
+            *in_a_sentence(rows, left, gate),
             *_weak_scenes(scores, gate),
             *(_unjudged(rows, gate) if against is None else ()),
         ),
         per_scene=scores,
+        left=left,
     )
 
 
-def _is_moot(against: Comparison | None) -> bool:
-    """Return whether more trials would be of no use to the bar: the baseline has convicted."""
-    return against is not None and against.word == "REGRESSED"
+def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -> Interval:
+    """Return the bounds of mean success; what left the captured volume counts against each."""
+    worst = [successes(found, left, counted=0.0) for found in judged]
+    best = [successes(found, left, counted=1.0) for found in judged]
+    return Interval(lower_bound(worst, gate.confidence), upper_bound(best, gate.confidence))
+
+
+def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bool:
+    """Return whether it can be said what more trials would bring to the bar.
+
+    They are of no use to it once the baseline has convicted; and how many would leave the captured
+    volume, once some have, nobody knows.
+    """
+    moot = against is not None and against.word == "REGRESSED"
+    return word == "INCONCLUSIVE" and not left and not moot
+
+
+def _unseen(scores: Sequence[SceneScore]) -> list[str]:
+    """Return which critical scenes say too little, because so many of their trials left."""
+    return [
+        f"{item.outside} of {plural(item.outside + item.n, 'trial')} of critical scene "
+        f"{item.scene} left the captured volume: capture more of it from the robot's height"
+        for item in scores
+        if item.tier == "critical" and item.unseen
+    ]
 
 
 def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> list[str]:
@@ -130,13 +162,13 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
         total = sum(item.missing for item in missing)
         reasons.append(f"{plural(total, 'trial')} missing ({places}); --resume runs them")
     required = [pattern for pattern, tier in gate.tiers.items() if tier == "critical"]
-    having = [item.scene for item in scores if item.n]
+    having = [item.scene for item in scores if item.n or item.outside]
     reasons += [
         f"critical scene {pattern} has no result, and the suite cannot pass without it"
         for pattern in required
         if not any(fnmatchcase(scene, pattern) for scene in having)
     ]
-    if not reasons and not any(item.n for item in scores if item.tier != "informational"):
+    if not reasons and all(item.tier == "informational" for item in scores if item.scene in having):
         reasons.append("no scene counts: all are informational; make one supporting or critical")
     return reasons
 
@@ -162,14 +194,18 @@ def _compare(
 
 
 def _condemned(
-    groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore], gate: Gate
+    groups: Mapping[str, Sequence[Row]],
+    scores: Sequence[SceneScore],
+    left: frozenset[str],
+    gate: Gate,
 ) -> dict[str, float]:
     """Return the critical scenes that are certainly below the bar, with their upper bounds."""
     critical = [item.scene for item in scores if item.tier == "critical"]
     if gate.success_rate is None or not critical:
         return {}
     confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
-    known = {scene: values for scene in critical if (values := successes(groups[scene])).size}
+    best = {scene: successes(groups[scene], left, counted=1.0) for scene in critical}
+    known = {scene: values for scene, values in best.items() if values.size}
     most = {scene: upper_bound([values], confidence) for scene, values in known.items()}
     return {scene: bound for scene, bound in most.items() if bound < gate.success_rate}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.results.row import Row
@@ -10,11 +10,25 @@ from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_t
 from nw_eval.suite.model import Gate
 
 
-def courses(groups: Mapping[str, Sequence[Row]], scores: Sequence[SceneScore]) -> list[SceneCounts]:
-    """Return what was seen in each scene that counts, as waypoints reached."""
+def courses(
+    groups: Mapping[str, Sequence[Row]],
+    scores: Sequence[SceneScore],
+    left: Collection[str] = (),
+) -> list[SceneCounts]:
+    """Return what was seen in each scene that counts, as waypoints reached.
+
+    Args:
+        groups: rows of each scene.
+        scores: of the scenes.
+        left: trials that left the captured volume, of which nothing is known.
+    """
     found: list[SceneCounts] = []
     for item in scores:
-        rows = [row for row in groups[item.scene] if row.success is not None]
+        rows = [
+            row
+            for row in groups[item.scene]
+            if row.success is not None and row.trial_id not in left
+        ]
         if item.tier != "informational" and rows:
             reached = [row.waypoints_reached for row in rows]
             waypoints = [row.waypoints_total for row in rows]

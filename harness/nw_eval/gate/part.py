@@ -25,7 +25,9 @@ def of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
         run: what they are of; `run.shard` says which part.
         gate: the suite's settings, of which no bar and no tier counts.
     """
-    bare = gate.model_copy(update={"success_rate": None, "max_drop": None, "tiers": {}})
+    bare = gate.model_copy(
+        update={"success_rate": None, "max_drop": None, "tiers": {}, "validity": None}
+    )
     planned = {scene: count for scene, count in run.planned.items() if count}
     verdict = judge(rows, bare, planned)
     scores = tuple(replace(item, tier=gate.tier(item.scene)) for item in verdict.per_scene)

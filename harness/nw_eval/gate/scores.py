@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
+from nw_eval.gate.validity import too_many
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, mean_of_scenes, wilson
@@ -17,9 +18,20 @@ _DRAWS = 2000
 """For the interval of one scene, of which there may be hundreds: shown with two digits."""
 
 
-def successes(rows: Sequence[Row]) -> NDArray[np.float64]:
-    """Return the success rates of the trials that have a result, shape (n,)."""
-    return np.array([row.success for row in rows if row.success is not None], dtype=np.float64)
+def successes(
+    rows: Sequence[Row], left: Collection[str] = (), *, counted: float | None = None
+) -> NDArray[np.float64]:
+    """Return the success rates of the trials that have a result, shape (n,).
+
+    Args:
+        rows: in any order.
+        left: trials that left the captured volume.
+        counted: as which success these count; they are left out if None.
+    """
+    values = [
+        counted if row.trial_id in left else row.success for row in rows if row.success is not None
+    ]
+    return np.array([value for value in values if value is not None], dtype=np.float64)
 
 
 def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[Row]]:
@@ -40,8 +52,12 @@ def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[
     return groups
 
 
-def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneScore:
-    """Return the score of one scene from its rows."""
+def score(
+    scene: str, rows: Sequence[Row], planned: int, gate: Gate, left: Collection[str] = ()
+) -> SceneScore:
+    """Return the score of one scene from its rows, but for trials that left the captured volume."""
+    outside = sum(row.trial_id in left for row in rows)
+    rows = [row for row in rows if row.trial_id not in left]
     values = successes(rows)
     completed = sum(row.completed for row in rows)
     estimate = mean_of_scenes([values], gate.confidence, draws=_DRAWS) if values.size else None
@@ -57,6 +73,8 @@ def score(scene: str, rows: Sequence[Row], planned: int, gate: Gate) -> SceneSco
         mean=estimate.mean if estimate else None,
         interval=estimate.interval if estimate else Interval(0.0, 1.0),
         weak=bar is not None and estimate is not None and estimate.interval.high < bar,
+        outside=outside,
+        unseen=too_many(outside, outside + values.size, gate),
     )
 
 

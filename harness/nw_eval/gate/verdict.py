@@ -37,11 +37,13 @@ class SceneScore:
     interval: Interval  # Of mean success: stratified bootstrap.
     weak: bool = False  # Its whole interval lies below the bar.
     condemned: bool = False  # Critical, and below the bar beyond doubt: it convicts alone.
+    outside: int = 0  # Trials that left the captured volume, and are in nothing above.
+    unseen: bool = False  # So many that this scene says too little (`gate.validity.at_most`).
 
     @property
     def missing(self) -> int:
         """Trials that were planned and have no row."""
-        return max(0, self.planned - self.n - self.errors)
+        return max(0, self.planned - self.n - self.errors - self.outside)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,7 @@ class Verdict:
     reasons: tuple[str, ...]
     per_scene: tuple[SceneScore, ...]
     against: Comparison | None = None  # What it also rests on; None without a baseline.
+    left: frozenset[str] = frozenset()  # Trials that left the captured volume, by their names.
 
     @property
     def completed(self) -> int:

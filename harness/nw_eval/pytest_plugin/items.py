@@ -60,6 +60,8 @@ class SceneItem(SuiteItem):
         self.user_properties += scene_properties(judged, self.state)
         if self.state.state in {"error", "unjudged"}:
             pytest.fail(scene_text(judged, self.state), pytrace=False)
+        if self.state.state == "unseen":
+            pytest.skip(self.state.sentence)
 
     def runtest(self) -> None:
         """Fail if the scene convicts, or shares in what nobody else is here to say."""

@@ -26,6 +26,8 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
             f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
         )
     parts += _trials(verdict)
+    if verdict.left:
+        parts.append(f"{len(verdict.left)} left the captured volume")
     if verdict.errors:
         parts.append(plural(verdict.errors, "error"))
     cost = _duration(run.wall_s) if run.finished else "not finished"

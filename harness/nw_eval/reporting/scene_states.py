@@ -14,12 +14,13 @@ from nw_eval.gate.baseline.comparison import SceneDrop
 from nw_eval.gate.verdict import SceneScore, Verdict
 from nw_eval.plural import plural
 
-State = Literal["failed", "error", "unjudged", "weak", "fine"]
+State = Literal["failed", "error", "unjudged", "unseen", "weak", "fine"]
 """failed: the run is REGRESSED, and this scene fell or lies below the bar. error: trials of it are
-missing or ended in errors, and the run is INFRASTRUCTURE. unjudged: the run is INVALID. weak: it
-fell or lies below the bar, and the verdict is another. Worst first."""
+missing or ended in errors, and the run is INFRASTRUCTURE. unjudged: the run is INVALID. unseen: too
+many of its trials left the captured volume to say anything of it. weak: it fell or lies below the
+bar, and the verdict is another. Worst first."""
 
-_ORDER: tuple[State, ...] = ("failed", "error", "unjudged", "weak", "fine")
+_ORDER: tuple[State, ...] = ("failed", "error", "unjudged", "unseen", "weak", "fine")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +65,15 @@ def _state(
     state: State = "weak" if faults else "fine"
     if verdict.verdict == "INVALID":
         state = "unjudged"
-    elif verdict.verdict == "INFRASTRUCTURE" and (score.errors or score.missing or not score.n):
+    elif verdict.verdict == "INFRASTRUCTURE" and (
+        score.errors or score.missing or not (score.n or score.outside)
+    ):
         state, faults = "error", _holes(score)
     elif verdict.verdict == "REGRESSED" and faults and score.tier != "informational":
         state = "failed"
-    sentence = "; ".join([*faults, _success(score, verdict)])
+    elif score.unseen:
+        state = "unseen"
+    sentence = "; ".join([*faults, *_outside(score), _success(score, verdict)])
     return SceneState(score=score, state=state, sentence=sentence, drops=own)
 
 
@@ -98,10 +103,18 @@ def _holes(score: SceneScore) -> list[str]:
     return holes or ["no result"]
 
 
+def _outside(score: SceneScore) -> list[str]:
+    """Return how many trials of a scene left the captured volume."""
+    if not score.outside:
+        return []
+    trials = plural(score.outside + score.n, "trial")
+    return [f"{score.outside} of {trials} left the captured volume and are counted apart"]
+
+
 def _success(score: SceneScore, verdict: Verdict) -> str:
     """Return what a scene scored."""
     if score.mean is None:
-        return "no trial has a result"
+        return "no trial has a result" if not score.outside else "no other trial has a result"
     percent = f"{100 * verdict.confidence:.4g} %"
     return (
         f"success {score.mean:.3f} ({percent} {score.interval.low:.2f} to "

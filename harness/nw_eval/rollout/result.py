@@ -39,6 +39,9 @@ class TrialResult:
     contact_s: float = 0.0  # s of simulated time during which head or trunk collided
     coverage_min: float | None = None  # share of a camera image that the splat covers, 0..1
     coverage_mean: float | None = None  # None = no camera image was rendered
+    capture_distance: tuple[float, ...] = ()  # of each tenth of a second, as `CapturedViews` has it
+    capture_angle: tuple[float, ...] = ()
+    capture_alpha: tuple[float, ...] = ()
     state_digest: str = ""  # hex
     action_digest: str = ""  # hex
 
@@ -60,6 +63,9 @@ class TrialResult:
             contact_s=episode.contact_seconds,
             coverage_min=episode.coverage.smallest,
             coverage_mean=episode.coverage.mean,
+            capture_distance=tuple(episode.captured.distance),
+            capture_angle=tuple(episode.captured.angle),
+            capture_alpha=tuple(episode.captured.alpha),
             state_digest=episode.state_digest.hex,
             action_digest=episode.action_digest.hex,
         )

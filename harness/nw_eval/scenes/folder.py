@@ -18,6 +18,7 @@ from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.files.json_schema import json_schema_of
 from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 from nw_eval.scenes import limits
+from nw_eval.scenes.capture_file import Far, Quat, read_captures
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
@@ -33,12 +34,6 @@ _Read = TypeVar("_Read", bound=BaseModel)
 
 def _line(text: str) -> str:
     return clean(text, at_most=200)
-
-
-def _turns(quat: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    if sum(part * part for part in quat) * limits.QUAT**2 < 1.0:
-        raise ValueError(f"quat {list(quat)} is zero; give w x y z")
-    return quat
 
 
 def _thick(half_size: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -59,9 +54,6 @@ Turning = Annotated[float, Field(ge=0, le=limits.FRICTION)]
 Noise = Annotated[float, Field(ge=0, le=limits.NOISE)]
 Angle = Annotated[float, Field(ge=-2 * np.pi, le=2 * np.pi)]
 Spread = Annotated[float, Field(ge=0, le=2 * np.pi)]
-Component = Annotated[float, Field(ge=-limits.QUAT, le=limits.QUAT)]
-Quat = Annotated[tuple[Component, Component, Component, Component], AfterValidator(_turns)]
-Far = Annotated[float, Field(ge=-limits.MESH_REACH, le=limits.MESH_REACH)]
 Line = Annotated[str, AfterValidator(_line)]
 
 
@@ -156,6 +148,8 @@ class _SceneFile(_FolderModel):
     """A file of Gaussians inside the folder, which `splat_rgb` looks at."""
     T_world_splat: _Similarity = _Similarity()
     """Where the splat lies in the world."""
+    captures: str | None = None
+    """A file of the cameras that the place was photographed with, inside the folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,6 +238,9 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
         spawn=Spawn(**text.spawn.model_dump()),
         waypoint_noise=text.waypoint_noise,
         T_world_splat=text.T_world_splat.matrix(),
+        captures=None
+        if text.captures is None
+        else read_captures(_beside(folder, file, "captures", text.captures)),
         licence=text.licence,
     )
 
@@ -259,6 +256,8 @@ def folder_files(folder: Path) -> dict[str, Path]:
     files[text.collision] = _beside(folder, file, "collision", text.collision)
     if text.splat is not None:
         files[text.splat] = _beside(folder, file, "splat", text.splat)
+    if text.captures is not None:
+        files[text.captures] = _beside(folder, file, "captures", text.captures)
     return files
 
 

@@ -39,3 +39,9 @@ QUAT = 1e3
 MESH_BYTES = 400_000_000
 MESH_FACES = 4_000_000
 """Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
+
+CAPTURES = 20_000
+"""Cameras that a place was photographed with. Frames of a long video are some thousands."""
+
+CAPTURE_BYTES = 16 * 2**20
+"""Of their file: ten times what so many take."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.scenes.captures import CaptureCameras
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
 from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
@@ -102,6 +103,8 @@ class Scene:
         splat: the source of the Gaussians; None where a scene has no camera images.
         T_world_splat: (4, 4) similarity that maps splat points to world metres.
         licence: SPDX identifier of the scene's data.
+        captures: the cameras that the place was photographed with; None where nobody says, and for
+            a built-in place, which is painted and looks the same from everywhere.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Scene:
     waypoint_noise: tuple[float, float] = (0.0, 0.1)
     T_world_splat: NDArray[np.float64] = field(default_factory=_identity)
     licence: str = "MIT"
+    captures: CaptureCameras | None = None
 
     def mesh(self) -> TriangleMesh:
         """Return what every ray against static geometry meets: ground, obstacles, walls, clutter.
@@ -164,4 +168,6 @@ class Scene:
             mesh.kinds,
             self.T_world_splat,
             None if self.splat is None else self.splat.key,
+            # A scene without them keeps the digest that it had before there were any.
+            *(() if self.captures is None else (self.captures,)),
         )

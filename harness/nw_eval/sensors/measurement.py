@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.memory import Arrays, Memory
+from nw_eval.scenes.captures import Nearness
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.wrapper import Wrapper
@@ -27,6 +28,8 @@ class Measurement(Memory[Arrays], Protocol):
     """As `Sensor.is_image`."""
     coverage: float | None = None
     """As `Sensor.coverage`."""
+    nearness: Nearness | None = None
+    """As `Sensor.nearness`."""
     nothing: float = 0.0
     """What a number reads where there is nothing, and where noise loses it."""
     form: Sequence[Wrapper] = ()

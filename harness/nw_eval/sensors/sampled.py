@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.memory import Arrays
+from nw_eval.scenes.captures import Nearness
 from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain
@@ -65,6 +66,11 @@ class Sampled:
     def coverage(self) -> float | None:
         """Share of the newest camera image that the splat covers, 0..1; None without an image."""
         return self._measurement.coverage
+
+    @property
+    def nearness(self) -> Nearness | None:
+        """How far the newest camera image was taken from the nearest capture camera; or None."""
+        return self._measurement.nearness
 
     def reset(self, seed: int) -> None:
         """Begin a trial; noise and wrappers draw from `seed` alone."""

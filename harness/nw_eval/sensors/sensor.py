@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards import Action
 from nw_eval.memory import Memory
+from nw_eval.scenes.captures import Nearness
 from nw_eval.sim import TrailProgress, World
 
 Array = NDArray[np.float64]
@@ -110,6 +111,14 @@ class Sensor(Memory[bytes], Protocol):
     @property
     def coverage(self) -> float | None:
         """Share of the newest camera image that the splat covers, 0..1; None without an image."""
+        ...
+
+    @property
+    def nearness(self) -> Nearness | None:
+        """How far the newest camera image was taken from the nearest capture camera of the scene.
+
+        None without an image of the splat, or without such cameras.
+        """
         ...
 
     def reset(self, seed: int) -> None:

@@ -8,7 +8,16 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from nw_eval.errors import Problem
 from nw_eval.suite.digest import digest_of
@@ -95,6 +104,52 @@ class Perturb(_Strict):
         return tuple(cells)
 
 
+class Validity(_Strict):
+    """Where images of a splat still show the place: near the cameras that it was photographed with.
+
+    A trial in which they do not for longer than `longer_than` in a row has left the captured
+    volume, and is counted apart.
+    """
+
+    distance: float | None = Field(
+        None,
+        gt=0.0,
+        le=1000.0,
+        description="Farthest that the policy's camera may be from the nearest capture camera, m.",
+    )
+    angle: float | None = Field(
+        None,
+        gt=0.0,
+        le=3.2,
+        description="Widest angle between the optical axes of these two, rad.",
+    )
+    alpha: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="Least share of an image that the splat must cover.",
+    )
+    longer_than: float = Field(
+        0.5,
+        ge=0.0,
+        le=600.0,
+        description="Longest simulated time in a row beyond any of these, s.",
+    )
+    at_most: float = Field(
+        0.2,
+        ge=0.0,
+        lt=1.0,
+        description="Largest share of trials that may leave the captured volume; with more the "
+        "verdict is INCONCLUSIVE.",
+    )
+
+    @model_validator(mode="after")
+    def _limited(self) -> Self:
+        if self.distance is None and self.angle is None and self.alpha is None:
+            raise ValueError("validity has no limit; set distance, angle or alpha")
+        return self
+
+
 class Gate(_Strict):
     """What a run must show to pass."""
 
@@ -159,6 +214,19 @@ class Gate(_Strict):
         "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
         "informational: is only reported.",
     )
+    validity: Validity | None = Field(
+        None,
+        description="Limits beyond which a trial has left the captured volume; such trials are "
+        "counted apart. Nobody looks without.",
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later, while it is not used: a suite keeps its digest."""
+        fields: dict[str, Any] = write(self)
+        if self.validity is None:
+            fields.pop("validity", None)
+        return fields
 
     @model_validator(mode="after")
     def _ordered_drops(self) -> Self:

@@ -45,7 +45,7 @@ def test_many_at_a_time_are_what_the_adapter_answers_one_by_one(config, network)
     torch.testing.assert_close(chunks, torch.stack(alone), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("m", [0.0, 0.2])
+@pytest.mark.parametrize("m", [0.0, 0.2, -0.7])
 def test_the_graph_blends_predictions_as_the_adapter_act_does(network, m):
     sizes = small_config().network.model_dump() | {"ensemble": m}
     config = small_config(network=sizes, sees=SEES)

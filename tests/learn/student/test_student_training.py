@@ -9,7 +9,7 @@ import time
 import pytest
 from student_parts import SMALL, small_config
 
-from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.curve import read_curve
 from nw_eval.learn.program.folder import TrainFolder
@@ -145,3 +145,25 @@ def test_nobody_learns_in_a_scene_that_evaluations_are_for():
     assert "hurdles/three_low" not in names
     with pytest.raises(UsageError, match="in which nobody learns"):
         training_scenes(["hurdles/three_low"])
+
+
+def test_a_training_begins_with_the_network_of_another(tmp_path, whole):
+    state = whole.path / "state.pt"
+    config, folder = begun(tmp_path / "more", SMALL + f"start: {state}\n")
+    StudentTraining(config, folder, say=lambda _: None)
+    first, last = (
+        there.path / "policies" / name / "policy.onnx"
+        for there, name in ((folder, "round-0"), (whole, "round-2"))
+    )
+    assert first.read_bytes() == last.read_bytes()
+    assert config.digest != small_config().digest
+
+
+def test_a_network_to_begin_with_must_be_there_and_of_the_same_sizes(tmp_path, whole):
+    config, folder = begun(tmp_path / "gone", SMALL + "start: gone.pt\n")
+    with pytest.raises(UsageError, match=r"start: no file .*gone\.pt"):
+        StudentTraining(config, folder, say=lambda _: None)
+    text = SMALL.replace("width: 16, heads", "width: 32, heads") + f"start: {whole.path}/state.pt\n"
+    config, folder = begun(tmp_path / "wide", text)
+    with pytest.raises(StoreError, match=r"of another network: .*size mismatch"):
+        StudentTraining(config, folder, say=lambda _: None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.results.bank import SavedBank
     from nw_eval.results.bank.changes import BankChange
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
 
 STARTS = 60
 """M where nobody says: three times the rounds of a gate, so that fresh starts are covered too."""
@@ -102,6 +105,7 @@ def save_baseline(
             place.with_starts(starts), workers=workers, cache=cache, listener=listener
         )
     assert run is not None, "results are of a run, new or finished"
+    _check_seen(rows, run)
     found = bank_of_run(
         rows,
         run,
@@ -123,6 +127,22 @@ def _check_decided(wanted: dict[str, Any]) -> None:
         raise UsageError(
             f"--from and --{decided[0].replace('_', '-')}: the run has decided that",
             fix="drop one of them",
+        )
+
+
+def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
+    """Refuse a baseline that mostly shows what its policy does in fog.
+
+    Raises:
+        IncomparableError: more of its trials left the captured volume than the suite allows.
+    """
+    from nw_eval.api.running.saved_run import saved_suite
+    from nw_eval.gate.validity import over_the_cap, that_left
+
+    gate = saved_suite(run).gate
+    if capped := over_the_cap(rows, that_left(rows, gate), gate):
+        raise IncomparableError(
+            f"run {run.id} makes no bank: {capped}", fix="photograph the places again"
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, get_args
@@ -31,6 +32,7 @@ def run(
     resume: Path | None = None,
     in_process: bool = False,
     cache: bool = True,
+    all_rounds: bool = False,
     engine: Engine = "local",
     address: str | None = None,
     listener: Listener | None = None,
@@ -51,6 +53,8 @@ def run(
             notebook: nothing confines the policy, and nothing ends it if it hangs.
         cache: take over results that earlier runs have of the same trials, all but a few, which are
             run again and compared; trials in this very process always run.
+        all_rounds: go on when the verdict against a baseline is settled, also where the policy is
+            the baseline itself and nothing would have to run.
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
@@ -80,6 +84,7 @@ def run(
             resume=resume,
             in_process=in_process,
             cache=cache,
+            all_rounds=all_rounds,
             cluster=cluster,
             listener=listener,
         )
@@ -95,6 +100,7 @@ def roll_out(
     in_process: bool,
     listener: Listener | None,
     cache: bool = True,
+    all_rounds: bool = False,
     cluster: str | None = None,
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
@@ -109,6 +115,7 @@ def roll_out(
         in_process: whether trials run in this very process.
         listener: hears of progress.
         cache: whether results of earlier runs are taken over.
+        all_rounds: whether to go on when bar and baseline are settled.
         cluster: the address of a Ray cluster; None = this machine.
 
     Raises:
@@ -119,6 +126,7 @@ def roll_out(
     from nw_eval.engine.listener import Silence
 
     ears, command = listener or Silence(), tuple(sys.argv)
+    plan = replace(plan, is_baseline=plan.is_baseline and not all_rounds)
     contest = None
     if plan.shard is not None:
         ears.message(_part(plan, plan.shard))
@@ -145,7 +153,7 @@ def roll_out(
         cluster=cluster,
         prelude=None if contest is None else contest.begin,
         # What is enough shows in whole rounds only, of which a part has none.
-        enough=None if contest is None or plan.shard is not None else contest.enough,
+        enough=None if contest is None or plan.shard or all_rounds else contest.enough,
         cache=cache,
         meanwhile=prepare_pages,
     )

@@ -31,6 +31,7 @@ _VERBS = MappingProxyType(
         "blame": "blame:Blame",
         "train": "training.train:Train",
         "study": "training.study:Study",
+        "twin": "twin.twin:Twin",
         "policies": "parts.policies:Policies",
         "scenes": "parts.scenes:Scenes",
         "sensors": "parts.sensors:Sensors",

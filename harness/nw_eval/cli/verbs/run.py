@@ -39,6 +39,9 @@ class Run(Publishing, Options):
     """Run every trial. Results of earlier runs of the very same trials are taken over otherwise,
     but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
 
+    all_rounds: bool = False
+    """Run all trials. Against a baseline, rounds end otherwise as soon as the verdict is settled,
+    and there are none where the policy is the baseline itself."""
     engine: Engine = "local"
     """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
     Rows are the same; --resume may use another engine than the run began with."""
@@ -74,6 +77,7 @@ class Run(Publishing, Options):
                 resume=self.resume,
                 in_process=self.in_process,
                 cache=not self.no_cache,
+                all_rounds=self.all_rounds,
                 engine=self.engine,
                 address=self.address,
                 listener=progress,

@@ -79,7 +79,9 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
         reasons = (*comparison.reasons, *verdict.reasons)
         if verdict.verdict == word != comparison.word:
             reasons = (*verdict.reasons, *comparison.reasons)
-    return replace(verdict, verdict=word, reasons=reasons, against=comparison)
+    # Where too many trials left the captured volume, both say so.
+    once = tuple(dict.fromkeys(reasons))
+    return replace(verdict, verdict=word, reasons=once, against=comparison)
 
 
 def without_bank(verdict: Verdict, why: str) -> Verdict:

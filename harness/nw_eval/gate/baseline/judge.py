@@ -20,6 +20,7 @@ from nw_eval.gate.baseline.holding.match import check_match
 from nw_eval.gate.baseline.parting import ends, waypoints
 from nw_eval.gate.baseline.reasons import in_words
 from nw_eval.gate.baseline.rounds import Rounds, budget_of, scores_of, whole_rounds
+from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.results.bank import Panel, SavedBank, Stratum
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -65,7 +66,8 @@ def compare(
         )
     budget = budget_of(run)
     claim = claim_of(run, bank, basis, budget)
-    rounds = whole_rounds(rows, run, strata)
+    left = that_left(rows, gate)
+    rounds = whole_rounds(rows, run, strata, left=left)
     finding = find(rounds, judged, panel, basis, gate, alone=foresee)
     used = rounds.first(finding.rounds)
     parting = waypoints(finding.worst, used, panel)
@@ -73,8 +75,9 @@ def compare(
         _scene(stratum, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
+    capped = over_the_cap(rows, left, gate)
     comparison = Comparison(
-        word=finding.word,
+        word="INCONCLUSIVE" if capped else finding.word,
         bank=bank.manifest.name,
         policy=bank.manifest.policy.name,
         basis=basis,
@@ -97,9 +100,11 @@ def compare(
     simulated = None
     if foresee and basis != "same":
         simulated = foresight(comparison, finding, used, panel, run, gate)
+    more = None if capped else simulated and simulated.more
+    reasons = in_words(comparison, finding, rounds.left_out, more)
     return replace(
         comparison,
-        reasons=in_words(comparison, finding, rounds.left_out, simulated and simulated.more),
+        reasons=(capped, *reasons) if capped else reasons,
         curve=simulated.curve if simulated else None,
     )
 

@@ -31,7 +31,7 @@ def waypoints(strata: Iterable[Stratum], rounds: Rounds, panel: Panel) -> Mappin
 def ends(stratum: Stratum, rounds: Rounds, panel: Panel) -> tuple[Ends, Ends] | None:
     """Return how many trials of both ended after 0, 1, .. K waypoints; None without waypoints."""
     starts = panel.by_stratum[stratum]
-    rows = [row for row in rounds.rows[stratum] if row is not None and row.status == "ok"]
+    rows = [row for row in rounds.rows[stratum] if row is not None and rounds.counts(row)]
     total = max(trial.waypoints_total for trial in (*starts, *rows))
     return (_ended(starts, total), _ended(rows, total)) if total else None
 

@@ -31,6 +31,8 @@ class Rounds:
     """R."""
     left_out: int
     """Rows beyond the last whole round."""
+    left: frozenset[str] = frozenset()
+    """Trials that left the captured volume (`gate.validity`): nothing is known of their starts."""
 
     def first(self, count: int) -> Rounds:
         """Return the first rounds alone."""
@@ -39,8 +41,8 @@ class Rounds:
         return replace(self, rows=rows, starts=starts, count=count)
 
     def scores(self, strata: Sequence[Stratum]) -> Floats:
-        """Return c, shape (R, S): NaN where a trial has no result."""
-        columns = [[_score(row) for row in self.rows[stratum]] for stratum in strata]
+        """Return c, shape (R, S): NaN where a trial has no result, or left the captured volume."""
+        columns = [[self._score(row) for row in self.rows[stratum]] for stratum in strata]
         return np.array(columns, dtype=np.float64).reshape(len(strata), self.count).T
 
     def known(self, strata: Sequence[Stratum], panel: Panel) -> Floats:
@@ -50,6 +52,14 @@ class Rounds:
             for stratum in strata
         ]
         return np.array(columns).reshape(len(strata), self.count).T
+
+    def counts(self, row: Row) -> bool:
+        """Return whether a trial has a result, and one that counts."""
+        return row.status == "ok" and row.trial_id not in self.left
+
+    def _score(self, row: Row | None) -> float:
+        counted = None if row is None or row.trial_id in self.left else score(row)
+        return nan if counted is None else counted
 
 
 def scores_of(panel: Panel, stratum: Stratum) -> Floats:
@@ -63,7 +73,12 @@ def budget_of(run: RunInfo) -> int:
 
 
 def whole_rounds(
-    rows: Iterable[Row], run: RunInfo, strata: Sequence[Stratum], arm: Arm = "candidate"
+    rows: Iterable[Row],
+    run: RunInfo,
+    strata: Sequence[Stratum],
+    arm: Arm = "candidate",
+    *,
+    left: frozenset[str] = frozenset(),
 ) -> Rounds:
     """Return the rounds up to the last one of which every trial has a row.
 
@@ -76,6 +91,7 @@ def whole_rounds(
         run: what they are of.
         strata: scenes, and what was changed there, of the bank that are in the run.
         arm: whose rows they are.
+        left: trials that left the captured volume.
 
     Raises:
         StoreError: a row is not of this run, or appears twice.
@@ -93,6 +109,7 @@ def whole_rounds(
         starts={stratum: tuple(order[stratum][:count]) for stratum in strata},
         count=count,
         left_out=len(found) - sum(met[:count]),
+        left=left,
     )
 
 
@@ -130,8 +147,3 @@ def _foreign(row: Row, why: str) -> StoreError:
     return StoreError(
         f"the row of trial {row.trial_id} is not of this run: {why}", fix="start a new run"
     )
-
-
-def _score(row: Row | None) -> float:
-    counted = None if row is None else score(row)
-    return nan if counted is None else counted

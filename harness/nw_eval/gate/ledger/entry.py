@@ -125,7 +125,7 @@ def entry_of(
         bank: that the run was compared with; the one that it was begun against if None.
     """
     who = f"{run.policy.checkpoint_digest}/{run.policy.card_digest}"
-    seen = courses(by_scene(rows, run.planned), verdict.per_scene)
+    seen = courses(by_scene(rows, run.planned), verdict.per_scene, verdict.left)
     return LedgerEntry(
         time=time,
         run=run.id,

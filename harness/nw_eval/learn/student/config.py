@@ -11,6 +11,9 @@ from nw_eval.cards.model import Rate
 from nw_eval.learn.program.config import ConfigModel, TrainingConfig
 from nw_eval.suite.digest import digest_of
 
+NOTHING = "nothing"
+"""`start` of a network whose weights are drawn."""
+
 Width = Annotated[int, Field(ge=8, le=1024)]
 
 
@@ -49,18 +52,23 @@ class Sees(ConfigModel):
 
 
 class NetworkSizes(ConfigModel):
-    """Action chunking with transformers (arXiv 2304.13705), small: no latent variable."""
+    """Action chunking with transformers (arXiv 2304.13705), small: no latent variable.
 
-    chunk: int = Field(default=10, ge=1, le=100)
+    Arms can wait for an average of what was meant a second ago, legs cannot: chunks are a tenth of
+    a second long, and their newest prediction counts most.
+    """
+
+    chunk: int = Field(default=5, ge=1, le=100)
     """Actions of a prediction: those of this step and the next ones."""
-    ensemble: float = Field(default=0.01, ge=0.0)
-    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first."""
-    width: Width = 96
+    ensemble: Annotated[float, Field(ge=-10.0, le=10.0)] = -0.7
+    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first: below 0 the
+    newest counts most."""
+    width: Width = 160
     heads: int = Field(default=4, ge=1, le=64)
-    feedforward: Width = 192
+    feedforward: Width = 320
     encoder_layers: int = Field(default=1, ge=1, le=12)
     decoder_layers: int = Field(default=1, ge=1, le=12)
-    convolutions: list[Width] = Field(default=[16, 32, 32, 64], min_length=1, max_length=8)
+    convolutions: list[Width] = Field(default=[16, 32, 32, 64, 64], min_length=1, max_length=8)
     """Channels of the image encoder; each layer halves the image."""
 
     @model_validator(mode="after")
@@ -93,7 +101,7 @@ class Learns(ConfigModel):
 
     batch_images: int = Field(default=48, ge=1, le=4096)
     """Images of a step, each with all control steps that it is the newest image of."""
-    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    learning_rate: float = Field(default=3e-3, gt=0.0, le=1.0)
     """Of AdamW at the start of a round; a cosine brings it to a hundredth at the round's end."""
     weight_decay: float = Field(default=1e-4, ge=0.0)
 
@@ -105,6 +113,9 @@ class StudentConfig(TrainingConfig):
     """Name of the policy that comes out: a-z, 0-9, '.', '_' and '-'."""
     teacher: str = "go1-parkour"
     """The policy that is asked, named as for `nw-eval run --policy`."""
+    start: Annotated[str, Field(min_length=1)] = NOTHING
+    """What the network begins as: `nothing`, or the .pt file of a student's training of the same
+    network. The teacher drives in the first round all the same: its trajectories are new."""
     scenes: list[str] = Field(default=["split:train"], min_length=1)
     """Where trajectories are driven: names, globs and folders as in suites. Evaluation scenes are
     left out."""
@@ -132,5 +143,6 @@ class StudentConfig(TrainingConfig):
         More rounds may follow, each with as large a share of the budget: they change nothing of
         those before them.
         """
-        fields = self.model_dump(mode="json", by_alias=True, exclude={"device", "rounds", "budget"})
+        without = {"device", "rounds", "budget"} | ({"start"} if self.start == NOTHING else set())
+        fields = self.model_dump(mode="json", by_alias=True, exclude=without)
         return digest_of(fields | {"samples": str(Fraction(self.budget.steps, self.rounds))})

@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from nw_eval.clean import clean
+from nw_eval.errors import StoreError
+from nw_eval.learn.program.folder import read_state
 from nw_eval.learn.student.export import as_numbers
 from nw_eval.learn.student.network import StudentNetwork
 from nw_eval.learn.student.randomise import Randomiser, resampled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from torch import Tensor
 
@@ -52,6 +56,21 @@ class Learner:
             lr=config.learns.learning_rate,
             weight_decay=config.learns.weight_decay,
         )
+
+    def begin(self, path: Path) -> None:
+        """Take the network of another training, its moments of what goes in and out included.
+
+        Raises:
+            StoreError: the file is damaged, or of another network.
+        """
+        try:
+            self.network.load_state_dict(read_state(path)["network"])
+        except (KeyError, TypeError, AttributeError, RuntimeError) as error:
+            reason = clean(" ".join(str(error).split()), at_most=200)
+            raise StoreError(
+                f"start: {path} is of another network: {reason}",
+                fix="give `sees` and `network` of the training that it is of",
+            ) from None
 
     def normalise(self, moments: Mapping[str, np.ndarray]) -> None:
         """Take the dataset's moments for good: the first round's."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.cards.file.load import card_of
-from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.curve import Curve
 from nw_eval.learn.program.device import device_of, one_thread
@@ -16,7 +16,7 @@ from nw_eval.learn.program.trained import Trained
 from nw_eval.learn.student.card import BODY, check_teacher, student_card
 from nw_eval.learn.student.collect.driving import Driving
 from nw_eval.learn.student.collect.round import Round, plan_round
-from nw_eval.learn.student.config import StudentConfig
+from nw_eval.learn.student.config import NOTHING, StudentConfig
 from nw_eval.learn.student.data.dataset import Dataset
 from nw_eval.learn.student.export import write_policy
 from nw_eval.learn.student.fit import Learner
@@ -111,12 +111,25 @@ class StudentTraining:
             cameras=config.sees.cameras, frames=config.sees.frames, chunk=config.network.chunk
         )
         if (state := folder.load_state()) is None:
+            if config.start != NOTHING:
+                self._learner.begin(self._start())
             self._write_policies(0)
         else:
             self._restore(state)
         untrained = load_bundle(self.policy(0))
         make_ready(self._scenes, vet_bundle(untrained, untrained.card.robot).card, say)
         self._curve = Curve(folder.path, upto=None if state is None else self._samples, say=say)
+
+    def _start(self) -> Path:
+        """Return the file of the network to begin with.
+
+        Raises:
+            UsageError: there is none.
+        """
+        path = self._config.base / self._config.start
+        if not path.is_file():
+            raise UsageError(f"start: no file {path}", fix="name a .pt file of a training")
+        return path
 
     def policy(self, number: int) -> Path:
         """Return the folder of the policy that a round has left; 0 = untrained."""
@@ -235,7 +248,7 @@ class StudentTraining:
         """Learn until the round's share of the budget is used up; return whether it is."""
         config, number, learner = self._config, self._round, self._learner
         first, last = (config.budget.steps * n // config.rounds for n in (number - 1, number))
-        if number == 1 and self._step == 0:
+        if number == 1 and self._step == 0 and config.start == NOTHING:
             learner.normalise(self._dataset.moments())
         success = figures.get("driving/all", 0.0)
         while self._samples < last:

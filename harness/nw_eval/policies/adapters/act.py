@@ -33,9 +33,9 @@ class ActOptions(CardModel):
 
     heads: int = Field(default=8, ge=1, le=64)
     """Attention heads."""
-    ensemble: float | None = Field(default=0.01, ge=0.0)
-    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first; null = the
-    newest chunk alone."""
+    ensemble: float | None = Field(default=0.01, ge=-10.0, le=10.0)
+    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first, so that below 0
+    the newest counts most; null = the newest chunk alone."""
     query_every: int = Field(default=1, ge=1)
     """Control steps between two forward passes."""
 

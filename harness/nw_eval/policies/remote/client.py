@@ -205,17 +205,16 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
         )
         opened.settimeout(None)  # From here on websockets watches the time.
         cleanup.callback(opened.close)
-        return cleanup.enter_context(
-            connect(
-                options.url,
-                sock=opened,
-                open_timeout=max(options.connect_timeout - (monotonic() - began), 0.1),
-                compression=None,
-                max_size=MESSAGE_LIMIT,
-                max_queue=WAITING,
-                proxy=None,
-            )
+        connection = connect(
+            options.url,
+            sock=opened,
+            open_timeout=max(options.connect_timeout - (monotonic() - began), 0.1),
+            compression=None,
+            max_size=MESSAGE_LIMIT,
+            max_queue=WAITING,
+            proxy=None,
         )
+        cleanup.enter_context(connection)
     except (InvalidURI, InvalidStatus, ValueError) as error:
         refusal = error if isinstance(error, InvalidStatus) else error.__cause__
         if isinstance(refusal, InvalidStatus):
@@ -245,6 +244,7 @@ def _connect(bundle: Bundle, options: RemoteOptions, cleanup: ExitStack) -> Clie
             f"{bundle.where}: no policy server at {options.url}: {error.strerror or error}",
             fix=_START,
         ) from None
+    return connection
 
 
 def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joints: int) -> Served:

@@ -18,6 +18,7 @@ from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import NO_EVIDENCE, LogEvidence
 from nw_eval.reporting.html.trials import trial_lines, worst_cards
 from nw_eval.reporting.tables import named_tables
+from nw_eval.reporting.tables.table import judged
 from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -61,7 +62,7 @@ def render_html(
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
         outcomes=_outcomes(rows),
-        worst=worst_cards(rows, clips, folder),
+        worst=worst_cards(judged(rows, verdict), clips, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows, run),
         trials=trial_lines(rows, folder),

@@ -20,6 +20,7 @@ from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.junit.properties import run_properties, scene_properties
 from nw_eval.reporting.scene_states import SceneState, scene_states
 from nw_eval.reporting.suite_lines import SuiteLines
+from nw_eval.reporting.tables.table import judged
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -56,7 +57,7 @@ def junit_xml(
         by_scene.setdefault(row.scene, []).append(row)
     name = str(run.suite.get("name", "suite"))
     cases = [
-        _scene_case(state, by_scene.get(state.scene, ()), run, name, folder, lines)
+        _scene_case(state, by_scene.get(state.scene, ()), verdict, run, name, folder, lines)
         for state in scene_states(verdict)
     ]
     return _document(
@@ -97,6 +98,7 @@ def _document(
 def _scene_case(
     state: SceneState,
     rows: Sequence[Row],
+    verdict: Verdict,
     run: RunInfo,
     suite: str,
     folder: Path,
@@ -110,7 +112,7 @@ def _scene_case(
     )
     if lines is not None:
         case.file, case.line = clean(lines.file), lines.scenes.get(state.scene, lines.gate)
-    worst = worst_trials(rows)[:_REPLAYED]
+    worst = worst_trials(judged(rows, verdict))[:_REPLAYED]
     commands = [command for row in worst if (command := replay_command(row, folder))]
     _add_properties(case, scene_properties(state, rows, worst))
     body = [state.sentence, *commands]
@@ -121,6 +123,8 @@ def _scene_case(
         case.result = _result(Error, "infrastructure", [state.sentence, *failed[:_REPLAYED]])
     elif state.state == "unjudged":
         case.result = _result(Skipped, "invalid", ["not judged: the verdict is INVALID"])
+    elif state.state == "unseen":
+        case.result = _result(Skipped, "left_capture", [state.sentence])
     else:
         case.system_out = "\n".join(clean(line) for line in body)
     return case

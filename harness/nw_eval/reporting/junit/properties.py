@@ -40,6 +40,7 @@ def scene_properties(
         "tier": score.tier,
         "trials": str(score.n),
         "errors": str(score.errors),
+        **({"left_capture": str(score.outside)} if score.outside else {}),
         "completed": str(score.completed),
         **known,
         "ci_low": f"{score.interval.low:.6f}",
@@ -66,6 +67,7 @@ def _of_verdict(verdict: Verdict) -> dict[str, str]:
         "trials": str(verdict.n),
         "planned": str(verdict.planned),
         "errors": str(verdict.errors),
+        **({"left_capture": str(len(verdict.left))} if verdict.left else {}),
     }
 
 

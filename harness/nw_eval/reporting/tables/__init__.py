@@ -10,13 +10,14 @@ from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
-from nw_eval.reporting.tables.table import WORST, Table
+from nw_eval.reporting.tables.table import WORST, Table, judged
 from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.reporting.tables.trials import (
     contacts_table,
     coverage_table,
     errors_table,
     failures_table,
+    left_table,
     worst_table,
 )
 from nw_eval.results.provenance import RunInfo
@@ -41,14 +42,15 @@ def all_tables(
     tables = (
         baseline_table(verdict.against, brief=brief),
         scenes_table(verdict),
-        *(() if brief else (perturbations_table(ordered, verdict.confidence),)),
+        *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
         failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
-        worst_table(ordered, folder, most=3 if brief else WORST),
+        worst_table(judged(ordered, verdict), folder, most=3 if brief else WORST),
         throughput_table(ordered, run),
-        coverage_table(ordered),
+        left_table(ordered, verdict),
+        coverage_table(ordered, verdict),
         *(() if brief else (provenance_table(run),)),
     )
     return tuple(table for table in tables if table.rows)
@@ -66,12 +68,13 @@ def named_tables(run: RunInfo, rows: Sequence[Row], verdict: Verdict) -> dict[st
         "tasks": tasks_table(rows, verdict),
         "against": baseline_table(verdict.against),
         "scenes": scenes_table(verdict),
-        "perturbations": perturbations_table(rows, verdict.confidence),
+        "perturbations": perturbations_table(rows, verdict),
         "outcomes": outcomes_table(rows),
         "contacts": contacts_table(rows, run),
         "failures": failures_table(rows, compared=verdict.against is not None),
         "errors": errors_table(rows),
-        "coverage": coverage_table(rows),
+        "left": left_table(rows, verdict),
+        "coverage": coverage_table(rows, verdict),
         "throughput": throughput_table(rows, run),
         "provenance": provenance_table(run),
     }

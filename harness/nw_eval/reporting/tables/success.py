@@ -8,16 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.tables.table import Bar, Table, mean, span
+from nw_eval.reporting.tables.table import Bar, Table, judged, mean, span
 from nw_eval.results.row import Row
 from nw_eval.stats import mean_of_scenes
 from nw_eval.words import OUTCOMES
+
+_LEFT = "left capture"
+"""Trials that left the captured volume, and are counted apart."""
 
 
 def scenes_table(verdict: Verdict) -> Table:
     """Return success by scene, the lowest first."""
     scores = sorted(verdict.per_scene, key=lambda item: (item.mean is not None, item.mean))
     tiers = any(item.tier != "supporting" for item in scores)
+    outside = any(item.outside for item in scores)
     percent = f"{100 * verdict.confidence:.4g} %"
     return Table(
         title="Success by scene",
@@ -25,6 +29,7 @@ def scenes_table(verdict: Verdict) -> Table:
             "scene",
             *(("tier",) if tiers else ()),
             "trials",
+            *((_LEFT,) if outside else ()),
             "success",
             f"{percent} each alone",
             "completed",
@@ -35,6 +40,7 @@ def scenes_table(verdict: Verdict) -> Table:
                 item.scene,
                 *((item.tier,) if tiers else ()),
                 str(item.n) if item.n == item.planned else f"{item.n} of {item.planned}",
+                *((str(item.outside),) if outside else ()),
                 "none" if item.mean is None else f"{item.mean:.3f}",
                 "" if item.mean is None else span(item.interval),
                 f"{item.completed} of {item.n}",
@@ -42,7 +48,7 @@ def scenes_table(verdict: Verdict) -> Table:
             )
             for item in scores
         ),
-        numbers=frozenset({"trials", "success"}),
+        numbers=frozenset({"trials", _LEFT, "success"}),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
         "that reached all. Each interval is for its scene alone: of many, some miss. That of "
         "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
@@ -80,13 +86,14 @@ def outcomes_table(rows: Sequence[Row]) -> Table:
     )
 
 
-def perturbations_table(rows: Sequence[Row], confidence: float) -> Table:
+def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     """Return success in every cell of the perturbation grid, over all scenes; none without one."""
+    confidence = verdict.confidence
     cells = sorted({row.perturbation for row in rows} - {()})
     lines: list[tuple[str, ...]] = []
     for cell in cells:
         scenes: dict[str, list[float]] = {}
-        for row in rows:
+        for row in judged(rows, verdict):
             if row.perturbation == cell and row.success is not None:
                 scenes.setdefault(row.scene, []).append(row.success)
         name = ", ".join(f"{axis} {value:g}" for axis, value in cell)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Self
 
 from nw_eval.clean import clean
+from nw_eval.gate.verdict import Verdict
+from nw_eval.results.row import Row
 from nw_eval.stats import Interval
 
 WORST = 8
@@ -64,6 +66,11 @@ class Table:
         object.__setattr__(shorter, "rows", self.rows[:most])
         object.__setattr__(shorter, "note", note.strip())
         return shorter
+
+
+def judged(rows: Sequence[Row], verdict: Verdict) -> list[Row]:
+    """Return the rows that a verdict speaks of: but for trials that left the captured volume."""
+    return [row for row in rows if row.trial_id not in verdict.left]
 
 
 def span(interval: Interval) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.tables.table import Bar, Table, span
+from nw_eval.reporting.tables.table import Bar, Table, judged, span
 from nw_eval.results.row import Row
 from nw_eval.stats import Estimate, mean_of_scenes
 
@@ -20,7 +20,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         verdict: on them, with the drop in each scene where there is a baseline.
     """
     counted = {item.scene for item in verdict.per_scene if item.tier != "informational"}
-    rows = [row for row in rows if row.scene in counted]
+    rows = [row for row in judged(rows, verdict) if row.scene in counted]
     tasks = sorted({row.task for row in rows if row.success is not None})
     found = {task: _estimate(rows, task, verdict.confidence) for task in tasks}
     against = verdict.against is not None

@@ -7,7 +7,8 @@ from pathlib import Path
 from shlex import quote
 
 from nw_eval.files.inside import OutsideError, checked
-from nw_eval.reporting.tables.table import WORST, Table, mean, more, share
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
@@ -113,9 +114,36 @@ def replay_command(row: Row, folder: Path) -> str:
     return f"nw-eval replay {quote(str(folder / row.mcap_path))}"
 
 
-def coverage_table(rows: Sequence[Row]) -> Table:
-    """Return trials whose camera saw too little of the splat for images to mean much."""
-    low = [row for row in rows if row.coverage_min is not None and row.coverage_min < COVERED]
+def left_table(rows: Sequence[Row], verdict: Verdict) -> Table:
+    """Return the trials that left the captured volume, those that went farthest first."""
+    left = [row for row in rows if row.trial_id in verdict.left]
+    left.sort(key=lambda row: (-max(row.capture_distance, default=0.0), row.trial_id))
+    return Table(
+        title="Left the captured volume",
+        columns=("trial", "farthest", "widest angle", "least coverage", "outcome"),
+        rows=tuple(
+            (
+                row.trial_id,
+                f"{max(row.capture_distance, default=0.0):.2f} m",
+                f"{max(row.capture_angle, default=0.0):.2f} rad",
+                share(min(row.capture_alpha, default=None)),
+                row.outcome,
+            )
+            for row in left[:WORST]
+        ),
+        numbers=frozenset({"farthest", "widest angle", "least coverage"}),
+        note=more(len(left)) + "For longer than the suite's gate.validity allows, the policy saw "
+        "what nobody photographed from there. These trials count neither for it nor against it.",
+    )
+
+
+def coverage_table(rows: Sequence[Row], verdict: Verdict) -> Table:
+    """Return other trials whose camera saw too little of the splat for images to mean much."""
+    low = [
+        row
+        for row in judged(rows, verdict)
+        if row.coverage_min is not None and row.coverage_min < COVERED
+    ]
     low.sort(key=lambda row: (row.coverage_min or 0.0, row.trial_id))
     return Table(
         title="Out of the captured volume",

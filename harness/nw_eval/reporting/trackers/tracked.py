@@ -124,6 +124,7 @@ def _of_all(verdict: Verdict) -> dict[str, float | None]:
         "all/trials": verdict.n,
         "all/planned": verdict.planned,
         "all/errors": verdict.errors,
+        **({"all/left_capture": len(verdict.left)} if verdict.left else {}),
         "all/exit_code": verdict.exit_code,
     }
 

@@ -142,6 +142,27 @@ class Row:
             added=True,
         ),
     ] = ""
+    capture_distance: Annotated[
+        Numbers,
+        Column(
+            "how far the policy's camera was from the nearest of those that the place was "
+            "photographed with, m: the largest of each tenth of a simulated second; empty where "
+            "the policy sees no splat, or the scene has no `captures`",
+            added=True,
+        ),
+    ] = ()
+    capture_angle: Annotated[
+        Numbers,
+        Column("angle between the optical axes of these two, rad, likewise", added=True),
+    ] = ()
+    capture_alpha: Annotated[
+        Numbers,
+        Column(
+            "share of the camera's image that the splat covers, 0 to 1: the smallest of each "
+            "tenth, likewise",
+            added=True,
+        ),
+    ] = ()
 
     def __post_init__(self) -> None:
         fault = mistyped(vars(self), COLUMNS)
@@ -197,6 +218,9 @@ COLUMNS = columns_of(Row)
 
 MEASURED = frozenset(name for name, column in COLUMNS.items() if column.measured)
 OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_the_plan)
+VIEW_RATE = 10
+"""Numbers of `capture_distance`, `capture_angle` and `capture_alpha` in a simulated second."""
+
 AT_ONCE = 1000
 """Rows that are turned into columns together: few enough for a processor's cache."""
 

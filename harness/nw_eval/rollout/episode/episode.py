@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import DivergedError, TrialError
 from nw_eval.policies.policy import all_finite
 from nw_eval.rollout.episode.actions import Actions
+from nw_eval.rollout.episode.captured import CapturedViews
 from nw_eval.rollout.episode.coverage import ImageCoverage
 from nw_eval.rollout.episode.digest import ChainDigest
 from nw_eval.rollout.episode.observer import Decision, Observer, Step
@@ -76,6 +77,7 @@ class Episode:
         self.state_digest = ChainDigest()
         self.action_digest = ChainDigest()
         self.coverage = ImageCoverage()
+        self.captured = CapturedViews()
         self._hold = hold
         self._termination = termination
         self._clock = clock
@@ -94,6 +96,8 @@ class Episode:
             "action_digest": self.action_digest,
             "coverage": self.coverage,
         }
+        if world.scene.captures is not None:
+            self._parts["captured"] = self.captured
         if action_filter is not None:
             self._parts["filter"] = action_filter
         self._parts |= {f"sensor.{name}": sensor for name, sensor in sensors.items()}
@@ -265,6 +269,8 @@ class Episode:
                     observation[name] = sensor.read(moment)
                 if sensor.fresh and sensor.coverage is not None:
                     self.coverage.add(sensor.coverage)
+                if sensor.nearness is not None and sensor.coverage is not None:
+                    self.captured.add(self.step, sensor.nearness, sensor.coverage)
         return observation
 
     def _ask(self, observation: Mapping[str, NDArray[Any]]) -> Array:

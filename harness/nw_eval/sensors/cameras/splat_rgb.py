@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations.cameras import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
+from nw_eval.scenes.captures import Nearness
 from nw_eval.sensors.cameras.splat_image import Arrange, average_blocks
 from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
@@ -74,17 +75,21 @@ class SplatRgb(Measurement):
         """
         self._renderer = place.renderer()
         self._rays = place.rays
+        self._captures = place.world.scene.captures
         self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
 
     def reset(self) -> None:
-        """Forget how much the last image was covered."""
+        """Forget how much the last image was covered, and from where it was taken."""
         self.coverage = None
+        self.nearness = None
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Render an image."""
         T_world_camera = moment.world.camera_pose(self._observation.camera)
         image = self._rendered(moment, T_world_camera)
         self.coverage = float(image.alpha.mean())
+        if self._captures is not None:
+            self.nearness = self._captures.nearest(T_world_camera)
         trail = moment.progress.waypoints
         if self._published and self._observation.cones:
             seen = cone_mask(
@@ -114,12 +119,17 @@ class SplatRgb(Measurement):
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
     def state(self) -> Arrays:
-        """Return the last coverage."""
-        return {} if self.coverage is None else {"coverage": np.array(self.coverage)}
+        """Return the last coverage and nearness."""
+        state: Arrays = {} if self.coverage is None else {"coverage": np.array(self.coverage)}
+        if self.nearness is not None:
+            state["nearness"] = np.array(self.nearness)
+        return state
 
     def restore(self, state: Arrays) -> None:
-        """Go back to a coverage."""
+        """Go back to a coverage and a nearness."""
         self.coverage = float(state["coverage"]) if state else None
+        near = state.get("nearness")
+        self.nearness = None if near is None else Nearness(*near.tolist())
 
     def _rendered(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> Image:
         """Return the splat alone; sensors that look the same way at a moment share a picture."""

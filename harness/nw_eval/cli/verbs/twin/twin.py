@@ -1,0 +1,34 @@
+"""`nw-eval twin`: which stage, or all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from nw_eval.cli.verbs.twin.stages import (
+    Align,
+    BuildTwin,
+    Calibrate,
+    PlaceScene,
+    Reconstruct,
+    TrainSplat,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin:
+    """Turn photographs into a place that suites can name."""
+
+    action: (
+        Annotated[BuildTwin, tyro.conf.subcommand("build")]
+        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+        | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
+        | Annotated[Align, tyro.conf.subcommand("align")]
+        | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
+        | Annotated[PlaceScene, tyro.conf.subcommand("place")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()

@@ -1,0 +1,146 @@
+"""Aligning a capture: up by consensus, scale by a tag or what else is known, the floor at z = 0."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import UsageError, nearest
+from nw_eval.twin.align.alignment import (
+    MOST_DEGREES,
+    MOST_DIFFERENCE,
+    Alignment,
+    GravityCue,
+    ScaleCue,
+)
+from nw_eval.twin.align.gravity.answer import KnownUp, Mesh, find_gravity
+from nw_eval.twin.align.options import AlignOptions
+from nw_eval.twin.align.placing import placed
+from nw_eval.twin.align.scale.answer import find_scale
+from nw_eval.twin.align.scale.positions import PositionFit, fit_positions
+from nw_eval.twin.capture import Capture
+from nw_eval.words import UpAxis
+
+Values = NDArray[np.float64]
+
+_SOURCE = math.radians(0.5)
+"""How well a phone knows gravity."""
+_MOST_TURNED = math.radians(3.0)
+"""Positions that lie along a line know up worse than this, and do not say."""
+
+
+def align(
+    capture: Capture,
+    capture_folder: Path,
+    mesh: Mesh | None = None,
+    options: AlignOptions | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Alignment:
+    """Return the similarity from a capture's frame to metres: z up, the floor at z = 0.
+
+    The same capture in any other rotation, scale and place gives the same metric scene.
+
+    Args:
+        capture: as calibrated.
+        capture_folder: with its pictures, which are read where tags are looked for.
+        mesh: vertices (V, 3) in the capture's frame and faces (F, 3); it makes the floor exact.
+        options: what no photograph tells; None = nothing is known, which gives no scale.
+        say: hears how far it has come.
+
+    Raises:
+        UsageError: nothing gives a scale, and what to give; or an option makes no sense.
+        SceneError: the capture has too few points, or a picture cannot be read.
+        PrerequisiteError: what finds tags is not installed.
+    """
+    options = AlignOptions() if options is None else options
+    rng = np.random.default_rng(options.seed)
+    positions = _positions(capture, options, rng)
+    gravity = find_gravity(capture, mesh, _known(options, positions), rng, say)
+    for cue in gravity.cues:
+        say(f"up by {cue.name}: {cue.degrees:.2f} degrees from the chosen one; {cue.reason}")
+    scale = find_scale(
+        capture,
+        capture_folder,
+        options,
+        up=gravity.up,
+        floor=gravity.floor,
+        positions=positions,
+        say=say,
+    )
+    for cue in scale.cues:
+        say(f"scale by {cue.name}: {cue.scale:.5g} m, {cue.difference:+.1%}; {cue.reason}")
+    warnings = (
+        *gravity.warnings,
+        *scale.warnings,
+        *_disagreements(gravity.cues, scale.cues),
+    )
+    for warning in warnings:
+        say(f"warning: {warning}")
+    return Alignment(
+        T_metric_capture=placed(
+            up=gravity.up,
+            scale=scale.scale,
+            floor=gravity.floor,
+            centres=capture.centres,
+            forward=capture.shots[0].camera.T_world_camera[:3, 2],
+        ),
+        scale=scale.scale,
+        gravity=gravity.cues,
+        scales=scale.cues,
+        floor_share=gravity.floor_share,
+        warnings=warnings,
+    )
+
+
+def _positions(
+    capture: Capture, options: AlignOptions, rng: np.random.Generator
+) -> PositionFit | None:
+    if not options.positions:
+        return None
+    places = {shot.name: place for place, shot in enumerate(capture.shots)}
+    known = [name for name in options.positions if name in places]
+    if not known:
+        name = next(iter(options.positions))
+        raise UsageError(
+            f"none of {len(options.positions)} positions is of a shot of the capture: {name!r}",
+            fix=nearest(name, places),
+        )
+    rows = [places[name] for name in known]
+    metres = np.array([options.positions[name] for name in known], dtype=np.float64)
+    return fit_positions(capture.centres[rows], metres, rng)
+
+
+def _known(options: AlignOptions, positions: PositionFit | None) -> list[KnownUp]:
+    known: list[KnownUp] = []
+    if options.up is not None:
+        reason = f"{options.up} is up, as their source says"
+        known.append(KnownUp(name="poses", up=_axis(options.up), sigma=_SOURCE, reason=reason))
+    if positions is not None and options.positions_up is not None:
+        up = positions.rotation.T @ _axis(options.positions_up)
+        if positions.turned <= _MOST_TURNED:
+            reason = f"known to {math.degrees(positions.turned):.1f} degrees"
+            sigma = math.hypot(_SOURCE, positions.turned)
+            known.append(KnownUp(name="positions", up=up, sigma=sigma, reason=reason))
+    return known
+
+
+def _axis(name: UpAxis) -> Values:
+    axis = np.zeros(3)
+    axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return axis
+
+
+def _disagreements(gravity: tuple[GravityCue, ...], scales: tuple[ScaleCue, ...]) -> list[str]:
+    return [
+        f"up by {cue.name} is {cue.degrees:.1f} degrees off ({cue.reason})"
+        for cue in gravity
+        if cue.degrees > max(MOST_DEGREES, 2.0 * cue.uncertain)
+    ] + [
+        f"the scale by {cue.name} differs by {cue.difference:+.1%} from that by {scales[0].name}"
+        for cue in scales
+        if abs(cue.difference) > MOST_DIFFERENCE
+    ]

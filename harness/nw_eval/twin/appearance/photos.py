@@ -1,0 +1,111 @@
+"""Shots of a capture as photographs to train on: reduced, with depth where it is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from nw_eval.errors import SceneError
+from nw_eval.files.inside import inside
+from nw_eval.twin.capture import Capture, PlacedShot, read_picture
+from nw_eval.twin.gaussians.photo import Photo
+from nw_eval.twin.reconstruct import array_file
+
+_T = TypeVar("_T", bound=np.generic)
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, SyntaxError)
+
+
+def photos_of(
+    capture: Capture, folder: Path, depths: Path | None, *, longest: int
+) -> tuple[Photo, ...]:
+    """Return a photograph of each shot, in the capture's frame.
+
+    Args:
+        capture: read from the folder.
+        folder: of the capture, with its pictures.
+        depths: folder of `<shot>.npz` with `depth` and `confidence`; None = nothing is known.
+        longest: side that no picture exceeds, pixels.
+
+    Raises:
+        SceneError: a picture, mask or depth is missing or damaged.
+    """
+    return tuple(_photo(shot, folder, depths, longest) for shot in capture.shots)
+
+
+def _photo(shot: PlacedShot, folder: Path, depths: Path | None, longest: int) -> Photo:
+    picture = read_picture(shot, folder)
+    camera = shot.camera
+    scale = min(1.0, longest / max(camera.width, camera.height))
+    size = (round(camera.height * scale), round(camera.width * scale))
+    down, right = size[0] / camera.height, size[1] / camera.width
+    small = replace(
+        camera,
+        width=size[1],
+        height=size[0],
+        fx=camera.fx * right,
+        cx=camera.cx * right,
+        fy=camera.fy * down,
+        cy=camera.cy * down,
+    )
+    if scale < 1.0:
+        image = Image.fromarray(picture).resize((size[1], size[0]), Image.Resampling.BOX)
+        picture = np.asarray(image)
+    inverse, confidence = _depth(shot, depths, size)
+    return Photo(
+        name=shot.name,
+        camera=small,
+        rgb=np.ascontiguousarray(picture),
+        inverse_depth=inverse,
+        confidence=confidence,
+        mask=_mask(shot, folder, size),
+    )
+
+
+def _mask(shot: PlacedShot, folder: Path, size: tuple[int, int]) -> NDArray[np.bool_] | None:
+    if shot.mask is None:
+        return None
+    path = inside(folder, shot.mask)
+    try:
+        with Image.open(path) as image:
+            return _nearest(np.asarray(image.convert("L")) > 0, size)
+    except _DAMAGE as error:
+        raise SceneError(f"{path} cannot be read: {error}", fix="calibrate again") from None
+
+
+def _depth(
+    shot: PlacedShot, depths: Path | None, size: tuple[int, int]
+) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
+    """Return inverse depth and confidence, 0 where nothing is known."""
+    if depths is None:
+        return None, None
+    path = array_file(depths, shot.name)
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            depth, confidence = (
+                _nearest(np.asarray(arrays[name], np.float32), size)
+                for name in ("depth", "confidence")
+            )
+    except _DAMAGE as error:
+        raise SceneError(f"{path} holds no depth: {error}", fix="reconstruct again") from None
+    known = np.isfinite(depth) & (depth > 0.0) & np.isfinite(confidence)
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
+    return inverse, np.where(known, np.clip(confidence, 0.0, 1.0), 0.0).astype(np.float32)
+
+
+def _nearest(array: NDArray[_T], size: tuple[int, int]) -> NDArray[_T]:
+    """Return an array (H, W) with another number of rows and columns: the nearest pixel's.
+
+    Depth is not averaged: between two surfaces there is none.
+    """
+    if array.ndim != 2:
+        raise ValueError(f"an array of shape {array.shape}")
+    rows, columns = (
+        ((np.arange(new) + 0.5) * old / new).astype(np.int64)
+        for new, old in zip(size, array.shape, strict=True)
+    )
+    return np.ascontiguousarray(array[np.ix_(rows, columns)])

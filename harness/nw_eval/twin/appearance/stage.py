@@ -1,0 +1,163 @@
+"""Training the splat of a capture, resumable, with what it came to in words and numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.splat.files import write_splat
+from nw_eval.twin.appearance.options import AppearanceOptions
+from nw_eval.twin.appearance.photos import photos_of
+from nw_eval.twin.appearance.points import points_of, points_on
+from nw_eval.twin.capture import Capture, read_capture
+from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
+from nw_eval.twin.gaussians.config import TrainConfig
+from nw_eval.twin.gaussians.evaluate import ViewFigures, view_figures
+from nw_eval.twin.gaussians.initial import gaussians_at
+from nw_eval.twin.gaussians.photo import Photo
+from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
+from nw_eval.twin.gaussians.trainer import Trainer
+
+SPLAT, REPORT = "splat.ply", "report.json"
+_STATE = "training.state"
+_KEEP_EVERY, _SAY_EVERY = 60.0, 15.0
+"""Seconds between two states on disk, and between two lines; the result depends on neither."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceReport:
+    """What the training came to.
+
+    Attributes:
+        gaussians: how many there are.
+        photos: learnt from.
+        views: figures of the photographs that were held out.
+    """
+
+    gaussians: int
+    photos: int
+    views: tuple[ViewFigures, ...]
+
+    @property
+    def psnr(self) -> float | None:
+        """Mean over the views, exposures allowed for, dB; None without views."""
+        return float(np.mean([v.psnr_corrected for v in self.views])) if self.views else None
+
+    @property
+    def ssim(self) -> float | None:
+        """Mean over the views; None without views."""
+        return float(np.mean([v.ssim for v in self.views])) if self.views else None
+
+
+def train_splat(
+    capture_folder: Path,
+    mesh_folder: Path | None,
+    out: Path,
+    options: AppearanceOptions,
+    say: Callable[[str], None],
+    *,
+    threads: int = 2,
+) -> AppearanceReport:
+    """Train Gaussians in the capture's frame; a training that was cut off goes on.
+
+    Args:
+        capture_folder: what calibration left.
+        mesh_folder: what reconstruction left: `mesh.ply` and `depth/`; None = there was none.
+        out: where splat.ply, report.json and the state of the training go.
+        options: what is asked.
+        say: takes a line for people.
+        threads: that share each step; the result does not depend on them.
+
+    Raises:
+        SceneError: something of the capture or the mesh is missing or damaged.
+        StoreError: nothing can be written.
+    """
+    capture = read_capture(capture_folder)
+    depths = None if mesh_folder is None or not options.depth else mesh_folder / "depth"
+    photos = photos_of(capture, capture_folder, depths, longest=options.longest)
+    learnt, held = _split(photos, options.held_out_every)
+    trainer = _trainer(capture, mesh_folder, learnt, out, options, threads, say)
+    _train(trainer, out, say)
+    gaussians = trainer.gaussians
+    rasteriser = Rasteriser(
+        preset=trainer.config.preset,
+        antialiased=trainer.config.antialiased,
+        background=trainer.config.background,
+    )
+    views = tuple(view_figures(gaussians, photo, rasteriser) for photo in held)
+    report = AppearanceReport(gaussians=len(gaussians), photos=len(learnt), views=views)
+    with atomic_path(out / SPLAT) as temporary:
+        write_splat(temporary, gaussians)
+    with atomic_path(out / REPORT) as temporary:
+        facts = {"options": asdict(options), **asdict(report)}
+        figures = {"psnr": report.psnr, "ssim": report.ssim}
+        temporary.write_text(json.dumps(facts | figures, indent=1), encoding="utf-8")
+    seen = "" if not views else f", {report.psnr:.1f} dB on {len(views)} photographs kept from it"
+    say(f"splat: {len(gaussians):,} Gaussians of {len(learnt)} photographs{seen}")
+    return report
+
+
+def _split(photos: tuple[Photo, ...], every: int) -> tuple[tuple[Photo, ...], tuple[Photo, ...]]:
+    """Return what is learnt from and what is held out: every 8th, as the field does it."""
+    if not every or len(photos) < 2 * every:
+        return photos, ()
+    held = photos[every // 2 :: every]
+    return tuple(p for n, p in enumerate(photos) if n % every != every // 2), held
+
+
+def _trainer(
+    capture: Capture,
+    mesh_folder: Path | None,
+    photos: tuple[Photo, ...],
+    out: Path,
+    options: AppearanceOptions,
+    threads: int,
+    say: Callable[[str], None],
+) -> Trainer:
+    """Return the training as it was left, or at its beginning."""
+    config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
+    config = replace(config, most=options.most)
+    state = out / _STATE
+    if state.is_file():
+        try:
+            trainer = resume_training(state, photos, config, threads=threads)
+        except StoreError as error:
+            say(f"splat: {error}: from the beginning")
+        else:
+            say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
+            return trainer
+    if options.mesh and mesh_folder is not None:
+        points, colours = points_on(mesh_folder / "mesh.ply", options.begin, seed=options.seed)
+    else:
+        points, colours = points_of(capture)
+    start = gaussians_at(points, colours)
+    say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
+    return Trainer(photos, start, config, threads=threads)
+
+
+def _train(trainer: Trainer, out: Path, say: Callable[[str], None]) -> None:
+    """Take all steps that are left, keep the state now and then, and say how far it is."""
+    first, began = trainer.iteration, monotonic()
+    kept = told_last = began
+    while not trainer.is_done:
+        step = trainer.step()
+        now = monotonic()
+        if now - told_last >= _SAY_EVERY:
+            told_last = now
+            rate = (trainer.iteration - first) / (now - began)
+            left = (trainer.config.iterations - trainer.iteration) / rate / 60.0
+            say(
+                f"splat: step {trainer.iteration:,} of {trainer.config.iterations:,} · "
+                f"{step.count:,} Gaussians · loss {step.loss:.3f} · {rate:.1f} steps/s · "
+                f"{left:.0f} min left"
+            )
+        if now - kept >= _KEEP_EVERY or trainer.is_done:
+            kept = now
+            save_training(out / _STATE, trainer)

@@ -1,0 +1,132 @@
+"""The folder of a build, and what of it still holds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal, get_args
+
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.files.cache import atomic_path
+
+Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+"""In the order in which they run; each reads what those before it have left."""
+
+_FORMAT = 1
+"""Changes with what any stage makes of the same inputs."""
+_MOST_BYTES = 1_000_000
+"""Of a stamps.json that is read."""
+
+
+class BuildFolder:
+    """`<scene>/build/`: what each stage has left, and stamps that say what of.
+
+        capture/      photographs without distortion, and where they were taken from
+        mesh/         depths and the mesh, in the capture's frame
+        align.json    from the capture's frame to metres
+        splat/        the Gaussians, in the capture's frame
+        stamps.json   by stage, a digest of all that its result depends on
+
+    Args:
+        scene: the scene's folder.
+    """
+
+    def __init__(self, scene: Path) -> None:
+        self.scene = scene
+        self.path = scene / "build"
+        self.capture = self.path / "capture"
+        self.mesh = self.path / "mesh"
+        self.splat = self.path / "splat"
+        self.align = self.path / "align.json"
+
+    def carry_out(
+        self,
+        stage: Stage,
+        depends_on: Iterable[str],
+        work: Callable[[], object],
+        say: Callable[[str], None],
+    ) -> bool:
+        """Do the work of a stage, unless its result is there and of the same things.
+
+        Args:
+            stage: which.
+            depends_on: texts and digests that with the stage's name decide its result.
+            work: leaves the result; it goes on by itself where it was cut off.
+            say: takes a line for people.
+
+        Returns:
+            Whether anything was done.
+
+        Raises:
+            NwEvalError: as `work`.
+            StoreError: the stamps cannot be written.
+        """
+        content = json.dumps([_FORMAT, stage, *depends_on])
+        stamp = hashlib.sha256(content.encode()).hexdigest()
+        stamps = self._stamps()
+        if stamps.get(stage) == stamp:
+            say(f"{stage}: done before, of the same things")
+            return False
+        # What comes later is of another result from now on.
+        later = STAGES[STAGES.index(stage) :]
+        self._write({name: old for name, old in stamps.items() if name not in later})
+        work()
+        self._write(self._stamps() | {stage: stamp})
+        return True
+
+    def needs(self, stage: Stage) -> None:
+        """Refuse to go on without the result of a stage.
+
+        Raises:
+            SceneError: it is not there, or was cut off.
+        """
+        if stage not in self._stamps():
+            raise SceneError(
+                f"{self.scene} has no result of `{stage}`, or it was cut off",
+                fix=f"nw-eval twin {stage} {self.scene}",
+            )
+
+    def _stamps(self) -> dict[str, str]:
+        path = self.path / "stamps.json"
+        try:
+            if path.stat().st_size > _MOST_BYTES:
+                raise SceneError(f"{path} is too large", fix="remove it: all stages run again")
+            content = json.loads(path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, RecursionError) as error:
+            raise SceneError(
+                f"{path} cannot be read: {error}", fix="remove it: all stages run again"
+            ) from None
+        if not isinstance(content, dict):
+            return {}
+        return {str(k): str(v) for k, v in content.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+
+    def _write(self, stamps: dict[str, str]) -> None:
+        with atomic_path(self.path / "stamps.json") as temporary:
+            temporary.write_text(json.dumps(stamps, indent=1), encoding="utf-8")
+
+
+def digest_of_files(*paths: Path) -> str:
+    """Return a digest of the names and bytes of files, and of all files in folders among them.
+
+    Raises:
+        StoreError: one cannot be read.
+    """
+    whole = hashlib.sha256()
+    for path in paths:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        for file in files:
+            try:
+                with file.open("rb") as opened:
+                    content = hashlib.file_digest(opened, "sha256").hexdigest()
+            except OSError as error:
+                raise StoreError(
+                    f"{file} cannot be read: {error.strerror}", fix="check the path"
+                ) from None
+            name = file.name if file == path else file.relative_to(path).as_posix()
+            whole.update(json.dumps([name, content]).encode())
+    return whole.hexdigest()

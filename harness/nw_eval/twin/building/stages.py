@@ -1,0 +1,177 @@
+"""The stages of a build as its verbs run them: what each reads, leaves, and depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.twin.align import align, read_alignment, write_alignment
+from nw_eval.twin.align.apply import moved_capture, moved_mesh
+from nw_eval.twin.appearance import train_splat
+from nw_eval.twin.building.ahead import say_ahead
+from nw_eval.twin.building.folder import BuildFolder, digest_of_files
+from nw_eval.twin.building.settings import BuildSettings, facts_of
+from nw_eval.twin.calibrate import calibrate
+from nw_eval.twin.capture import read_capture
+from nw_eval.twin.place import Route, write_place
+from nw_eval.twin.reconstruct import read_colour_mesh, reconstruct
+from nw_eval.twin.trail import propose_trail
+
+Say = Callable[[str], None]
+
+
+class Build:
+    """A build of a place from photographs, in the folder of its scene.
+
+    Each method is a stage. What is there already, of the same photographs and options, stays; what
+    was cut off goes on.
+
+    Args:
+        scene: the folder of the scene.
+        settings: what is asked for.
+        say: takes a line for people.
+    """
+
+    def __init__(self, scene: Path, settings: BuildSettings, say: Say) -> None:
+        self.folder = BuildFolder(scene)
+        self._settings = settings
+        self._say = say
+
+    def whole(self, photographs: Path) -> None:
+        """Run all stages, one after another.
+
+        Raises:
+            NwEvalError: as the stages.
+        """
+        self.calibrate(photographs)
+        self.reconstruct()
+        self.align()
+        self.splat()
+        self.place()
+
+    def calibrate(self, photographs: Path) -> None:
+        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
+        options = self._settings.calibrate
+        if not photographs.exists():
+            raise StoreError(f"there is nothing at {photographs}", fix="check the path")
+        self.folder.carry_out(
+            "calibrate",
+            [facts_of(options), digest_of_files(photographs)],
+            lambda: calibrate(photographs, self.folder.capture, options, self._say),
+            self._say,
+        )
+
+    def reconstruct(self) -> None:
+        """Measure depths and make the mesh; see `nw_eval.twin.reconstruct`."""
+        self.folder.needs("calibrate")
+        options, threads = self._settings.reconstruct, self._settings.threads
+        self.folder.carry_out(
+            "reconstruct",
+            [facts_of(options), digest_of_files(self.folder.capture)],
+            lambda: (
+                say_ahead("reconstruct", self.folder, self._settings, self._say),
+                reconstruct(
+                    self.folder.capture, self.folder.mesh, options, self._say, threads=threads
+                ),
+            ),
+            self._say,
+        )
+
+    def align(self) -> None:
+        """Find gravity, scale and the floor; see `nw_eval.twin.align`."""
+        self.folder.needs("reconstruct")
+        options = self._settings.align
+        mesh_file = self.folder.mesh / "mesh.ply"
+
+        def work() -> None:
+            mesh = read_colour_mesh(mesh_file)
+            found = align(
+                read_capture(self.folder.capture),
+                self.folder.capture,
+                (mesh.vertices.astype(np.float64), mesh.faces),
+                options,
+                self._say,
+            )
+            for warning in found.warnings:
+                self._say(f"align: look at this: {warning}")
+            write_alignment(found, self.folder.align)
+
+        of = [facts_of(options), digest_of_files(self.folder.capture, mesh_file)]
+        self.folder.carry_out("align", of, work, self._say)
+
+    def splat(self) -> None:
+        """Train the Gaussians; see `nw_eval.twin.appearance`."""
+        self.folder.needs("reconstruct")
+        options, threads = self._settings.splat, self._settings.threads
+        self.folder.carry_out(
+            "splat",
+            [facts_of(options), digest_of_files(self.folder.capture, self.folder.mesh)],
+            lambda: (
+                say_ahead("splat", self.folder, self._settings, self._say),
+                train_splat(
+                    self.folder.capture,
+                    self.folder.mesh,
+                    self.folder.splat,
+                    options,
+                    self._say,
+                    threads=threads,
+                ),
+            ),
+            self._say,
+        )
+
+    def place(self) -> None:
+        """Write the scene folder, with the trail that the place itself suggests."""
+        for stage in ("reconstruct", "align", "splat"):
+            self.folder.needs(stage)
+        settings, folder = self._settings, self.folder
+        name = settings.name or folder.scene.resolve().name.lower()
+        mesh_file, splat_file = folder.mesh / "mesh.ply", folder.splat / "splat.ply"
+        of = [name, settings.licence, digest_of_files(folder.align, mesh_file, splat_file)]
+        folder.carry_out("place", of, lambda: self._write(name), self._say)
+
+    def _write(self, name: str) -> None:
+        folder = self.folder
+        T = read_alignment(folder.align).T_metric_capture
+        mesh = read_colour_mesh(folder.mesh / "mesh.ply")
+        capture = read_capture(folder.capture)
+        route = self._route(
+            moved_mesh(T, mesh.vertices, mesh.faces), moved_capture(T, capture).centres
+        )
+        write_place(
+            folder.scene,
+            name=name,
+            licence=self._settings.licence,
+            mesh=folder.mesh / "mesh.ply",
+            splat=folder.splat / "splat.ply",
+            T_world_capture=T,
+            capture=capture,
+            course=route,
+        )
+        self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
+
+    def _route(self, mesh: TriangleMesh, centres: NDArray[np.float64]) -> Route:
+        """Return the trail that the place suggests; where it suggests none, a step ahead."""
+        try:
+            proposal = propose_trail(mesh, centres)
+        except SceneError as error:
+            self._say(f"place: no trail: {error}")
+            self._say(
+                "place: its trail is one waypoint a metre from the start: write trail, spawn and "
+                f"task into {self.folder.scene / 'scene.yaml'}"
+            )
+            return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
+        for line in (*proposal.reasons, *proposal.warnings):
+            self._say(f"place: {line}")
+        spawn = proposal.spawn
+        return Route(
+            task=proposal.task,
+            trail=np.array(proposal.trail),
+            spawn=spawn.position,
+            yaw=spawn.yaw,
+        )

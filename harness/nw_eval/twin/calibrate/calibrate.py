@@ -1,0 +1,237 @@
+"""From a source to a capture, in five steps: find, take in, compare, map, develop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.plural import plural
+from nw_eval.twin.calibrate.develop import develop
+from nw_eval.twin.calibrate.options import CalibrateOptions
+from nw_eval.twin.calibrate.pace import Say
+from nw_eval.twin.calibrate.photographs import UNREADABLE, Photograph, are_numbered, take_in
+from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut, by_reason
+from nw_eval.twin.calibrate.solution import Placed, Solution
+from nw_eval.twin.calibrate.solving.features import match
+from nw_eval.twin.calibrate.solving.mapping import map_cameras, triangulate
+from nw_eval.twin.calibrate.solving.pairs import pairs_of
+from nw_eval.twin.calibrate.solving.reasons import why_not
+from nw_eval.twin.calibrate.sources import Footage, find_source
+from nw_eval.twin.capture import write_capture
+
+_LEAST = 3
+"""Photographs without which there is nothing to calibrate."""
+_LEAST_POINTS = 20
+"""Without which cameras and photographs have nothing to do with each other."""
+_FIX = (
+    "photograph again: hold still, go on so that each picture shares two thirds with the one "
+    "before, and keep something with texture in view"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solved:
+    """Cameras, and how they were come by."""
+
+    solution: Solution
+    left_out: list[LeftOut]
+    matching: str
+    mapping: str
+    pairs: int = 0
+    tries: dict[str, int]
+
+
+def calibrate(
+    source: Path,
+    out: Path,
+    options: CalibrateOptions | None = None,
+    say: Say = lambda _: None,
+) -> CalibrationReport:
+    """Turn photographs into a capture: find where each was taken from, and remove distortion.
+
+    The capture's frame has any rotation and scale, except that cameras which the source knows stay
+    where they are. Its pictures are at most `options.side` pixels long.
+
+    Args:
+        source: folder of photographs, with `masks/` beside them or not; a video; or a folder of
+            COLMAP, nerfstudio or Polycam, whose cameras are taken as they are.
+        out: folder that gets capture.json, points.npz, pictures/, masks/ and report.json.
+        options: of the calibration; None = the defaults.
+        say: is given lines of progress, with estimates of what is left.
+
+    Raises:
+        SceneError: the source cannot be read, has fewer than 3 photographs, or fewer of them than
+            `options.share` could be placed; then a line for each reason names those left out, and
+            report.json is written without a capture.
+        StoreError: the folder cannot be written.
+        PrerequisiteError: pycolmap, OpenCV or PyAV is not installed.
+    """
+    options = options or CalibrateOptions()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "capture.json").unlink(missing_ok=True)
+        working = TemporaryDirectory(prefix=".calibrate-", dir=out)
+    except OSError as error:
+        raise StoreError(f"cannot write to {out}: {error}", fix="choose another folder") from None
+    with working as name:
+        return _calibrate(source, out, Path(name), options, say)
+
+
+def _calibrate(
+    path: Path, out: Path, working: Path, options: CalibrateOptions, say: Say
+) -> CalibrationReport:
+    source = find_source(path, working, frames=options.frames, say=say)
+    say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
+    photographs, unreadable = take_in(source.files, working, say, upright=source.cameras is None)
+    if len(photographs) < _LEAST:
+        raise SceneError(
+            [
+                f"{path}: {plural(len(photographs), 'photograph')} can be read, of {_LEAST} needed",
+                *by_reason(tuple(unreadable)),
+            ],
+            fix="take twenty or more",
+        )
+    solved = _solve(source, photographs, working, options, say)
+    report = _report(source, [*unreadable, *solved.left_out], solved, options)
+    if report.share < options.share:
+        report.write(out)
+        raise SceneError(
+            [
+                f"{report.placed} of {report.photographs} placed, fewer than {options.share:.0%}",
+                *by_reason(report.left_out),
+            ],
+            fix=_FIX,
+        )
+    capture = develop(photographs, solved.solution, out, side=options.side, say=say)
+    write_capture(capture, out)
+    masked = sum(shot.mask is not None for shot in capture.shots)
+    report = replace(report, masked=masked, written=True)
+    report.write(out)
+    return report
+
+
+def _solve(
+    source: Footage,
+    photographs: Sequence[Photograph],
+    working: Path,
+    options: CalibrateOptions,
+    say: Say,
+) -> _Solved:
+    if source.cameras is None:
+        return _find(source, photographs, working, options, say)
+    known = _fitting(source.cameras, photographs)
+    left = [
+        LeftOut(name=one.name, reason=UNREADABLE, detail="the source has no camera for it")
+        for one in photographs
+        if one.name not in known.by_name
+    ]
+    if len(known.points):
+        return _Solved(solution=known, left_out=left, matching="none", mapping="known", tries={})
+    say("the source has no points that photographs share: they are looked for")
+    some = [one for one in photographs if one.name in known.by_name]
+    pairs, matching = _pairs(source, some, options)
+    lenses = [known.by_name[one.name].lens for one in some]
+    matches = match(some, lenses, pairs, working, options, say)
+    files = {one.name: one.file for one in some}
+    solution = triangulate(matches, known, files, working, seed=options.seed)
+    if len(solution.points) < _LEAST_POINTS:
+        raise SceneError(
+            f"with the cameras of {source.kind} the photographs share "
+            f"{plural(len(solution.points), 'point')}",
+            fix="check that cameras and photographs belong together, or give the photographs alone",
+        )
+    return _Solved(
+        solution=solution,
+        left_out=left,
+        matching=matching,
+        mapping="known",
+        pairs=len(pairs),
+        tries={},
+    )
+
+
+def _find(
+    source: Footage,
+    photographs: Sequence[Photograph],
+    working: Path,
+    options: CalibrateOptions,
+    say: Say,
+) -> _Solved:
+    pairs, matching = _pairs(source, photographs, options)
+    matches = match(photographs, [None] * len(photographs), pairs, working, options, say)
+    names = {one.file: one.name for one in photographs}
+    solution, mapping, tries = map_cameras(matches, names, working, seed=options.seed, say=say)
+    return _Solved(
+        solution=solution,
+        left_out=why_not(photographs, solution.by_name, matches),
+        matching=matching,
+        mapping=mapping,
+        pairs=len(pairs),
+        tries=tries,
+    )
+
+
+def _pairs(
+    source: Footage, photographs: Sequence[Photograph], options: CalibrateOptions
+) -> tuple[list[tuple[int, int]], str]:
+    """Return which photographs are compared, and what that is called."""
+    in_order = source.is_film or are_numbered([one.name for one in photographs])
+    matching = options.matching
+    if matching == "auto":
+        matching = "sequential" if in_order else "exhaustive"
+    return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
+
+
+def _fitting(cameras: Solution, photographs: Sequence[Photograph]) -> Solution:
+    """Return cameras with lenses of the size that their photographs have.
+
+    Raises:
+        SceneError: a photograph has another shape than its camera.
+    """
+    sizes = {one.name: (one.width, one.height) for one in photographs}
+    placed: list[Placed] = []
+    for one in cameras.placed:
+        if one.name not in sizes:
+            continue
+        lens, (width, height) = one.lens, sizes[one.name]
+        if (lens.width, lens.height) != (width, height):
+            if abs(lens.width * height - lens.height * width) > max(lens.width, width) + max(
+                lens.height, height
+            ):
+                raise SceneError(
+                    f"{one.name} has {width} x {height} pixels, its camera "
+                    f"{lens.width} x {lens.height}",
+                    fix="give the photographs that the cameras were made for",
+                )
+            lens = lens.resized(width, height)
+        lens.camera()  # One that makes no sense is named here.
+        placed.append(replace(one, lens=lens))
+    return replace(cameras, placed=tuple(placed))
+
+
+def _report(
+    source: Footage, left_out: list[LeftOut], solved: _Solved, options: CalibrateOptions
+) -> CalibrationReport:
+    solution = solved.solution
+    lenses = dict.fromkeys(one.lens for one in solution.placed)
+    errors = solution.errors
+    return CalibrationReport(
+        source=source.kind,
+        photographs=len(source.files),
+        placed=len(solution.placed),
+        left_out=tuple(left_out),
+        matching=solved.matching,
+        pairs=solved.pairs,
+        mapping=solved.mapping,
+        tries=solved.tries,
+        lenses=tuple(
+            f"{l.model} {l.width} x {l.height}: " + ", ".join(f"{p:.6g}" for p in l.params)
+            for l in lenses
+        ),
+        points=len(solution.points),
+        reprojection_error=float(errors.mean()) if len(errors) else None,
+        seed=options.seed,
+    )

@@ -1,0 +1,60 @@
+"""What a calibration is asked to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from nw_eval.errors import UsageError
+
+LENSES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions:
+    """Options of a calibration.
+
+    Attributes:
+        matching: which photographs are compared: `sequential` = each with those about it in the
+            order of their names and, to close loops, some with all; `exhaustive` = all with all;
+            `auto` = sequential for videos and numbered names.
+        lens: COLMAP's name of the camera model, where the source knows none. One for each size of
+            picture and each focal length in EXIF.
+        frames: that are taken of a video, at most.
+        features: of each photograph, at most.
+        side: pixels of the longer side, at most: of what features are looked for in, and of the
+            capture's pictures.
+        share: of the photographs that must be placed for the capture to be written.
+        seed: of whatever is random.
+        threads: that look for features and compare; they do not change the result.
+    """
+
+    matching: Literal["auto", "sequential", "exhaustive"] = "auto"
+    lens: Literal[
+        "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
+    ] = "SIMPLE_RADIAL"
+    frames: int = 150
+    features: int = 8192
+    side: int = 1600
+    share: float = 0.7
+    seed: int = 0
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UsageError: naming the one that cannot be used.
+        """
+        least = {"frames": 3, "features": 100, "side": 64, "seed": 0, "threads": 1}
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise UsageError(
+                    f"calibration with {name} = {getattr(self, name)}", fix=f"give {low} or more"
+                )
+        if not 0 < self.share <= 1:
+            raise UsageError(f"calibration with share = {self.share}", fix="give 0 to 1")
+        if self.lens not in LENSES:
+            raise UsageError(
+                f"calibration with lens = {self.lens!r}", fix=f"give one of {', '.join(LENSES)}"
+            )

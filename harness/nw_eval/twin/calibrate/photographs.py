@@ -1,0 +1,203 @@
+"""Photographs taken in: each decoded once, so that what follows meets none that is damaged."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+
+from nw_eval.errors import SceneError
+from nw_eval.twin.calibrate.pace import Pace, Say
+from nw_eval.twin.calibrate.packages import package, quiet
+from nw_eval.twin.calibrate.report import LeftOut
+
+SUFFIXES = frozenset(
+    {
+        *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"),
+        *(".heic", ".heif", ".avif", ".dng", ".cr2", ".nef", ".arw"),
+    }
+)
+"""What is meant as a photograph; those that Pillow does not read are named as unreadable."""
+UNREADABLE = "cannot be read"
+_MOST_PIXELS = 100_000_000
+DAMAGE = (
+    *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
+    Image.DecompressionBombError,
+)
+"""What Pillow raises at damaged files."""
+_EXIF_ORIENTATION = 0x0112
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A file that a source names.
+
+    Attributes:
+        name: of the photograph.
+        path: of its file; None if it must not be read, and then `fault` says why.
+        mask: file of its mask, where 0 is no part of the place.
+        fault: why it cannot be used.
+    """
+
+    name: str
+    path: Path | None
+    mask: Path | None = None
+    fault: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photograph:
+    """A photograph that can be read.
+
+    Attributes:
+        name: of the photograph.
+        file: in the working folder, `pictures/000012.jpg`: plain names, upright, RGB or grey.
+        path: of that file.
+        mask: of the picture's size, 0 or 255, in the working folder.
+        width, height: pixels.
+        focal: by EXIF, pixels; None where it does not say.
+        sharpness: variance of the Laplacian at 640 pixels, grey values squared.
+        contrast: standard deviation of grey values.
+    """
+
+    name: str
+    file: str
+    path: Path
+    mask: Path | None
+    width: int
+    height: int
+    focal: float | None
+    sharpness: float
+    contrast: float
+
+
+def natural(name: str) -> tuple[tuple[int, int | str], ...]:
+    """Return a key that sorts IMG_9 before IMG_10."""
+    parts = re.split(r"([0-9]+)", name)
+    key = ((1, int(part)) if i % 2 else (0, part) for i, part in enumerate(parts))
+    return (*key, (0, name))
+
+
+def are_numbered(names: Sequence[str]) -> bool:
+    """Return whether names differ in their numbers alone, as frames and a camera's files do."""
+    return len(names) > 1 and len({re.sub(r"[0-9]+", "0", name) for name in names}) == 1
+
+
+def take_in(
+    files: Sequence[Found], working: Path, say: Say, *, upright: bool
+) -> tuple[list[Photograph], list[LeftOut]]:
+    """Decode all photographs once; bring them and their masks into the working folder.
+
+    Args:
+        files: in their order, which is kept.
+        working: gets `pictures/` and `masks/`.
+        say: is given lines of progress.
+        upright: whether to turn them as EXIF says; not where cameras are known already.
+
+    Returns:
+        Those that can be read, and those that cannot.
+
+    Raises:
+        SceneError: a mask cannot be read or is of another size than its photograph.
+    """
+    for name in ("pictures", "masks"):
+        (working / name).mkdir()
+    good: list[Photograph] = []
+    bad: list[LeftOut] = []
+    pace = Pace(say, "photographs read", len(files))
+    for number, one in enumerate(files):
+        fault = one.fault
+        if one.path is not None:
+            try:
+                good.append(_take_in(one, one.path, number, working, upright=upright))
+            except DAMAGE as error:
+                fault = str(error)
+        if fault is not None:
+            bad.append(LeftOut(name=one.name, reason=UNREADABLE, detail=fault))
+        pace.at(number + 1)
+    return good, bad
+
+
+def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: bool) -> Photograph:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
+        with Image.open(path) as image:
+            if image.width * image.height > _MOST_PIXELS:
+                raise ValueError(f"more than {_MOST_PIXELS} pixels")
+            if image.mode.startswith(("I", "F")):
+                raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
+            image.load()
+            turned = upright and image.getexif().get(_EXIF_ORIENTATION, 1) != 1
+            plain = image.format in {"JPEG", "PNG"} and image.mode in {"RGB", "L"} and not turned
+            suffix = ".jpg" if image.format == "JPEG" else ".png"
+            upright_image = (ImageOps.exif_transpose(image) if turned else image).convert("RGB")
+    target = working / "pictures" / f"{number:06d}{suffix}"
+    if plain:
+        target.symlink_to(path.resolve())
+    elif suffix == ".jpg":
+        upright_image.save(target, quality=98, subsampling=0)
+    else:
+        upright_image.save(target, compress_level=1)
+    grey = np.asarray(upright_image.convert("L"))
+    sharpness, contrast = sharpness_of(grey)
+    height, width = grey.shape
+    return Photograph(
+        name=one.name,
+        file=target.name,
+        path=target,
+        mask=_mask(one, target, (width, height), working),
+        width=width,
+        height=height,
+        focal=_focal(path, (width, height)),
+        sharpness=sharpness,
+        contrast=contrast,
+    )
+
+
+def sharpness_of(grey: NDArray[np.uint8]) -> tuple[float, float]:
+    """Return the variance of the Laplacian, and contrast, of a picture brought to 640 pixels."""
+    cv2 = package("cv2")
+    scale = 640 / max(grey.shape)
+    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(small, cv2.CV_64F).var()), float(small.std())
+
+
+def _focal(path: Path, size: tuple[int, int]) -> float | None:
+    """Return the focal length that EXIF says, in pixels; the turn of the picture is no matter."""
+    with quiet() as pycolmap:
+        try:
+            camera = pycolmap.infer_camera_from_image(path)
+        except (ValueError, RuntimeError):  # A kind of file that Pillow alone reads.
+            return None
+    focal = float(camera.mean_focal_length())
+    if not camera.has_prior_focal_length or not 0.2 < focal / max(size) < 20:
+        return None
+    return focal
+
+
+def _mask(one: Found, target: Path, size: tuple[int, int], working: Path) -> Path | None:
+    """Write a photograph's mask where COLMAP looks for it: `masks/<file>.png`."""
+    if one.mask is None:
+        return None
+    try:
+        with Image.open(one.mask) as image:
+            found = image.size
+            kept = np.asarray(image.convert("L")) > 0 if found == size else None
+    except DAMAGE as error:
+        raise SceneError(
+            f"the mask {one.mask} cannot be read: {error}", fix="write it again, or remove it"
+        ) from None
+    if kept is None:
+        raise SceneError(
+            f"the mask {one.mask} has {found} pixels, {one.name} has {size}",
+            fix="write it in its photograph's size",
+        )
+    path = working / "masks" / f"{target.name}.png"
+    Image.fromarray(kept.astype(np.uint8) * 255).save(path)
+    return path

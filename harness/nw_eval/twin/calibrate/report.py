@@ -1,0 +1,87 @@
+"""What a calibration found, for whoever reads it, person or program."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from nw_eval.files.cache import atomic_path
+
+REPORT = "report.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """A photograph that the capture lacks.
+
+    Attributes:
+        name: of the photograph.
+        reason: in a few words that several may share, e.g. `blurred`.
+        detail: the number behind it.
+    """
+
+    name: str
+    reason: str
+    detail: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationReport:
+    """What a calibration read, did and found.
+
+    Attributes:
+        source: what was read: `photographs`, `video`, `colmap`, `nerfstudio` or `polycam`.
+        photographs: that there were, the unreadable counted.
+        placed: those whose cameras are known.
+        left_out: the others, and why.
+        matching: which were compared: `sequential`, `exhaustive`, or `none` where points are known.
+        pairs: of photographs that were compared.
+        mapping: what placed the cameras: `incremental`, `global`, or `known`.
+        tries: photographs that each mapping placed.
+        lenses: each camera model with its numbers, as COLMAP writes them.
+        points: in the capture.
+        reprojection_error: mean over points, pixels of the photographs; None without points.
+        masked: pictures with a mask.
+        seed: of whatever was random.
+        written: whether the capture was written.
+    """
+
+    source: str
+    photographs: int
+    placed: int
+    left_out: tuple[LeftOut, ...]
+    matching: str
+    pairs: int
+    mapping: str
+    tries: dict[str, int]
+    lenses: tuple[str, ...] = ()
+    points: int = 0
+    reprojection_error: float | None = None
+    masked: int = 0
+    seed: int = 0
+    written: bool = False
+
+    @property
+    def share(self) -> float:
+        """Share of the photographs whose cameras are known."""
+        return self.placed / max(1, self.photographs)
+
+    def write(self, folder: Path) -> None:
+        """Write report.json.
+
+        Raises:
+            StoreError: it cannot be written.
+        """
+        with atomic_path(folder / REPORT) as temporary:
+            text = json.dumps({"nw-calibration": 1, **asdict(self)}, indent=1, ensure_ascii=False)
+            temporary.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def by_reason(left_out: tuple[LeftOut, ...]) -> list[str]:
+    """Return a line for each reason, with the photographs it holds for."""
+    reasons = dict.fromkeys(one.reason for one in left_out)
+    return [
+        f"{reason}: " + ", ".join(f"{o.name} ({o.detail})" for o in left_out if o.reason == reason)
+        for reason in reasons
+    ]

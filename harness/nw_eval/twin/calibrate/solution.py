@@ -1,0 +1,131 @@
+"""Where photographs were taken from and through what, before distortion is removed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.twin.calibrate.packages import package
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """A camera model of COLMAP.
+
+    Attributes:
+        model: COLMAP's name, e.g. `OPENCV`.
+        width, height: pixels of its pictures.
+        params: in COLMAP's order; the centre of the first pixel is at (0.5, 0.5).
+    """
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+    def camera(self) -> Any:
+        """Return it as a `pycolmap.Camera`.
+
+        Raises:
+            SceneError: no such model, or not its parameters.
+        """
+        pycolmap = package("pycolmap")
+        try:
+            camera = pycolmap.Camera(
+                model=self.model, width=self.width, height=self.height, params=list(self.params)
+            )
+            good = (
+                camera.verify_params()
+                and not camera.has_bogus_params(0.05, 50.0, 50.0)
+                and min(camera.focal_length_x, camera.focal_length_y) > 0
+            )
+        except (ValueError, RuntimeError, AttributeError, KeyError) as error:
+            raise self._unusable(str(error)) from None
+        if not (good and np.isfinite(self.params).all()):
+            raise self._unusable("its numbers make no lens")
+        if not (0 < self.width < 2**15 and 0 < self.height < 2**15):
+            raise self._unusable("it has no such pictures")
+        return camera
+
+    def _unusable(self, why: str) -> SceneError:
+        return SceneError(
+            f"a camera {self.model} of {self.width} x {self.height} pixels with "
+            f"{list(self.params)} cannot be used: {why}",
+            fix="export the cameras again, or give the photographs alone",
+        )
+
+    def resized(self, width: int, height: int) -> Lens:
+        """Return the lens of the same pictures at another size."""
+        camera = self.camera()
+        camera.rescale(width, height)
+        return Lens(model=self.model, width=width, height=height, params=tuple(camera.params))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """One photograph whose camera is known.
+
+    Attributes:
+        name: of the photograph.
+        lens: through which it was taken.
+        T_world_camera: (4, 4) float64, OpenCV axes.
+        seen: (K,) int32, sorted: numbers of the points that it shows.
+    """
+
+    name: str
+    lens: Lens
+    T_world_camera: NDArray[np.float64]
+    seen: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Cameras and the points that they share.
+
+    Attributes:
+        placed: photographs whose cameras are known.
+        points: (N, 3) float64.
+        colours: (N, 3) uint8.
+        errors: (N,) float32, pixels of the photographs.
+    """
+
+    placed: tuple[Placed, ...]
+    points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+    errors: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+
+    @property
+    def by_name(self) -> dict[str, Placed]:
+        """The photographs by their names."""
+        return {one.name: one for one in self.placed}
+
+
+def inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverse of a pose (4, 4)."""
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
+    return back
+
+
+def rigid(matrix: NDArray[np.float64], whose: str) -> NDArray[np.float64]:
+    """Return a (4, 4) pose with its rotation made exact.
+
+    Raises:
+        SceneError: its 3x3 block is no rotation, to one in a hundred; or a number is not finite.
+    """
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneError(f"the pose of {whose} is no finite 4x4 matrix", fix="export it again")
+    u, _, v = np.linalg.svd(matrix[:3, :3])
+    R = u @ v
+    if np.abs(R - matrix[:3, :3]).max() > 0.01 or np.linalg.det(R) < 0:
+        raise SceneError(
+            f"the pose of {whose} is not a rotation: {matrix[:3, :3].tolist()}",
+            fix="export it again",
+        )
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, matrix[:3, 3]
+    return T

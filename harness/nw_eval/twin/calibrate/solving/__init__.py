@@ -1,0 +1,1 @@
+"""Features, matches, cameras and points: what COLMAP does, and how it is asked."""

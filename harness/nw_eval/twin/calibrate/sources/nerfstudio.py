@@ -1,0 +1,148 @@
+"""nerfstudio's and Instant-NGP's transforms.json: photographs with cameras in OpenGL axes.
+
+https://docs.nerf.studio/quickstart/data_conventions.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.files.inside import OutsideError, inside
+from nw_eval.twin.calibrate.photographs import Found
+from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
+from nw_eval.twin.calibrate.sources.footage import Footage, found_in, in_order, number, read_json
+
+SizeOf = Callable[[Path], tuple[int, int] | None]
+FILE = "transforms.json"
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From OpenCV's camera axes (y down, z forward) to OpenGL's (y up, z back)."""
+_KINDS = {"OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}
+_FIX = "export transforms.json again"
+
+
+def nerfstudio_in(folder: Path, size_of: SizeOf) -> Footage | None:
+    """Return the cameras and photographs of a folder with transforms.json; None if it is none.
+
+    The capture's frame is the one before `applied_transform`, which nerfstudio's own
+    dataparser_transforms.json refers to as well.
+
+    Args:
+        folder: that holds it and the photographs.
+        size_of: gives width and height of a picture file, where the JSON does not.
+
+    Raises:
+        SceneError: the file is damaged or names nothing.
+    """
+    if not (folder / FILE).is_file():
+        return None
+    whole = read_json(folder / FILE)
+    frames = whole.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise SceneError(f"{folder / FILE} names no frames", fix=_FIX)
+    applied, scale = _applied(whole)
+    files: list[Found] = []
+    placed: list[Placed] = []
+    for place, frame in enumerate(frames):
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise SceneError(f"frame {place} of {folder / FILE} has no file_path", fix=_FIX)
+        one = _file(folder, frame)
+        files.append(one)
+        lens = _lens({**whole, **frame}, one, size_of)
+        if lens is not None:
+            pose = _array(frame.get("transform_matrix"), (4, 4), f"transform_matrix of {one.name}")
+            pose[:3, 3] /= scale
+            pose = rigid(inverse(applied) @ pose @ OPENGL, one.name)
+            placed.append(Placed(name=one.name, lens=lens, T_world_camera=pose))
+    names = [one.name for one in files]
+    if len(set(names)) < len(names):
+        raise SceneError(f"{folder / FILE} names a photograph twice", fix=_FIX)
+    return Footage(kind="nerfstudio", files=in_order(files), cameras=Solution(placed=tuple(placed)))
+
+
+def _file(folder: Path, frame: dict[str, Any]) -> Found:
+    name = frame["file_path"]
+    if not Path(name).suffix:  # As Blender's exporter writes them.
+        name += ".png"
+    found = found_in(folder, name, called=name.removeprefix("./"))
+    mask = frame.get("mask_path")
+    if not isinstance(mask, str):
+        return found
+    try:
+        return replace(found, mask=inside(folder, mask))
+    except OutsideError as error:
+        raise SceneError(f"the mask {mask} is not in {folder}: {error}", fix=_FIX) from None
+
+
+def _array(value: Any, shape: tuple[int, int], what: str) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise SceneError(f"{what} is no finite matrix of shape {shape}", fix=_FIX)
+    return array
+
+
+def _applied(whole: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
+    """Return `applied_transform` (4, 4) and `applied_scale`, which came after it."""
+    applied = np.eye(4)
+    if "applied_transform" in whole:
+        applied[:3] = _array(whole["applied_transform"], (3, 4), "applied_transform")
+    scale = number(whole.get("applied_scale", 1.0), "applied_scale")
+    if scale <= 0:
+        raise SceneError(f"applied_scale is {scale}", fix=_FIX)
+    return rigid(applied, "applied_transform"), scale
+
+
+def _lens(values: dict[str, Any], one: Found, size_of: SizeOf) -> Lens | None:
+    """Return a frame's lens; None if its size must be looked up and its picture cannot be read."""
+
+    def value(key: str, otherwise: float | None = None) -> float:
+        if key not in values and otherwise is not None:
+            return otherwise
+        return number(values.get(key), f"{key} of {one.name}")
+
+    if "w" in values and "h" in values:
+        width, height = round(value("w")), round(value("h"))
+    else:
+        size = size_of(one.path) if one.path is not None else None
+        if size is None:
+            return None
+        width, height = size
+    if "fl_x" in values:
+        fx = value("fl_x")
+        fy = value("fl_y", fx)
+    elif "camera_angle_x" in values:
+        fx = 0.5 * width / math.tan(0.5 * value("camera_angle_x"))
+        fy = fx  # Blender's pixels are square.
+    else:
+        raise SceneError(f"{one.name} has neither fl_x nor camera_angle_x", fix=_FIX)
+    pinhole = (fx, fy, value("cx", 0.5 * width), value("cy", 0.5 * height))
+    bends = {key: value(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
+    kind = values.get("camera_model", "OPENCV")
+    kind = "OPENCV_FISHEYE" if values.get("is_fisheye") is True else kind
+    if kind not in _KINDS:
+        raise SceneError(f"{one.name} has the camera_model {kind!r}", fix="undistort it first")
+    model, bent = _model(kind == "OPENCV_FISHEYE", **bends)
+    return Lens(model=model, width=width, height=height, params=(*pinhole, *bent))
+
+
+def _model(
+    fisheye: bool, *, k1: float, k2: float, k3: float, k4: float, p1: float, p2: float
+) -> tuple[str, tuple[float, ...]]:
+    """Return COLMAP's model that bends so, and its parameters after those of a pinhole."""
+    if fisheye:
+        return "OPENCV_FISHEYE", (k1, k2, k3, k4)
+    if k3 or k4:  # nerfstudio undistorts by OpenCV's rational model, k4 below the line.
+        return "FULL_OPENCV", (k1, k2, p1, p2, k3, k4, 0.0, 0.0)
+    if k1 or k2 or p1 or p2:
+        return "OPENCV", (k1, k2, p1, p2)
+    return "PINHOLE", ()

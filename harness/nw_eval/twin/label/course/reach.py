@@ -1,0 +1,140 @@
+"""Hints: what the shipped policy can be expected to do on a course."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nw_eval.plural import plural
+from nw_eval.twin.label.course.obstacles import Obstacle, ObstacleKind, obstacles_of
+from nw_eval.twin.label.course.profile import HeightProfile
+from nw_eval.twin.label.placement import Point
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hint:
+    """One line for whoever labels.
+
+    Attributes:
+        severity: a `warning` is worth a change; a `note` only good to know.
+        text: a sentence.
+    """
+
+    severity: Literal["warning", "note"]
+    text: str
+
+
+_LIMITS: dict[ObstacleKind, tuple[float, float]] = {
+    "hurdle": (0.25, 0.30),
+    "gap": (0.40, 0.58),
+    "step": (0.20, 0.23),
+    "ramp": (math.radians(22), math.radians(30)),
+}
+"""What go1-parkour does well, and what it was trained up to or does sometimes: its README."""
+
+_LOOSE: dict[ObstacleKind, float] = {"hurdle": 0.01, "gap": 0.03, "step": 0.01, "ramp": 0.02}
+"""By how much a profile's sizes are uncertain."""
+
+_LONGEST_LEG = 4.0  # m; the policy knows the next waypoint's direction only
+_RADIUS = 0.3  # m, within which a waypoint counts as reached
+_OFF_GROUND = 0.1  # m
+_LONGEST = 8.0  # m; a trial has 12 s, and the robot walks at 0.8 m/s
+_SHARPEST = math.radians(100)
+
+
+def hints_on(stops: Sequence[Point], profile: HeightProfile) -> tuple[Hint, ...]:
+    """Return hints on a course, warnings first.
+
+    Args:
+        stops: the start and the waypoints; world, m.
+        profile: of the ground along them.
+    """
+    if len(stops) < 2:
+        return (Hint(severity="warning", text="There is no waypoint yet: click on the ground."),)
+    warnings = [*_on_stops(stops, profile), *_on_legs(stops)]
+    notes: list[str] = []
+    obstacles = obstacles_of(profile)
+    for kind in _LIMITS:
+        of_kind = [obstacle for obstacle in obstacles if obstacle.kind == kind]
+        too_much = [each for each in of_kind if _beyond(each, 0)]
+        warnings += [_warning(each) for each in too_much]
+        if of_kind and not too_much:
+            largest = _size(max(of_kind, key=lambda each: each.size))
+            notes.append(f"{plural(len(of_kind), kind)}, {largest} at most: within reach.")
+    return (
+        *(Hint(severity="warning", text=text) for text in warnings),
+        *(Hint(severity="note", text=text) for text in notes),
+    )
+
+
+def _on_stops(stops: Sequence[Point], profile: HeightProfile) -> list[str]:
+    found: list[str] = []
+    for i, (at, level) in enumerate(zip(profile.stops, profile.levels, strict=True)):
+        name = f"waypoint {i}" if i else "the start"
+        nearest = int(np.abs(profile.distance - at).argmin())
+        height = profile.height[nearest]
+        if not np.isfinite(height):
+            found.append(f"There is no ground under {name}.")
+        # On an edge the ground is at either height.
+        elif np.abs(profile.height[max(nearest - 2, 0) : nearest + 3] - level).min() > _OFF_GROUND:
+            found.append(
+                f"{name.capitalize()} is {abs(level - height):.2f} m "
+                f"{'above' if level > height else 'below'} the ground."
+            )
+    length = float(profile.stops[-1])
+    if length > _LONGEST:
+        found.append(
+            f"The course is {length:.1f} m long; in the 12 s of a trial the policy walks about "
+            f"{_LONGEST:g} m: set `duration` in the suite."
+        )
+    if len(stops) < 2 or length < _RADIUS:
+        found.append("The robot starts at its goal.")
+    return found
+
+
+def _on_legs(stops: Sequence[Point]) -> list[str]:
+    found: list[str] = []
+    plan = np.array(stops)[:, :2]
+    legs = np.diff(plan, axis=0)
+    lengths = np.linalg.norm(legs, axis=1)
+    for i, length in enumerate(lengths):
+        if length > _LONGEST_LEG:
+            found.append(
+                f"It is {length:.1f} m to waypoint {i + 1}: the policy may stray; add one every "
+                f"{_LONGEST_LEG:g} m."
+            )
+        elif i and length < _RADIUS:
+            found.append(
+                f"Waypoint {i + 1} is {length:.2f} m from the last: both count as reached at once."
+            )
+    headings = np.arctan2(legs[:, 1], legs[:, 0])
+    for i, change in enumerate(np.diff(headings)):
+        turned = abs((change + math.pi) % (2 * math.pi) - math.pi)
+        if turned > _SHARPEST and min(lengths[i], lengths[i + 1]) > 0:
+            found.append(f"The trail turns by {math.degrees(turned):.0f} degrees at {i + 1}.")
+    return found
+
+
+def _beyond(obstacle: Obstacle, which: int) -> bool:
+    return obstacle.size > _LIMITS[obstacle.kind][which] + _LOOSE[obstacle.kind]
+
+
+def _warning(obstacle: Obstacle) -> str:
+    well, _ = _LIMITS[obstacle.kind]
+    chance = "probably fails" if _beyond(obstacle, 1) else "manages it sometimes"
+    return (
+        f"A {obstacle.kind} of {_size(obstacle)} at {obstacle.at:.1f} m: the default policy "
+        f"{chance}; {_text(obstacle.kind, well)} it does well."
+    )
+
+
+def _size(obstacle: Obstacle) -> str:
+    return _text(obstacle.kind, obstacle.size)
+
+
+def _text(kind: ObstacleKind, size: float) -> str:
+    return f"{math.degrees(size):.0f} degrees" if kind == "ramp" else f"{size:.2f} m"

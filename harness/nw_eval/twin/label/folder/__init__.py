@@ -1,0 +1,1 @@
+"""Scene folders, read and written for labelling."""

@@ -1,0 +1,144 @@
+"""The place, the course and the markers in viser's scene."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nw_eval.twin.label.labelling import Labelling
+from nw_eval.twin.label.page.splat_points import SplatPoints
+from nw_eval.twin.label.placement import Point
+
+_ORANGE, _BLUE, _GREEN, _PINK = (232, 89, 12), (28, 100, 242), (43, 138, 62), (214, 51, 132)
+_ROBOT = (0.6, 0.3, 0.3)  # m, of a Go1 that stands
+_LIFT = 0.03  # m, so that lines are not in the ground
+
+
+class Drawing:
+    """Draws a labelling, and only what has changed of the place.
+
+    Args:
+        server: viser's.
+        labelling: what is drawn.
+        splat: in the world as it was opened; None = the place has no looks.
+    """
+
+    def __init__(self, server: Any, labelling: Labelling, splat: SplatPoints | None) -> None:
+        self._scene = server.scene
+        self._labelling = labelling
+        self._splat = splat
+        self._place: object = None
+        self._names: set[str] = set()
+        self._scene.set_up_direction("+z")
+        # A little below a floor at z = 0, which it would flicker with.
+        self._scene.add_grid("/grid", width=40.0, height=40.0, position=(0.0, 0.0, -0.02))
+        self._aim(server.initial_camera)
+        self.shows_splat = splat is not None
+        self.shows_mesh = splat is None
+
+    def refresh(self, chosen: int | None) -> None:
+        """Draw the state as it is; `chosen` is the index of a waypoint, which stands out."""
+        self._draw_place()
+        before, self._names = self._names, set()
+        self._draw_course(chosen)
+        self._draw_markers()
+        for name in before - self._names:
+            self._scene.remove_by_name(name)
+
+    def _aim(self, camera: Any) -> None:
+        """Look at the course from behind its start and above."""
+        start = self._labelling.start
+        stops = np.array([start.position, *self._labelling.state.waypoints])
+        middle, length = stops.mean(axis=0), max(float(np.ptp(stops[:, :2], axis=0).max()), 2.0)
+        yaw = start.yaw + 0.9
+        back = np.array([-math.cos(yaw), -math.sin(yaw), 0.9]) * (0.8 * length + 1.0)
+        camera.position = middle + back
+        camera.look_at = middle
+        camera.up = (0.0, 0.0, 1.0)
+
+    def _draw_place(self) -> None:
+        state, mesh = self._labelling.state, self._labelling.mesh
+        if (state.placement, state.crop) != self._place:
+            self._place = (state.placement, state.crop)
+            self._scene.add_mesh_simple(
+                "/mesh",
+                mesh.vertices.astype(np.float32),
+                mesh.faces.astype(np.uint32),
+                color=(190, 194, 200),
+                flat_shading=True,
+                side="double",
+            )
+            if self._splat is not None:
+                self._draw_splat(self._splat)
+        self._scene.get_handle_by_name("/mesh").visible = self.shows_mesh
+        if self._splat is not None:
+            self._scene.get_handle_by_name("/splat").visible = self.shows_splat
+
+    def _draw_splat(self, splat: SplatPoints) -> None:
+        state = self._labelling.state
+        placement = state.placement
+        if state.crop is not None:
+            matrix = placement.matrix
+            at = splat.centers @ matrix[:3, :3].T + matrix[:3, 3]
+            inside = ((at >= state.crop.low) & (at <= state.crop.high)).all(axis=1)
+            splat = splat.take(np.asarray(inside))
+        # The browser moves them: what was computed for the opened world stays as it is.
+        self._scene.add_gaussian_splats(
+            "/splat",
+            splat.centers,
+            splat.covariances,
+            splat.rgbs,
+            splat.opacities,
+            scale=placement.scale,
+            wxyz=placement.quat,
+            position=placement.translation,
+        )
+
+    def _draw_course(self, chosen: int | None) -> None:
+        start, waypoints = self._labelling.start, self._labelling.state.waypoints
+        for i, point in enumerate(waypoints):
+            colour = _BLUE if i == chosen else _ORANGE
+            self._ball(f"/trail/{i}", point, colour, 0.09 if i == chosen else 0.07)
+            self._text(f"/trail/{i}/name", str(i + 1), (0.0, 0.0, 0.2))
+        x, y, z = start.position
+        half = (math.cos(start.yaw / 2), 0.0, 0.0, math.sin(start.yaw / 2))
+        self._scene.add_box(
+            self._named("/start"),
+            color=_GREEN,
+            dimensions=_ROBOT,
+            opacity=0.6,
+            wxyz=half,
+            position=(x, y, z + _ROBOT[2] / 2),
+        )
+        nose = np.array([[[_ROBOT[0] / 2, 0.0, 0.0], [_ROBOT[0] / 2 + 0.35, 0.0, 0.0]]])
+        self._scene.add_arrows(self._named("/start/looks"), nose, colors=_GREEN)
+        self._text("/start/name", "start", (0.0, 0.0, 0.3))
+        stops = np.array([start.position, *waypoints]) + np.array([0.0, 0.0, _LIFT])
+        if waypoints:
+            legs = np.stack([stops[:-1], stops[1:]], axis=1)
+            self._lines("/trail_legs", legs, _ORANGE)
+
+    def _draw_markers(self) -> None:
+        markers = self._labelling.state.markers
+        for i, point in enumerate(markers):
+            self._ball(f"/marker/{i}", point, _PINK, 0.05)
+        distance = self._labelling.distance
+        if distance is not None:
+            self._lines("/marker_line", np.array([markers]), _PINK)
+            x, y, z = np.mean(markers, axis=0).tolist()
+            self._text("/marker_distance", f"{distance:.3f} m", (x, y, z + 0.1))
+
+    def _ball(self, name: str, point: Point, colour: tuple[int, int, int], radius: float) -> None:
+        self._scene.add_icosphere(self._named(name), radius=radius, color=colour, position=point)
+
+    def _text(self, name: str, text: str, point: Point) -> None:
+        self._scene.add_label(self._named(name), text, position=point, anchor="bottom-center")
+
+    def _lines(self, name: str, points: Any, colour: tuple[int, int, int]) -> None:
+        self._scene.add_line_segments(self._named(name), points, colors=colour, thickness=0.02)
+
+    def _named(self, name: str) -> str:
+        self._names.add(name)
+        return name

@@ -1,0 +1,153 @@
+"""The page: clicks, keys and buttons act on a labelling; whatever goes wrong is shown on it."""
+
+from __future__ import annotations
+
+import html
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from nw_eval.errors import NwEvalError
+from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.label.labelling import Labelling
+from nw_eval.twin.label.page.chart import profile_svg
+from nw_eval.twin.label.page.controls import CLICKS, Controls
+from nw_eval.twin.label.page.drawing import Drawing
+from nw_eval.twin.label.page.splat_points import splat_points
+from nw_eval.twin.label.page.viser_library import viser_server
+from nw_eval.twin.label.placement import Point
+
+PUBLISHED = "published"
+"""The folder, in the scene's, in which the published XML pair appears."""
+
+
+class LabelPage:
+    """Serves a labelling to browsers until it is closed; a context manager.
+
+    It has no password: on another address than this machine's own, whoever reaches it can save.
+
+    Args:
+        labelling: which nobody else may change meanwhile.
+        splat: the looks of the place, in the splat's frame; None = the mesh is shown.
+        host: address to listen at.
+        port: 0 = one that is free.
+
+    Attributes:
+        controls: the panel.
+        server: viser's.
+
+    Raises:
+        PrerequisiteError: viser is not installed.
+        UsageError: it cannot listen there.
+    """
+
+    def __init__(
+        self,
+        labelling: Labelling,
+        splat: Gaussians | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        self._labelling = labelling
+        self._lock = threading.RLock()  # Callbacks come from a pool of threads.
+        points = None
+        if splat is not None:
+            points = splat_points(splat, labelling.place.T_world_splat)
+        self.server: Any = viser_server(host, port)
+        self._is_open = True
+        try:
+            self._drawing = Drawing(self.server, labelling, points)
+            self.controls = Controls(self.server.gui, labelling, self.run, self.save)
+            self.controls.splat.visible = points is not None
+            self.controls.mesh.value = points is None
+            self.server.scene.on_click()(self._on_click)
+            self._refresh()
+        except BaseException:
+            self.server.stop()
+            raise
+
+    @property
+    def url(self) -> str:
+        """Where browsers find it."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stop serving; a second time does nothing."""
+        with self._lock:
+            was_open, self._is_open = self._is_open, False
+        if was_open:
+            self.server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def run(self, action: Callable[[], object]) -> None:
+        """Run an action, and show what it changed; an error is shown, never raised."""
+        with self._lock:
+            if not self._is_open:
+                return
+            try:
+                words = action()
+                self._refresh()
+                self.controls.status.content = words if isinstance(words, str) else ""
+            except NwEvalError as error:
+                self._show_error(str(error))
+            except Exception as error:  # noqa: BLE001 - otherwise it would only be in a log.
+                self._show_error(f"{type(error).__name__}: {error} (a fault of nw-eval)")
+
+    def click(self, origin: Point, direction: Point) -> None:
+        """Put what is chosen where a ray (world, m) meets the place."""
+        labelling, controls = self._labelling, self.controls
+        point = labelling.snapped(origin, direction)
+        if point is None:
+            return
+        what = controls.click
+        if what == CLICKS[0]:
+            labelling.add_waypoint(point)
+            controls.chosen = len(labelling.state.waypoints) - 1
+        elif what == CLICKS[1]:
+            labelling.move_waypoint(controls.chosen, point)
+        elif what == CLICKS[2]:
+            labelling.set_start(point)
+        else:
+            labelling.mark(point)
+
+    def save(self, publishes: bool) -> str:
+        """Save, the published XML pair too where it is wanted; return what to tell people."""
+        folder: Path = self._labelling.save()
+        words = f"✓ Saved to `{folder}`."
+        if publishes:
+            words += f" The published pair is in `{self._labelling.publish(folder / PUBLISHED)}`."
+        return words
+
+    def _on_click(self, event: Any) -> None:
+        self.run(lambda: self.click(event.ray_origin, event.ray_direction))
+
+    def _refresh(self) -> None:
+        controls, labelling = self.controls, self._labelling
+        controls.refresh()
+        self._drawing.shows_splat = controls.splat.value
+        self._drawing.shows_mesh = controls.mesh.value
+        with self.server.atomic():
+            self._drawing.refresh(controls.chosen if labelling.state.waypoints else None)
+        controls.chart.content = profile_svg(labelling.profile())
+        marks = {"warning": "⚠️", "note": "✓"}
+        controls.hints.content = "\n\n".join(
+            f"{marks[hint.severity]} {hint.text}" for hint in labelling.hints()
+        )
+
+    def _show_error(self, text: str) -> None:
+        self.controls.status.content = f"**❌ {html.escape(text)}**"
+        for client in self.server.get_clients().values():
+            client.add_notification("That did not work", text, color="red", auto_close_seconds=10)

@@ -1,0 +1,91 @@
+"""A shot as it is compared: grey, and no larger than it has to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from nw_eval.errors import SceneError
+from nw_eval.files.inside import OutsideError, inside
+from nw_eval.twin.capture import PlacedShot, read_picture
+from nw_eval.twin.reconstruct.packages import package
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingView:
+    """A shot at the size that it is worked at.
+
+    Attributes:
+        name: of the shot.
+        rgb: (H, W, 3) uint8.
+        mask: (H, W) bool, what is part of the place; None for everything.
+        K: (3, 3), the first pixel's centre at (0.5, 0.5).
+        T_camera_world: (4, 4).
+    """
+
+    name: str
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_] | None
+    K: F64
+    T_camera_world: F64
+
+    @property
+    def grey(self) -> F32:
+        """Grey levels about 0, (H, W): products of large ones would lose digits."""
+        return (self.rgb @ np.array([0.299, 0.587, 0.114], np.float32)) - np.float32(128.0)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        return self.rgb.shape[0], self.rgb.shape[1]
+
+    def to(self, other: WorkingView) -> tuple[F64, F64]:
+        """Return K' R K^-1 (3, 3) and K' t (3,): from this view's pixels to another's."""
+        T = other.T_camera_world @ np.linalg.inv(self.T_camera_world)
+        return other.K @ T[:3, :3] @ np.linalg.inv(self.K), other.K @ T[:3, 3]
+
+
+def read_view(shot: PlacedShot, folder: Path, side: int) -> WorkingView:
+    """Read a shot of a capture's folder, at most `side` pixels long.
+
+    Raises:
+        SceneError: its picture or its mask cannot be read.
+        PrerequisiteError: OpenCV is not installed.
+    """
+    cv2 = package("cv2")
+    rgb, mask, camera = read_picture(shot, folder), _mask(shot, folder), shot.camera
+    share = min(1.0, side / max(camera.width, camera.height))
+    width, height = round(camera.width * share), round(camera.height * share)
+    if share < 1.0:
+        rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
+    if mask is not None:
+        mask = cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    K[0] *= width / camera.width
+    K[1] *= height / camera.height
+    return WorkingView(
+        name=shot.name, rgb=rgb, mask=mask, K=K, T_camera_world=camera.T_camera_world
+    )
+
+
+def _mask(shot: PlacedShot, folder: Path) -> NDArray[np.uint8] | None:
+    if shot.mask is None:
+        return None
+    try:
+        with Image.open(inside(folder, shot.mask)) as image:
+            if image.size != (shot.camera.width, shot.camera.height):
+                raise SceneError(
+                    f"{shot.mask} has {image.size} pixels, its camera "
+                    f"{(shot.camera.width, shot.camera.height)}",
+                    fix="give masks of the pictures' size",
+                )
+            return np.asarray(image.convert("L"))
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError, OutsideError) as error:
+        raise SceneError(f"{shot.mask} cannot be read: {error}", fix="give a PNG") from None

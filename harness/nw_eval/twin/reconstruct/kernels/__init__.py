@@ -1,0 +1,1 @@
+"""The loops of a reconstruction, compiled. None of them knows of files."""

@@ -1,0 +1,100 @@
+"""The ground along a way: how high it is, and how it leans to the sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.rays import RayScene
+from nw_eval.twin.trail.way import STEP
+
+Values = NDArray[np.float64]
+
+_SIDES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+"""Lines beside the way on which the ground is looked at, metres: what a robot stands on."""
+_KNOWN = 0.5
+"""Least share of a way that has ground below it."""
+_MEDIAN = 5
+"""Samples of which the middle one counts: scans have spikes."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundProfile:
+    """The ground along a way, sample by sample.
+
+    Attributes:
+        xy: (S, 2) of the way, metres.
+        along: (S,) metres from its start.
+        height: (S,) metres; across holes of the mesh, straight.
+        lean: (S,) slope to the left, tangent; positive where the left is higher.
+        known: share of the samples that have ground below them.
+    """
+
+    xy: Values
+    along: Values
+    height: Values
+    lean: Values
+    known: float
+
+
+def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile:
+    """Return the ground along a way.
+
+    Args:
+        mesh: in metres, z up, faces counter-clockwise from outside.
+        way: (S, 2) metres, evenly spaced.
+        below: height from which to look down, metres: that of the cameras, under any ceiling.
+
+    Raises:
+        SceneError: less than half of the way has ground below it.
+    """
+    ahead = np.gradient(way, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    points = way[:, None] + _SIDES[:, None] * left[:, None]
+    heights = RayScene(mesh).height(points.reshape(-1, 2), z_from=below)
+    heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
+    there = np.isfinite(heights)
+    seen = there.sum(axis=1) >= 3
+    known = float(seen.mean())
+    if known < _KNOWN:
+        raise SceneError(
+            f"{known:.0%} of the way has ground below it in the mesh",
+            fix="photograph the ground too, from above, or write the trail by hand",
+        )
+    stations = STEP * np.arange(len(way), dtype=np.float64)
+    filled = np.where(seen[:, None], heights, 0.0)
+    middle = np.array([np.median(row[np.isfinite(row)]) for row in filled])
+    lean = _lean(np.where(seen[:, None], heights, np.nan))
+    height = np.interp(stations, stations[seen], middle[seen])
+    lean = np.interp(stations, stations[seen], lean[seen])
+    return GroundProfile(
+        xy=way, along=stations, height=_settled(height), lean=_settled(lean), known=known
+    )
+
+
+def _lean(heights: Values) -> Values:
+    """Return the slope of heights (S, lines) to the left.
+
+    By Theil and Sen: an edge beside the way is no slope.
+    """
+    first, second = np.triu_indices(len(_SIDES), 1)
+    slopes = (heights[:, second] - heights[:, first]) / (_SIDES[second] - _SIDES[first])
+    ordered = np.sort(slopes, axis=1)  # nan comes last.
+    count = np.isfinite(slopes).sum(axis=1)
+    rows = np.arange(len(heights))
+    low, high = np.maximum(count - 1, 0) // 2, count // 2
+    high = np.minimum(high, len(first) - 1)
+    middle = (ordered[rows, low] + ordered[rows, high]) / 2
+    return np.where((count > 0) & np.isfinite(middle), middle, 0.0)
+
+
+def _settled(values: Values) -> Values:
+    """Return the running median."""
+    half = _MEDIAN // 2
+    padded = np.pad(values, half, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, _MEDIAN), axis=1)

@@ -1,0 +1,146 @@
+"""A trail as the shipped scenes have them: waypoints on top of things, a spawn, and a task."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.scene import Spawn, Vector
+from nw_eval.twin.trail.features import TrailFeature, features_of
+from nw_eval.twin.trail.ground import GroundProfile, ground_along
+from nw_eval.twin.trail.stretches import stretches_of
+from nw_eval.twin.trail.way import STEP, way_of
+from nw_eval.words import Task
+
+Values = NDArray[np.float64]
+
+_FINISH = 1.4
+"""From the last feature to the last waypoint, metres, where there is as much way."""
+_APART = 0.25
+"""Waypoints that are closer are one, metres."""
+_RUN_UP = 0.5
+"""Metres of level way that a robot needs before the first feature."""
+_FLOOR = 0.02
+"""A spawn this far from z = 0 is worth a word, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrailProposal:
+    """What somebody may take for a scene's trail, or change.
+
+    Attributes:
+        task: that the trail seems to ask for.
+        reasons: for it, and what else was found.
+        spawn: at the start of the way, looking along it.
+        trail: waypoints on top of what the robot steps on, metres.
+        features: in order.
+        warnings: what somebody should look at.
+    """
+
+    task: Task
+    reasons: tuple[str, ...]
+    spawn: Spawn
+    trail: tuple[Vector, ...]
+    features: tuple[TrailFeature, ...]
+    warnings: tuple[str, ...]
+
+
+def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
+    """Return a trail along the way that the cameras went, over what lies there.
+
+    Args:
+        mesh: of the place in metres, z up.
+        centres: (V, 3) of the cameras in the order of the walk, in the same frame.
+
+    Raises:
+        SceneError: the cameras went less than a metre, or the mesh has no ground below them.
+    """
+    way = way_of(centres)
+    profile = ground_along(mesh, way, float(centres[:, 2].max()))
+    features = features_of(profile, stretches_of(profile))
+    task, reasons = guess_task(features)
+    return TrailProposal(
+        task=task,
+        reasons=reasons,
+        spawn=_spawn(profile),
+        trail=_waypoints(profile, features),
+        features=tuple(features),
+        warnings=_warnings(profile, features),
+    )
+
+
+def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]:
+    """Return the task of the most features, and why; a flat trail is one of hurdles without bars.
+
+    Of tasks with as many features the one whose features are longer along the way wins.
+    """
+    if not features:
+        return "hurdles", ("the way is flat: a trail without obstacles",)
+    counts = Counter[Task](feature.task for feature in features)
+    length = {
+        one: sum(feature.end - feature.start for feature in features if feature.task == one)
+        for one in counts
+    }
+    steps = any(feature.task == "stairs" for feature in features)
+    # A flight is one feature of many steps.
+    task: Task = "stairs"
+    if not steps:
+        task = max(counts, key=lambda one: (counts[one], length[one]))
+    ordered = sorted(features, key=lambda feature: feature.task != task)
+    return task, tuple(f"{one.words}, {one.start:.1f} m along" for one in ordered)
+
+
+def _spawn(profile: GroundProfile) -> Spawn:
+    ahead = profile.xy[min(len(profile.xy) - 1, round(_RUN_UP / STEP))] - profile.xy[0]
+    x, y, z = _point(profile, 0.0)
+    yaw = round(math.atan2(float(ahead[1]), float(ahead[0])), 4)
+    return Spawn(position=(x, y, z), yaw=yaw)
+
+
+def _waypoints(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[Vector, ...]:
+    """Return a waypoint where each feature is stood on, and one behind the last."""
+    end = float(profile.along[-1])
+    stands = sorted(stand for feature in features for stand in feature.stands)
+    last = max((feature.end for feature in features), default=None)
+    stands.append(end if last is None else min(end, max([last, *stands]) + _FINISH))
+    kept: list[float] = []
+    for stand in stands:
+        if stand > end:
+            continue
+        if kept and stand - kept[-1] < _APART:
+            continue
+        kept.append(stand)
+    return tuple(_point(profile, stand) for stand in kept)
+
+
+def _point(profile: GroundProfile, along: float) -> Vector:
+    """Return the ground at a place along the way, to a millimetre."""
+    place = min(len(profile.along) - 1, max(0, round(along / STEP)))
+    x, y = profile.xy[place].tolist()
+    return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)
+
+
+def _warnings(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[str, ...]:
+    warnings: list[str] = []
+    height = float(profile.height[0])
+    if abs(height) > _FLOOR:
+        warnings.append(
+            f"the ground under the spawn is at z = {height:.2f} m: robots start above z = 0, so "
+            f"move the scene by {-height:+.2f} m"
+        )
+    if features and features[0].start < _RUN_UP:
+        warnings.append(
+            f"{features[0].words} begins {features[0].start:.2f} m after the spawn: start farther "
+            "back"
+        )
+    if features and float(profile.along[-1]) - features[-1].end < _RUN_UP:
+        warnings.append("the way ends at the last feature: no room to arrive in")
+    if profile.known < 1.0 - 1e-9:
+        warnings.append(f"{1.0 - profile.known:.0%} of the way is over holes of the mesh")
+    return tuple(warnings)

@@ -1,0 +1,117 @@
+"""Up is found in rooms, whatever else is large and flat in them, and however phones are held."""
+
+import numpy as np
+import pytest
+from rooms import about_z, capture, degrees_off, floor_off, room, similarity, straight, walk
+
+from nw_eval.errors import SceneError
+from nw_eval.twin.align import AlignOptions, align
+
+METRIC = AlignOptions(camera_height=1.5)
+
+
+def aligned(points, poses, T, **options):
+    return align(capture(points, poses, T), None, **{"options": METRIC, **options})
+
+
+@pytest.mark.parametrize("way", [walk, straight])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {},
+        {"floor": 300, "ceiling": 1200},
+        {"floor": 400, "ramp": 1200},
+        {"floor": 400, "ramp": 1200, "slope": 8.0},
+        {"floor": 400, "table": 800},
+        {"walls": 0},
+    ],
+    ids=["room", "ceiling", "ramp", "shallow ramp", "table", "no walls"],
+)
+def test_up_is_within_a_third_of_a_degree_and_the_floor_within_a_centimetre(parts, way):
+    rng = np.random.default_rng(5)
+    points, poses, T = room(rng, **parts), way(rng), similarity(rng)
+    alignment = aligned(points, poses, T)
+    assert degrees_off(alignment, T) < 0.3
+    assert abs(floor_off(alignment, T)) < 0.01
+
+
+def test_a_place_that_is_one_ramp_is_not_levelled():
+    rng = np.random.default_rng(2)
+    points, T = room(rng, floor=0, ramp=1500, walls=300), similarity(rng)
+    alignment = aligned(points, walk(rng), T)
+    assert degrees_off(alignment, T) < 1.5  # By cameras and walls; the ramp has 14 degrees.
+    assert any("no level plane" in warning for warning in alignment.warnings)
+
+
+def test_phones_on_their_sides_are_told_from_phones_held_upright():
+    rng = np.random.default_rng(3)
+    poses = walk(rng, pitch=10.0)
+    poses[:, :3, :3] = poses[:, :3, :3] @ about_z(np.pi / 2)
+    T = similarity(rng)
+    alignment = aligned(room(rng), poses, T)
+    assert degrees_off(alignment, T) < 0.3
+    assert any("on their sides" in warning for warning in alignment.warnings)
+
+
+def test_some_rolled_photographs_do_not_matter():
+    rng = np.random.default_rng(4)
+    poses = walk(rng)
+    poses[::4, :3, :3] = poses[::4, :3, :3] @ about_z(np.pi / 2)
+    T = similarity(rng)
+    alignment = aligned(room(rng, floor=0, walls=0, stray=400), poses, T)
+    assert alignment.gravity[0].name == "horizon"
+    assert degrees_off(alignment, T) < 3.0
+
+
+def test_a_source_that_knows_up_decides_where_cameras_do_not():
+    rng = np.random.default_rng(6)
+    points, poses = room(rng, floor=0, ramp=1500, walls=0), straight(rng)
+    unsure = aligned(points, poses, np.eye(4))
+    sure = aligned(points, poses, np.eye(4), options=AlignOptions(metric=True, up="+z"))
+    assert degrees_off(sure, np.eye(4)) < 0.2 < degrees_off(unsure, np.eye(4))
+
+
+def test_a_source_that_says_another_way_is_up_is_warned_of():
+    rng = np.random.default_rng(7)
+    T = np.eye(4)
+    T[:3, :3] = np.array([[1, 0, 0], [0, 0.99756405, -0.06975647], [0, 0.06975647, 0.99756405]])
+    options = AlignOptions(metric=True, up="+z")  # Four degrees off.
+    alignment = aligned(room(rng), walk(rng), T, options=options)
+    assert [warning for warning in alignment.warnings if "up by poses is 3" in warning]
+    assert degrees_off(alignment, T) < 1.0
+
+
+def test_a_mesh_makes_the_floor_exact_where_points_are_few():
+    rng = np.random.default_rng(8)
+    T = similarity(rng)
+    points = room(rng, floor=60, walls=40, stray=30) + rng.normal(0, 0.02, (170, 3))
+    side = np.linspace(0, 1, 20)
+    x, y = np.meshgrid(6 * side, 5 * side)
+    vertices = np.column_stack([x.ravel(), y.ravel(), rng.normal(0, 0.005, 400)])
+    corner = (np.arange(19)[:, None] * 20 + np.arange(19)).ravel()
+    faces = np.concatenate(
+        [
+            np.column_stack([corner, corner + 1, corner + 21]),
+            np.column_stack([corner, corner + 21, corner + 20]),
+        ]
+    )
+    mesh = (vertices @ T[:3, :3].T + T[:3, 3], faces)
+    alignment = aligned(points, walk(rng), T, mesh=mesh)
+    assert degrees_off(alignment, T) < 0.1
+    assert abs(floor_off(alignment, T)) < 0.005
+    assert "mesh" in [cue.name for cue in alignment.gravity]
+
+
+def test_cues_that_agree_are_not_warned_of():
+    rng = np.random.default_rng(9)
+    alignment = aligned(room(rng), walk(rng), similarity(rng))
+    assert alignment.warnings == ()
+    assert {cue.name for cue in alignment.gravity} == {"horizon", "floor", "walls"}
+    assert max(cue.degrees for cue in alignment.gravity) < 2.0
+    assert 0.3 < alignment.floor_share < 0.5  # 900 of 2020 points, and some of the walls' feet.
+
+
+def test_too_few_points_are_an_error_that_says_so():
+    rng = np.random.default_rng(1)
+    with pytest.raises(SceneError, match="11 points cannot be aligned"):
+        align(capture(room(rng)[:11], walk(rng)), None, options=METRIC)

@@ -1,0 +1,244 @@
+"""A unit's length by tags, heights, positions and lengths, and what is said where they differ."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+from rooms import capture, degrees_off, room, scale_off, similarity, walk
+from tags import picture, texture
+
+from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.splat.cameras.camera import look_at
+from nw_eval.twin.align import AlignOptions, KnownLength, align
+from nw_eval.twin.align.scale.exif import gps_positions
+from nw_eval.twin.align.scale.positions import east_north_up
+from nw_eval.twin.align.scale.tags import find_tags
+from nw_eval.twin.align.scale.triangulate import triangulate
+
+SIZE = (480, 360)
+
+
+def lying(x, y, turn=0.3):
+    """Return the frame of a tag that lies on the floor."""
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def around(rng, count=8):
+    """Return poses round the middle of a room, looking at what lies there."""
+    turns = 2 * np.pi * (np.arange(count) + 0.3) / count
+    eyes = np.column_stack([3 + 1.3 * np.cos(turns), 2.5 + 1.3 * np.sin(turns), 0 * turns + 1.2])
+    return np.array([look_at(eye, np.array([3, 2.5, 0]) + rng.normal(0, 0.1, 3)) for eye in eyes])
+
+
+def photographed(folder, rng, tags, T, poses=None, wrong=()):
+    """Return a capture whose pictures show tags; those of `wrong` were taken from elsewhere."""
+    poses = around(rng) if poses is None else poses
+    names = [f"{i}.png" for i in range(len(poses))]
+    taken = poses.copy()
+    taken[list(wrong), :3, 3] += [0.15, 0.1, 0.0]
+    here = capture(np.zeros((1, 3)), taken, size=SIZE)
+    for shot, name in zip(here.shots, names, strict=True):
+        Image.fromarray(picture(shot.camera, tags, rng)).save(folder / name, compress_level=1)
+    return capture(room(rng, floor=400, walls=200), poses, T, files=names, size=SIZE)
+
+
+def test_a_tag_gives_the_scale_within_a_percent_and_nothing_else_is_needed(tmp_path):
+    rng = np.random.default_rng(1)
+    T = similarity(rng)
+    tags = [(texture(7), lying(3.1, 2.4), 0.2)]
+    alignment = align(
+        photographed(tmp_path, rng, tags, T), tmp_path, None, AlignOptions(tag_edge=0.2)
+    )
+    assert abs(scale_off(alignment, T)) < 0.01
+    assert degrees_off(alignment, T) < 0.3
+    assert alignment.scales[0].name == "tag"
+    assert alignment.warnings == ()
+
+
+def test_tags_of_two_sizes_and_shots_that_are_wrong_do_not_matter(tmp_path):
+    rng = np.random.default_rng(2)
+    T = similarity(rng)
+    tags = [(texture(7), lying(3.2, 2.2), 0.2), (texture(11), lying(2.7, 2.8, 1.0), 0.3)]
+    options = AlignOptions(tag_edge=0.2, tag_edges={11: 0.3})
+    found = photographed(tmp_path, rng, tags, T, wrong=(2, 5))
+    alignment = align(found, tmp_path, options=options)
+    assert abs(scale_off(alignment, T)) < 0.01
+    assert "tag 7, 11 in 6 shots" in alignment.scales[0].reason
+    mistaken = align(found, tmp_path, options=AlignOptions(tag_edge=0.2))
+    assert any("the tags disagree" in warning for warning in mistaken.warnings)
+
+
+def test_markers_of_aruco_serve_as_well(tmp_path):
+    rng = np.random.default_rng(3)
+    T = similarity(rng)
+    tags = [(texture(5, cv2.aruco.DICT_4X4_50), lying(3, 2.5), 0.25)]
+    options = AlignOptions(tag_edge=0.25, tag_family="aruco_4x4_50")
+    alignment = align(photographed(tmp_path, rng, tags, T), tmp_path, options=options)
+    assert abs(scale_off(alignment, T)) < 0.01
+
+
+def test_nothing_for_scale_is_an_error_that_says_what_to_give(tmp_path):
+    rng = np.random.default_rng(4)
+    tags = [(texture(3), lying(3, 2.5), 0.2)]
+    found = photographed(tmp_path, rng, tags, np.eye(4), around(rng)[:3])
+    with pytest.raises(
+        UsageError, match=r"tag 3 is in view.*not known.*give its edge \(tag_edge\)"
+    ):
+        align(found, tmp_path)
+    with pytest.raises(UsageError, match="no tag25h9 tag of known edge is in any picture"):
+        align(found, tmp_path, options=AlignOptions(tag_edge=0.2, tag_family="tag25h9"))
+
+
+def test_the_height_of_the_cameras_gives_the_scale_within_two_percent():
+    rng = np.random.default_rng(5)
+    T, poses = similarity(rng), walk(rng)
+    height = float(np.median(poses[:, 2, 3]))
+    alignment = align(
+        capture(room(rng), poses, T), None, options=AlignOptions(camera_height=height)
+    )
+    assert abs(scale_off(alignment, T)) < 0.002
+
+
+def picks(found, point, T, names, rng):
+    """Return where some shots show a point, to a pixel or so, as a hand picks it."""
+    pixels = {}
+    for shot in found.shots:
+        x, y, z = shot.camera.T_camera_world[:3] @ T @ np.array([*point, 1.0])
+        if shot.name in names and z > 0:
+            c = shot.camera
+            pixel = np.array([c.fx * x / z + c.cx, c.fy * y / z + c.cy])
+            pixels[shot.name] = tuple(pixel + rng.normal(0, 0.7, 2))
+    return pixels
+
+
+def test_a_picked_height_gives_the_scale_within_two_percent():
+    rng = np.random.default_rng(6)
+    T, poses = similarity(rng), around(rng)
+    found = capture(room(rng), poses, T)
+    names = [shot.name for shot in found.shots[:5]]
+    length = KnownLength(
+        first=picks(found, (3, 2.5, 0), T, names, rng),
+        second=picks(found, (3.3, 2.6, 0.5), T, names, rng),
+        metres=0.5,
+        vertical=True,
+    )
+    alignment = align(found, None, options=AlignOptions(lengths=(length,)))
+    assert abs(scale_off(alignment, T)) < 0.02
+    assert alignment.scales[0].name == "height"
+
+
+def test_two_points_of_known_distance_give_the_scale():
+    rng = np.random.default_rng(7)
+    T = similarity(rng)
+    ends = [tuple(T[:3, :3] @ np.array(p) + T[:3, 3]) for p in ((1, 1, 0), (4, 5, 0))]
+    length = KnownLength(first=ends[0], second=ends[1], metres=5.0)
+    alignment = align(
+        capture(room(rng), walk(rng), T), None, options=AlignOptions(lengths=(length,))
+    )
+    assert abs(scale_off(alignment, T)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("first", "message"),
+    [
+        ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "no shot of the capture"),
+        ({"000.jpg": (10, 10)}, "do not meet in a point"),
+        ({"000.jpg": (10, 10), "004.jpg": (300, 10)}, "do not meet in a point"),
+        ((1.0, 2.0, 3.0), "coincide"),
+    ],
+)
+def test_picks_that_make_no_point_are_an_error(first, message):
+    rng = np.random.default_rng(8)
+    length = KnownLength(first=first, second=(1.0, 2.0, 3.0), metres=1.0)
+    with pytest.raises(UsageError, match=message):
+        align(capture(room(rng), walk(rng)), None, options=AlignOptions(lengths=(length,)))
+
+
+def test_a_phones_positions_give_scale_and_up_whatever_a_few_of_them_say():
+    rng = np.random.default_rng(9)
+    T, poses = similarity(rng), walk(rng)
+    spots = poses[:, [0, 2, 1], 3] * [1, 1, -1] + rng.normal(0, 0.01, (len(poses), 3))  # y is up.
+    spots[::6] += rng.normal(0, 2.0, (7, 3))
+    positions = {f"{i:03d}.jpg": tuple(spot) for i, spot in enumerate(spots.tolist())}
+    options = AlignOptions(positions=positions, positions_up="+y")
+    alignment = align(capture(room(rng), poses, T), None, options=options)
+    assert abs(scale_off(alignment, T)) < 0.01
+    by_positions = next(cue for cue in alignment.gravity if cue.name == "positions")
+    assert by_positions.degrees < 2.0
+    assert alignment.warnings == ()
+
+
+def test_positions_of_two_shots_are_too_few():
+    rng = np.random.default_rng(9)
+    positions = {"000.jpg": (0.0, 0.0, 0.0), "001.jpg": (1.0, 0.0, 0.0)}
+    with pytest.raises(UsageError, match="2 positions"):
+        align(capture(room(rng), walk(rng)), None, options=AlignOptions(positions=positions))
+
+
+def test_gps_becomes_metres_east_north_and_up():
+    # One second of arc at 45 degrees north: 30.87 m of meridian, 21.90 m of parallel (NGA tables).
+    second = 1 / 3600
+    places = east_north_up(
+        {
+            "a": (45.0, 7.0, 200.0),
+            "b": (45.0 + second, 7.0, 200.0),
+            "c": (45.0, 7.0 + second, 210.0),
+        }
+    )
+    assert places["a"] == (0.0, 0.0, 0.0)
+    assert places["b"] == pytest.approx((0.0, 30.87, 0.0), abs=0.01)
+    assert places["c"] == pytest.approx((21.90, 0.0, 10.0), abs=0.01)
+
+
+def test_photographs_say_where_they_were_taken(tmp_path):
+    gps = {1: "S", 2: (33.0, 30.0, 0.0), 3: "W", 4: (70.0, 36.0, 36.0), 5: b"\x00", 6: 500.0}
+    files = {}
+    for name, seconds in (("a.jpg", 36.0), ("b.jpg", 37.0)):
+        exif = Image.Exif()
+        exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps | {4: (70.0, 36.0, seconds)})
+        Image.new("RGB", (8, 8)).save(tmp_path / name, exif=exif)
+        files[name] = tmp_path / name
+    Image.new("RGB", (8, 8)).save(tmp_path / "without.jpg")
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    files |= {name: tmp_path / name for name in ("without.jpg", "broken.jpg", "absent.jpg")}
+    places = gps_positions(files)
+    assert set(places) == {"a.jpg", "b.jpg"}
+    # A second of arc of the parallel at 33.5 degrees has 25.80 m.
+    assert places["b.jpg"] == pytest.approx((-25.80, 0.0, 0.0), abs=0.02)
+
+
+def test_a_missing_package_is_an_error_that_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pupil_apriltags", None)
+    with pytest.raises(PrerequisiteError, match=r"pip install nw-eval\[twin\]"):
+        find_tags(capture(np.zeros((1, 3)), []), tmp_path, "tag36h11", print)
+
+
+def test_cues_that_disagree_by_more_than_three_percent_are_named():
+    rng = np.random.default_rng(10)
+    T, poses = similarity(rng, 1.0), walk(rng)
+    options = AlignOptions(camera_height=1.4, metric=True)  # It was 1.5.
+    alignment = align(capture(room(rng), poses, T), None, options=options)
+    assert [cue.name for cue in alignment.scales] == ["camera height", "poses"]
+    assert any("the scale by poses differs by +" in warning for warning in alignment.warnings)
+    assert alignment.scale == alignment.scales[0].scale
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_lengths_have_to_be_positive(value):
+    for options in ({"tag_edge": value}, {"camera_height": value}, {"tag_edges": {1: value}}):
+        with pytest.raises(UsageError, match="more than 0"):
+            AlignOptions(**options)
+
+
+def test_a_point_is_triangulated_though_half_of_the_shots_are_mistaken():
+    rng = np.random.default_rng(12)
+    found = capture(np.zeros((1, 3)), around(rng))
+    here = picks(found, (3.2, 2.4, 0.3), np.eye(4), [s.name for s in found.shots], rng)
+    pixels = np.array([here[shot.name] for shot in found.shots])[:, None]
+    pixels[::2] += rng.uniform(15, 80, (4, 1, 2))
+    answer = triangulate([shot.camera for shot in found.shots], pixels, tolerance=3.0)
+    np.testing.assert_allclose(answer.points[0], (3.2, 2.4, 0.3), atol=0.01)
+    assert answer.used.tolist() == [False, True] * 4

@@ -1,0 +1,162 @@
+"""From a capture on disk to a splat file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from small_capture import PLACE, photos
+
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.splat import read_splat
+from nw_eval.twin.appearance import AppearanceOptions, train_splat
+from nw_eval.twin.appearance import stage as the_stage
+from nw_eval.twin.appearance.photos import photos_of
+from nw_eval.twin.appearance.points import points_on
+from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
+
+QUICK = AppearanceOptions(iterations=120, longest=72, begin=700, held_out_every=4, strategy="fixed")
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    """A build folder after reconstruction: eight shots, their depths, and the floor as a mesh."""
+    folder = tmp_path_factory.mktemp("build")
+    (folder / "capture" / "pictures").mkdir(parents=True)
+    (folder / "mesh" / "depth").mkdir(parents=True)
+    shots = []
+    for number, photo in enumerate(photos(8, depth=True)):
+        name = f"{number:02d}.png"
+        Image.fromarray(photo.rgb).save(folder / "capture" / "pictures" / name)
+        depth = np.divide(
+            1.0,
+            photo.inverse_depth,
+            out=np.zeros_like(photo.rgb[..., 0], np.float32),
+            where=photo.inverse_depth > 0,
+        )
+        np.savez(
+            folder / "mesh" / "depth" / f"{name}.npz",
+            depth=depth,
+            confidence=np.ones_like(depth),
+        )
+        shots.append(
+            PlacedShot(
+                name=name,
+                file=f"pictures/{name}",
+                camera=photo.camera,
+                seen=np.arange(5, dtype=np.int32),
+            )
+        )
+    capture = Capture(
+        shots=tuple(shots),
+        points=PLACE.means[::10].astype(np.float64),
+        colours=np.full((len(PLACE.means[::10]), 3), 128, np.uint8),
+        errors=np.zeros(len(PLACE.means[::10]), np.float32),
+    )
+    write_capture(capture, folder / "capture")
+    floor = trimesh.creation.box((8.3, 8.3, 0.02))
+    floor.visual.vertex_colors = np.tile([120, 110, 90, 255], (len(floor.vertices), 1))
+    floor.export(folder / "mesh" / "mesh.ply")
+    return folder
+
+
+def trained(build, out, options=QUICK, mesh=True):
+    lines = []
+    report = train_splat(
+        build / "capture", build / "mesh" if mesh else None, out, options, lines.append
+    )
+    return report, lines
+
+
+def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_path):
+    few, _ = trained(build, tmp_path / "few", replace(QUICK, iterations=1))
+    report, lines = trained(build, tmp_path / "out")
+    assert (report.photos, len(report.views)) == (6, 2)
+    assert report.psnr > few.psnr + 2.0
+    splat = read_splat(tmp_path / "out" / "splat.ply")
+    assert len(splat) == report.gaussians == 700
+    facts = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert facts["psnr"] == pytest.approx(report.psnr)
+    assert facts["options"]["iterations"] == 120
+    assert lines[-1] == (
+        f"splat: 700 Gaussians of 6 photographs, {report.psnr:.1f} dB on 2 photographs kept from it"
+    )
+
+
+def test_a_training_that_was_cut_off_ends_in_the_same_bytes(build, tmp_path, monkeypatch):
+    trained(build, tmp_path / "whole")
+    monkeypatch.setattr(the_stage, "_KEEP_EVERY", 0.0)
+    steps = iter(range(40))
+    step = the_stage.Trainer.step
+
+    def cut(trainer):
+        if next(steps, None) is None:
+            raise KeyboardInterrupt
+        return step(trainer)
+
+    monkeypatch.setattr(the_stage.Trainer, "step", cut)
+    with pytest.raises(KeyboardInterrupt):
+        trained(build, tmp_path / "cut")
+    monkeypatch.setattr(the_stage.Trainer, "step", step)
+    assert not (tmp_path / "cut" / "splat.ply").exists()
+    _, lines = trained(build, tmp_path / "cut")
+    assert lines[0] == "splat: goes on after step 40 of 120"
+    whole, again = (tmp_path / n / "splat.ply" for n in ("whole", "cut"))
+    assert whole.read_bytes() == again.read_bytes()
+
+
+def test_a_state_of_other_options_is_begun_anew(build, tmp_path):
+    options = replace(QUICK, iterations=5)
+    trained(build, tmp_path, options)
+    _, lines = trained(build, tmp_path, replace(options, seed=3))
+    assert "from the beginning" in lines[0]
+
+
+def test_without_a_mesh_it_begins_at_the_points_of_the_calibration(build, tmp_path):
+    options = replace(QUICK, iterations=1, depth=False)
+    report, _ = trained(build, tmp_path, options, mesh=False)
+    assert report.gaussians == len(PLACE.means[::10])
+
+
+def test_pictures_are_reduced_with_their_cameras_and_depths(build):
+    capture = read_capture(build / "capture")
+    whole = photos_of(capture, build / "capture", build / "mesh" / "depth", longest=72)
+    half = photos_of(capture, build / "capture", build / "mesh" / "depth", longest=36)
+    for large, small in zip(whole, half, strict=True):
+        assert small.rgb.shape == (24, 36, 3)
+        assert small.camera.fx == pytest.approx(large.camera.fx / 2)
+        assert small.camera.cx == pytest.approx(large.camera.cx / 2)
+        block = large.rgb.astype(float).reshape(24, 2, 36, 2, 3).mean((1, 3))
+        assert np.abs(small.rgb - block).max() <= 1.0  # Pillow rounds after each axis.
+        assert set(small.inverse_depth.ravel()) <= set(large.inverse_depth.ravel())
+
+
+def test_points_lie_on_the_mesh_and_as_many_on_each_square_metre(build):
+    points, colours = points_on(build / "mesh" / "mesh.ply", 4000, seed=1)
+    assert np.abs(points[:, 2]).max() <= 0.0101
+    top = points[points[:, 2] > 0.0099]
+    left = (top[:, 0] < 0).mean()
+    assert left == pytest.approx(0.5, abs=0.03)
+    np.testing.assert_allclose(colours * 255, np.tile([120, 110, 90], (4000, 1)), atol=0.01)
+
+
+@pytest.mark.parametrize("damage", ["gone", "other arrays", "pickled"])
+def test_a_damaged_depth_is_named(build, tmp_path, damage):
+    capture = read_capture(build / "capture")
+    path = tmp_path / "00.png.npz"
+    if damage == "other arrays":
+        np.savez(path, depths=np.ones((2, 2)))
+    if damage == "pickled":
+        np.savez(path, depth=np.array([{}]), confidence=np.ones((2, 2)))
+    with pytest.raises(SceneError, match=r"00\.png\.npz holds no depth"):
+        photos_of(capture, build / "capture", tmp_path, longest=72)
+
+
+@pytest.mark.parametrize("wrong", [{"iterations": 0}, {"held_out_every": 1}, {"longest": 8}])
+def test_options_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(UsageError, match=next(iter(wrong))):
+        AppearanceOptions(**wrong)

@@ -1,0 +1,130 @@
+"""A build of all stages: what is kept, what runs again, and a whole one by night."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nw_eval import cli
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.scenes.folder import load_folder
+from nw_eval.twin.align import read_alignment
+from nw_eval.twin.building.folder import BuildFolder, digest_of_files
+from nw_eval.twin.capture import read_capture
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
+class Stages:
+    """Counts what is done in a build."""
+
+    def __init__(self, scene):
+        self.folder = BuildFolder(scene)
+        self.done = []
+        self.lines = []
+
+    def run(self, stage, of):
+        return self.folder.carry_out(
+            stage, [of], lambda: self.done.append(stage), self.lines.append
+        )
+
+
+def test_a_stage_runs_once_for_the_same_things_and_again_for_others(tmp_path):
+    stages = Stages(tmp_path)
+    assert stages.run("calibrate", "forty photographs")
+    assert not stages.run("calibrate", "forty photographs")
+    assert stages.lines == ["calibrate: done before, of the same things"]
+    assert stages.run("calibrate", "forty-one photographs")
+    assert stages.done == ["calibrate", "calibrate"]
+
+
+def test_what_comes_later_runs_again_when_something_before_it_did(tmp_path):
+    stages = Stages(tmp_path)
+    stages.run("calibrate", "photographs")
+    stages.run("reconstruct", "capture")
+    stages.run("calibrate", "others")
+    with pytest.raises(SceneError, match="no result of `reconstruct`"):
+        stages.folder.needs("reconstruct")
+
+
+def test_a_stage_that_was_cut_off_has_no_result(tmp_path):
+    folder = BuildFolder(tmp_path)
+
+    def cut():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        folder.carry_out("calibrate", ["photographs"], cut, lambda _: None)
+    with pytest.raises(SceneError, match=f"nw-eval twin calibrate {tmp_path}"):
+        folder.needs("calibrate")
+
+
+def test_damaged_stamps_are_named(tmp_path):
+    stages = Stages(tmp_path)
+    stages.run("calibrate", "photographs")
+    (tmp_path / "build" / "stamps.json").write_text("{")
+    with pytest.raises(SceneError, match=r"stamps\.json cannot be read"):
+        stages.run("calibrate", "photographs")
+
+
+def test_a_digest_of_files_changes_with_a_byte_and_with_a_name(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "one.png").write_bytes(b"1")
+    first = digest_of_files(tmp_path / "a")
+    assert digest_of_files(tmp_path / "a") == first
+    (tmp_path / "a" / "one.png").write_bytes(b"2")
+    other = digest_of_files(tmp_path / "a")
+    (tmp_path / "a" / "one.png").rename(tmp_path / "a" / "two.png")
+    assert len({first, other, digest_of_files(tmp_path / "a")}) == 3
+    with pytest.raises(StoreError, match="gone"):
+        digest_of_files(tmp_path / "gone")
+
+
+def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["twin", "build", str(tmp_path / "gone"), "--out", str(tmp_path / "scene")])
+    assert caught.value.code == 4
+    assert "error: there is nothing at" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
+    import cv2
+    from synthetic_room import cameras, render, room
+
+    marks = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    tag = cv2.aruco.generateImageMarker(marks, 3, 800, borderBits=1)
+    tag = cv2.copyMakeBorder(tag, 80, 80, 80, 80, cv2.BORDER_CONSTANT, value=255)
+    patches = room(0, tag=np.repeat(tag[..., None], 3, 2), tag_edge=0.3)
+    (tmp_path / "photographs").mkdir()
+    places = cameras(24, width=480, height=270)
+    for number, camera in enumerate(places):
+        picture = render(patches, camera)[..., ::-1]
+        cv2.imwrite(str(tmp_path / "photographs" / f"IMG_{number:04d}.png"), picture)
+    scene = tmp_path / "room"
+    words = ["twin", "build", str(tmp_path / "photographs"), "--out", str(scene)]
+    words += ["--tag-edge", "0.25", "--iterations", "300", "--licence", "CC0-1.0"]
+    with pytest.raises(SystemExit) as caught:
+        cli.main(words)
+    assert caught.value.code in {0, None}
+
+    loaded = load_folder(scene)
+    assert loaded.captures is not None
+    assert loaded.splat is not None
+    T = read_alignment(scene / "build" / "align.json").T_metric_capture
+    capture = read_capture(scene / "build" / "capture")
+    named = {shot.name: shot.camera.T_world_camera[:3, 3] for shot in capture.shots}
+    found = np.array([named[f"IMG_{n:04d}.png"] for n in range(24)])
+    true = np.array([camera.T_world_camera[:3, 3] for camera in places])
+    metric = found @ T[:3, :3].T + T[:3, 3]
+    spans = [np.linalg.norm(x[1:] - x[:-1], axis=1).sum() for x in (metric, true)]
+    assert spans[0] == pytest.approx(spans[1], rel=0.01), "metres, within one percent"
+    np.testing.assert_allclose(metric[:, 2], true[:, 2], atol=0.02)
+
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        cli.main(words)
+    assert capsys.readouterr().out.count("done before, of the same things") == 5

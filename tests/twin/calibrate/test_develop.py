@@ -1,0 +1,160 @@
+"""Distortion is removed to a fraction of a pixel, and what a picture lacks is masked."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import synthetic_room
+from PIL import Image
+
+from nw_eval.errors import SceneError
+from nw_eval.splat import Camera
+from nw_eval.twin.calibrate.develop import Flattening, _developed_mask, develop
+from nw_eval.twin.calibrate.photographs import Photograph
+from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
+from nw_eval.twin.capture import read_picture
+
+
+def lens_of(camera, model="SIMPLE_RADIAL", bend=(-0.1,)):
+    params = (camera.fx, camera.cx, camera.cy, *bend)
+    return Lens(model=model, width=camera.width, height=camera.height, params=params)
+
+
+def photograph(folder, picture, mask=None, name="a.png"):
+    folder.mkdir(exist_ok=True)
+    path = folder / "000000.png"
+    Image.fromarray(picture).save(path)
+    if mask is not None:
+        Image.fromarray(mask).save(folder / "mask.png")
+    return Photograph(
+        name=name,
+        file=path.name,
+        path=path,
+        mask=None if mask is None else folder / "mask.png",
+        width=picture.shape[1],
+        height=picture.shape[0],
+        focal=None,
+        sharpness=1.0,
+        contrast=1.0,
+    )
+
+
+def developed(tmp_path, picture, camera, lens, *, mask=None, side=1600, points=None):
+    placed = Placed(
+        name="a.png",
+        lens=lens,
+        T_world_camera=camera.T_world_camera,
+        seen=np.arange(0 if points is None else len(points), dtype=np.int32),
+    )
+    points = np.zeros((0, 3)) if points is None else points
+    solution = Solution(
+        placed=(placed,),
+        points=points,
+        colours=np.zeros((len(points), 3), np.uint8),
+        errors=np.zeros(len(points), np.float32),
+    )
+    one = photograph(tmp_path / "in", picture, mask)
+    capture = develop([one], solution, tmp_path / "out", side=side, say=lambda _: None)
+    return capture.shots[0], tmp_path / "out"
+
+
+@pytest.mark.parametrize("side", [1600, 200])
+def test_a_bent_picture_becomes_what_a_pinhole_sees(tmp_path, side):
+    patches, camera = synthetic_room.room(), synthetic_room.cameras()[2]
+    bent = synthetic_room.render(patches, camera, radial=-0.1)
+    shot, out = developed(tmp_path, bent, camera, lens_of(camera), side=side)
+    wanted = synthetic_room.render(patches, shot.camera, samples=3).mean(axis=2)
+    found = read_picture(shot, out).mean(axis=2)
+    assert max(shot.camera.width, shot.camera.height) <= side
+    for rows in (slice(0, 80), slice(-80, None)):  # Half a pixel off would show at each end.
+        for columns in (slice(0, 90), slice(-90, None)):
+            a, b = wanted[rows, columns], found[rows, columns]
+            window = cv2.createHanningWindow(a.shape[::-1], cv2.CV_64F)
+            shift, _ = cv2.phaseCorrelate(a, b, window)
+            assert np.abs(shift).max() < 0.08
+
+
+def test_a_pinholes_picture_stays_as_it_is(tmp_path):
+    camera = synthetic_room.cameras()[2]
+    picture = np.random.default_rng(0).integers(0, 256, (180, 320, 3), dtype=np.uint8)
+    lens = lens_of(camera, "SIMPLE_PINHOLE", ())
+    shot, out = developed(tmp_path, picture, camera, lens)
+    assert np.array_equal(read_picture(shot, out), picture)
+    assert (shot.camera.fx, shot.camera.cx) == (camera.fx, camera.cx)
+    assert shot.mask is None
+
+
+def test_masks_bend_as_their_pictures_do(tmp_path):
+    camera = synthetic_room.cameras()[2]
+    picture = np.full((180, 320, 3), 255, np.uint8)
+    picture[40:90, 60:200] = 0
+    mask = picture[..., 0].copy()
+    shot, out = developed(tmp_path, picture, camera, lens_of(camera), mask=mask)
+    with Image.open(out / shot.mask) as image:
+        found = np.asarray(image)
+    assert set(np.unique(found)) == {0, 255}
+    flat = read_picture(shot, out)[..., 0]
+    assert found.shape == flat.shape
+    assert ((found == 0) == (flat < 128)).mean() > 0.995
+
+
+@pytest.mark.parametrize("bend", [-0.15, 0.2])
+def test_colmaps_pinhole_shows_nothing_that_the_photograph_does_not(bend):
+    lens = Lens(model="SIMPLE_RADIAL", width=100, height=60, params=(90.0, 50.0, 30.0, bend))
+    flattening = Flattening.of(lens)
+    u, v = flattening.maps
+    assert flattening.known is None
+    assert -0.5 <= u.min() <= u.max() <= 99.5
+    assert -0.5 <= v.min() <= v.max() <= 59.5
+
+
+def test_what_a_photograph_does_not_show_is_masked(tmp_path):
+    lens = Lens(model="SIMPLE_RADIAL", width=100, height=60, params=(90.0, 50.0, 30.0, -0.1))
+    known = np.ones(Flattening.of(lens).size[::-1], bool)
+    known[:, :7] = False
+    flattening = replace(Flattening.of(lens), known=known)
+    one = photograph(tmp_path / "in", np.zeros((60, 100, 3), np.uint8))
+    assert np.array_equal(_developed_mask(one, flattening) == 255, known)
+
+
+def test_points_outside_the_flat_picture_are_not_seen(tmp_path):
+    camera = Camera.from_fovy(width=320, height=180, fovy=0.9, T_world_camera=np.eye(4))
+    points = np.array([[0, 0, 2.0], [0, 0, -2.0], [50.0, 0, 2.0], [0, 1.5, 2.0]])
+    picture = np.zeros((180, 320, 3), np.uint8)
+    shot, _ = developed(tmp_path, picture, camera, lens_of(camera), points=points)
+    assert shot.seen.tolist() == [0]
+
+
+def test_an_earlier_calibrations_pictures_go_and_nothing_else_does(tmp_path):
+    pictures = tmp_path / "out" / "pictures"
+    pictures.mkdir(parents=True)
+    for name in ("000007.png", "holiday.png"):
+        Image.new("RGB", (4, 4)).save(pictures / name)
+    camera = synthetic_room.cameras()[2]
+    picture = np.zeros((180, 320, 3), np.uint8)
+    developed(tmp_path, picture, camera, lens_of(camera, "SIMPLE_PINHOLE", ()))
+    assert sorted(p.name for p in pictures.iterdir()) == ["000000.png", "holiday.png"]
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("FISH", (1.0,)),
+        ("PINHOLE", (1.0, 2.0)),
+        ("PINHOLE", (float("nan"), 100.0, 50.0, 30.0)),
+        ("PINHOLE", (-100.0, 100.0, 50.0, 30.0)),
+        ("SIMPLE_RADIAL", (1e-9, 50.0, 30.0, 0.0)),
+    ],
+)
+def test_numbers_that_make_no_lens_are_refused(model, params):
+    with pytest.raises(SceneError, match="cannot be used"):
+        Lens(model=model, width=100, height=60, params=params).camera()
+
+
+def test_a_lens_of_half_the_pictures_sees_the_same():
+    lens = Lens(model="OPENCV", width=100, height=60, params=(90, 91, 50, 30, 0.1, 0, 0, 0))
+    half = lens.resized(50, 30)
+    ray = np.array([0.2, 0.1, 1.0])
+    whole = np.asarray(lens.camera().img_from_cam(ray))
+    assert np.asarray(half.camera().img_from_cam(ray)) == pytest.approx(whole / 2)

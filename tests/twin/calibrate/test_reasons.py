@@ -1,0 +1,64 @@
+"""The reason that is named is the one that was there."""
+
+from pathlib import Path
+
+from nw_eval.twin.calibrate.photographs import Photograph
+from nw_eval.twin.calibrate.solving.features import Matches
+from nw_eval.twin.calibrate.solving.reasons import APART, BLURRED, PLAIN, UNFIT, why_not
+
+
+def photograph(name, sharpness=100.0, contrast=50.0):
+    return Photograph(
+        name=name,
+        file=f"{name}.jpg",
+        path=Path(f"{name}.jpg"),
+        mask=None,
+        width=640,
+        height=480,
+        focal=None,
+        sharpness=sharpness,
+        contrast=contrast,
+    )
+
+
+def test_each_photograph_left_out_has_its_own_reason():
+    all_of_them = [
+        *(photograph(name) for name in "abc"),
+        photograph("shaken", sharpness=10),
+        photograph("wall", sharpness=10, contrast=5),
+        photograph("garden"),
+        photograph("mirror"),
+    ]
+    matches = Matches(
+        database=Path("db"),
+        pictures=Path(),
+        features={f"{one.name}.jpg": 20 if one.name == "wall" else 2000 for one in all_of_them},
+        inliers={
+            ("a.jpg", "garden.jpg"): 7,
+            ("garden.jpg", "mirror.jpg"): 400,  # Neither was placed.
+            ("mirror.jpg", "b.jpg"): 90,
+        },
+        pairs=21,
+    )
+    found = {one.name: one for one in why_not(all_of_them, {"a", "b", "c"}, matches)}
+    assert {name: one.reason for name, one in found.items()} == {
+        "shaken": BLURRED,
+        "wall": PLAIN,
+        "garden": APART,
+        "mirror": UNFIT,
+    }
+    assert found["shaken"].detail.startswith("10%")
+    assert "20 features" in found["wall"].detail
+    assert " 7 " in found["garden"].detail
+
+
+def test_where_none_was_placed_matches_with_any_count():
+    pair = [photograph("a"), photograph("b")]
+    matches = Matches(
+        database=Path("db"),
+        pictures=Path(),
+        features={"a.jpg": 900, "b.jpg": 900},
+        inliers={("a.jpg", "b.jpg"): 500},
+        pairs=1,
+    )
+    assert {one.reason for one in why_not(pair, (), matches)} == {UNFIT}

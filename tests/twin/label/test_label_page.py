@@ -1,0 +1,191 @@
+"""The page's buttons, keys and clicks, called as viser calls them, on a server that runs."""
+
+import sys
+import urllib.request
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from label_places import gaussians, opened
+
+from nw_eval.errors import PrerequisiteError
+from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.mesh import rotation_matrix
+from nw_eval.twin.label.page import LabelPage
+from nw_eval.twin.label.page.chart import profile_svg
+from nw_eval.twin.label.page.splat_points import splat_points
+
+pytest.importorskip("viser")
+
+DOWN = (0.0, 0.0, -1.0)
+
+
+@pytest.fixture
+def labelling(tmp_path):
+    return opened(tmp_path)
+
+
+@pytest.fixture
+def page(labelling):
+    with LabelPage(labelling, gaussians()) as page:
+        yield page
+
+
+def press(page, label):
+    """Call what a button or key does, by its label."""
+    handle = page.controls.by_name[label]
+    if hasattr(handle, "options"):  # One of a row of buttons.
+        handle._impl.value = label.rpartition(": ")[2]
+    callbacks = getattr(handle._impl, "trigger_cb", None) or handle._impl.update_cb
+    for callback in callbacks:
+        callback(SimpleNamespace(client=None, client_id=0, target=handle))
+
+
+def click(page, x, y):
+    page._on_click(SimpleNamespace(ray_origin=(x, y, 5.0), ray_direction=DOWN))
+
+
+def test_it_serves_on_this_machine_only_and_says_where(page):
+    assert page.url.startswith("http://127.0.0.1:")
+    assert not page.url.endswith(":0")
+    with urllib.request.urlopen(page.url) as answer:
+        assert b"<html" in answer.read(2000)
+
+
+def test_a_click_puts_a_waypoint_on_the_mesh_and_the_key_takes_it_back(page, labelling):
+    click(page, 2.5, 0.3)
+    assert labelling.state.waypoints[2] == pytest.approx((2.5, 0.3, 0.1))
+    assert page.controls.chosen == 2
+    press(page, "key Ctrl(+Shift)+Z: undo")
+    assert len(labelling.state.waypoints) == 2
+    press(page, "Ctrl(+Shift)+Z: redo")
+    assert len(labelling.state.waypoints) == 3
+
+
+def test_a_click_beside_the_place_does_nothing(page, labelling):
+    click(page, 50.0, 0.0)
+    assert not labelling.can_undo
+    assert page.controls.status.content == ""
+
+
+def test_a_click_moves_the_chosen_waypoint_sets_the_start_or_puts_a_marker(page, labelling):
+    press(page, "key A click puts: move waypoint")
+    press(page, "key Edit (N F X): next")
+    click(page, 5.0, 1.0)
+    assert labelling.state.waypoints[1] == pytest.approx((5.0, 1.0, 0.0))
+    page.controls.set_click("start")
+    click(page, 2.5, -1.0)
+    assert labelling.start.position == pytest.approx((2.5, -1.0, 0.1))
+    page.controls.set_click("marker")
+    click(page, 0.0, 0.0)
+    click(page, 1.0, 0.0)
+    assert labelling.distance == pytest.approx(1.0)
+
+
+def test_with_keys_alone_a_trail_is_laid_and_saved(page, labelling):
+    for label in ("remove", "remove", "add 1 m on", "add 1 m on"):
+        press(page, f"key Edit (N F X): {label}")
+    press(page, "key Move (I K J L): +y")
+    assert labelling.state.waypoints[1] == pytest.approx((2.0, 0.1, 0.0), abs=0.1001)
+    press(page, "key Order (G H): earlier")
+    press(page, "key 1 m before the trail (B)")
+    press(page, "key Save (Ctrl+S)")
+    assert "Saved" in page.controls.status.content
+    saved = load_folder(labelling.place.folder)
+    np.testing.assert_allclose(saved.trail, labelling.course.trail, atol=1e-4)
+
+
+def test_the_published_pair_is_written_where_it_is_wanted(page, labelling, monkeypatch):
+    written = []
+    monkeypatch.setattr(labelling, "publish", lambda folder: written.append(folder) or folder)
+    page.save(publishes=False)
+    assert written == []
+    words = page.save(publishes=True)
+    assert written == [labelling.place.folder / "published"]
+    assert str(written[0]) in words
+
+
+def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling):
+    press(page, "Turn: left")
+    assert labelling.state.placement.quat == pytest.approx(
+        page.server.scene.get_handle_by_name("/splat").wxyz
+    )
+    page.controls.set_click("marker")
+    click(page, 0.0, 0.0)
+    click(page, 0.5, 0.0)
+    press(page, "Scale the place")
+    assert labelling.state.placement.scale == pytest.approx(2.0)
+    assert page.server.scene.get_handle_by_name("/splat").scale == pytest.approx(2.0)
+    press(page, "Crop")
+    assert labelling.state.crop is not None
+    press(page, "Take the crop back")
+    assert labelling.state.crop is None
+
+
+def test_what_is_wrong_is_shown_on_the_page(page):
+    press(page, "Scale the place")
+    assert "two markers" in page.controls.status.content
+    press(page, "Turn: left")
+    assert page.controls.status.content == ""
+
+
+def test_even_a_fault_of_its_own_is_shown_and_escaped(page):
+    page.run(lambda: 1 / 0)
+    assert "ZeroDivisionError" in page.controls.status.content
+
+    def broken():
+        raise ValueError("<img src=x>")
+
+    page.run(broken)
+    assert "<img" not in page.controls.status.content
+
+
+def test_the_chart_and_the_hints_follow_every_change(page):
+    before = page.controls.chart.content
+    assert "within reach" in page.controls.hints.content
+    press(page, "Edit (N F X): remove")
+    press(page, "Edit (N F X): remove")
+    assert page.controls.chart.content != before
+    assert "no waypoint yet" in page.controls.hints.content
+
+
+def test_the_chart_is_well_formed_and_shows_each_waypoint(labelling):
+    svg = ET.fromstring(profile_svg(labelling.profile()))
+    words = [text.text for text in svg.iter("text")]
+    assert {"start", "1", "2"} <= set(words)
+    assert len(list(svg.iter("circle"))) == 3
+
+
+def test_a_page_that_is_closed_twice_is_closed(labelling):
+    page = LabelPage(labelling)
+    page.close()
+    page.close()
+    page.run(labelling.add_waypoint)
+    assert not labelling.can_undo
+
+
+def test_the_largest_gaussians_are_sent_with_covariances_in_the_world():
+    splat = gaussians(60)
+    T = np.eye(4)
+    T[:3, :3] = 2.0 * rotation_matrix((0.9, 0.1, 0.3, -0.2))
+    T[:3, 3] = (1.0, 2.0, 3.0)
+    points = splat_points(splat, T, most=20)
+    assert len(points.centers) == 20
+    opacity = 1 / (1 + np.exp(-splat.opacity_logits))
+    sizes = np.sort(np.exp(splat.log_scales), axis=1)
+    least = np.sort(opacity * sizes[:, 1] * sizes[:, 2])[-20]
+    kept = np.flatnonzero(opacity * sizes[:, 1] * sizes[:, 2] >= least)
+    np.testing.assert_allclose(
+        points.centers, splat.means[kept] @ T[:3, :3].T + T[:3, 3], rtol=1e-5
+    )
+    for i, covariance in zip(kept, points.covariances, strict=True):
+        R = rotation_matrix(splat.quats[i].tolist())
+        own = R @ np.diag(np.exp(2 * splat.log_scales[i].astype(float))) @ R.T
+        np.testing.assert_allclose(covariance, T[:3, :3] @ own @ T[:3, :3].T, rtol=1e-4, atol=1e-7)
+
+
+def test_without_viser_it_says_what_to_install(labelling, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(PrerequisiteError, match=r"nw-eval\[twin\]"):
+        LabelPage(labelling)

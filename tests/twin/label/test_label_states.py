@@ -1,0 +1,237 @@
+"""Every change of a labelling is a new state; each can be gone back to, and forth again."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from label_places import opened
+
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.twin.label import CropBox, StartPose
+from nw_eval.twin.place import Route
+
+near = st.floats(-1.5, 1.5)
+points = st.tuples(st.floats(-1.5, 6), near, st.just(0.0))
+changes = st.one_of(
+    st.tuples(st.just("turn"), st.sampled_from("xyz"), near),
+    st.tuples(st.just("shift"), near, near, near),
+    st.tuples(st.just("scale_to"), st.floats(0.5, 2)),
+    st.tuples(
+        st.just("crop_to"), st.just(CropBox(low=(-99.0, -99.0, -99.0), high=(99.0, 99.0, 99.0)))
+    ),
+    st.tuples(st.just("mark"), points),
+    st.tuples(st.just("clear_markers")),
+    st.tuples(st.just("add_waypoint"), points),
+    st.tuples(st.just("add_waypoint")),
+    st.tuples(st.just("move_waypoint"), st.integers(-1, 3), points),
+    st.tuples(st.just("nudge_waypoint"), st.integers(0, 3), near, near),
+    st.tuples(st.just("remove_waypoint"), st.integers(0, 3)),
+    st.tuples(st.just("reorder_waypoint"), st.integers(0, 3), st.integers(0, 3)),
+    st.tuples(st.just("set_start"), points),
+    st.tuples(st.just("set_yaw"), near),
+    st.tuples(st.just("nudge_start"), near, near),
+    st.tuples(st.just("start_before_trail")),
+    st.tuples(st.just("set_task"), st.sampled_from(["hurdles", "gaps", "ramps"])),
+)
+
+
+def do(labelling, change):
+    name, *words = change
+    try:
+        getattr(labelling, name)(*words)
+    except UsageError:
+        return False
+    return True
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("states")
+
+
+@settings(max_examples=40)
+@given(steps=st.lists(changes, max_size=6), last=changes)
+def test_undo_gives_back_the_state_before_and_redo_the_one_after(folder, steps, last):
+    labelling = opened(folder)
+    for step in steps:
+        do(labelling, step)
+    before, mesh = labelling.state, labelling.mesh.vertices
+    do(labelling, last)
+    after = labelling.state
+    if after != before:
+        labelling.undo()
+        assert labelling.state == before
+        np.testing.assert_array_equal(labelling.mesh.vertices, mesh)
+        labelling.redo()
+    assert labelling.state == after
+    while labelling.can_undo:
+        labelling.undo()
+    assert labelling.state == labelling.place.state
+
+
+@settings(max_examples=40)
+@given(step=changes)
+def test_what_cannot_be_done_changes_nothing(folder, step):
+    labelling = opened(folder)
+    before = labelling.state
+    assert do(labelling, step) or labelling.state == before
+
+
+def test_after_an_undo_a_new_change_forgets_what_was_undone(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.set_task("gaps")
+    labelling.undo()
+    labelling.set_task("ramps")
+    assert not labelling.can_redo
+
+
+def test_two_markers_and_a_distance_scale_the_place_with_all_that_is_on_it(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.mark((2.0, 0.0, 0.1))
+    labelling.mark((3.0, 0.0, 0.1))
+    assert labelling.distance == pytest.approx(1.0)
+    labelling.scale_to(0.5)
+    assert labelling.distance == pytest.approx(0.5)
+    assert np.ptp(labelling.mesh.vertices[:, 0]) == pytest.approx(4.5)
+    assert labelling.state.waypoints[0] == pytest.approx((1.25, 0.0, 0.05))
+    assert labelling.T_world_splat[0, 0] == pytest.approx(0.5)
+
+
+def test_a_third_marker_takes_the_place_of_the_first(tmp_path):
+    labelling = opened(tmp_path)
+    for x in (0.0, 1.0, 3.0):
+        labelling.mark((x, 0.0, 0.0))
+    assert labelling.distance == pytest.approx(2.0)
+
+
+def test_without_two_markers_nothing_can_be_scaled(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.mark((0.0, 0.0, 0.0))
+    with pytest.raises(UsageError, match="two markers"):
+        labelling.scale_to(1.0)
+
+
+def test_start_and_trail_turn_with_the_place(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.set_start((0.0, 0.0, 0.0), 0.0)
+    labelling.turn("z", math.pi / 2)
+    # The middle of the place is at x = 2.5, y = 0.
+    assert labelling.start.position == pytest.approx((2.5, -2.5, 0.0))
+    assert labelling.start.yaw == pytest.approx(math.pi / 2)
+    assert labelling.state.waypoints[1] == pytest.approx((2.5, 2.0, 0.0))
+
+
+def test_a_crop_follows_the_place_and_its_sides_stay_along_the_axes(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.crop_to(CropBox(low=(-1.0, -1.0, -1.0), high=(3.0, 1.0, 1.0)))
+    labelling.shift(1.0, 0.0, 0.5)
+    assert labelling.state.crop == CropBox(low=(0.0, -1.0, -0.5), high=(4.0, 1.0, 1.5))
+    assert labelling.mesh.vertices[:, 0].max() == pytest.approx(4.0)
+
+
+def test_a_crop_that_leaves_nothing_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="nothing"):
+        opened(tmp_path).crop_to(CropBox(low=(50.0, 50.0, 50.0), high=(51.0, 51.0, 51.0)))
+    with pytest.raises(UsageError, match="nothing"):
+        CropBox(low=(0.0, 0.0, 0.0), high=(1.0, 0.0, 1.0))
+
+
+def test_by_default_the_robot_starts_1_m_before_the_trail_looking_along_it(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.start_before_trail()
+    assert labelling.start == StartPose(position=(1.5, 0.0, 0.0), yaw=0.0)
+    labelling.move_waypoint(1, (2.5, 2.0, 0.0))
+    assert labelling.start.position == pytest.approx((2.5, -1.0, 0.1))
+    assert labelling.start.yaw == pytest.approx(math.pi / 2)
+
+
+def test_a_start_without_a_yaw_looks_at_the_first_waypoint(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.set_start((2.5, -2.0, 0.0))
+    assert labelling.start.yaw == pytest.approx(math.pi / 2)
+
+
+def test_a_waypoint_without_a_place_comes_1_m_on_along_the_trail(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.add_waypoint()
+    assert labelling.state.waypoints[-1] == pytest.approx((5.5, 0.0, 0.0))
+    labelling.add_waypoint(index=0, point=(1.0, 0.0, 0.0))
+    assert labelling.state.waypoints[0] == (1.0, 0.0, 0.0)
+
+
+def test_waypoints_are_nudged_over_the_ground_up_the_step(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.nudge_waypoint(1, -1.6, 0.0)
+    assert labelling.state.waypoints[1] == pytest.approx((2.9, 0.0, 0.1))
+    with pytest.raises(UsageError, match="no ground"):
+        labelling.nudge_waypoint(1, 30.0, 0.0)
+
+
+def test_waypoints_change_their_order(tmp_path):
+    labelling = opened(tmp_path)
+    first, second = labelling.state.waypoints
+    labelling.reorder_waypoint(1, 0)
+    assert labelling.state.waypoints == (second, first)
+
+
+def test_a_place_of_boxes_is_not_moved_but_its_trail_is(tmp_path):
+    labelling = opened(tmp_path)
+    folder = labelling.place.folder
+    (folder / "collision.yaml").write_text(
+        "boxes:\n  - {center: [2.5, 0, 0.05], half_size: [0.5, 1.5, 0.05]}\n"
+    )
+    text = (folder / "scene.yaml").read_text().replace("collision.ply", "collision.yaml")
+    (folder / "scene.yaml").write_text(text)
+    labelling = opened_again(labelling)
+    with pytest.raises(UsageError, match="boxes"):
+        labelling.shift(1.0, 0.0, 0.0)
+    labelling.nudge_waypoint(1, 0.5, 0.0)
+    labelling.save()
+    assert opened_again(labelling).state.waypoints[1] == pytest.approx((5.0, 0.0, 0.0))
+
+
+def opened_again(labelling):
+    from nw_eval.twin.label import open_labelling
+
+    return open_labelling(labelling.place.folder)
+
+
+def test_a_proposed_course_is_taken_over_as_one_change(tmp_path):
+    seen = []
+
+    def propose(mesh, task):
+        seen.append((mesh.vertices.max(), task))
+        trail = np.array([[3.0, 0.0, 0.0]])
+        return Route(task="hurdles", trail=trail, spawn=(1.0, 0.0, 0.0), yaw=0.5)
+
+    labelling = opened(tmp_path, propose=propose)
+    before = labelling.state
+    labelling.propose_trail()
+    assert seen == [(7.0, "stairs")]
+    assert labelling.state.waypoints == ((3.0, 0.0, 0.0),)
+    assert labelling.start == StartPose(position=(1.0, 0.0, 0.0), yaw=0.5)
+    assert labelling.course.task == "hurdles"
+    labelling.undo()
+    assert labelling.state == before
+
+
+def test_without_anything_that_proposes_it_says_so(tmp_path):
+    with pytest.raises(UsageError, match="proposes"):
+        opened(tmp_path).propose_trail()
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_numbers_that_are_none_change_nothing(tmp_path, number):
+    labelling = opened(tmp_path)
+    for change in (
+        lambda: labelling.turn("z", number),
+        lambda: labelling.shift(0.0, number, 0.0),
+        lambda: labelling.set_yaw(number),
+        lambda: labelling.nudge_waypoint(0, number, 0.0),
+        lambda: labelling.mark((number, 0.0, 0.0)),
+    ):
+        with pytest.raises((UsageError, SceneError)):
+            change()
+    assert not labelling.can_undo

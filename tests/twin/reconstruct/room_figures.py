@@ -1,0 +1,71 @@
+"""How a mesh compares with the room: by the room's exact distances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from small_room import STEPS, distance_to_room, is_seen, spread
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Metres and shares. `recall` counts what two cameras see."""
+
+    accuracy: float
+    precision: float
+    recall: float
+
+    @property
+    def f(self):
+        return 2 * self.precision * self.recall / (self.precision + self.recall)
+
+
+def sampled(mesh, count):
+    """Points on a mesh, by area."""
+    rng, area = np.random.default_rng(0), np.linalg.norm(mesh.normals, axis=1)
+    faces = rng.choice(len(area), count, p=area / area.sum())
+    root, share = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
+    weights = np.stack([1 - root, root * (1 - share), root * share], 1)
+    return (mesh.vertices[mesh.faces[faces]] * weights[:, :, None]).sum(axis=1)
+
+
+def figures(mesh, capture, within, count=60_000):
+    points = sampled(mesh, count)
+    off = distance_to_room(points)
+    truth, _ = spread(0.04)
+    views = sum(is_seen(truth, shot.camera).astype(int) for shot in capture.shots)
+    gap, _ = cKDTree(points).query(truth[views >= 2])
+    return Figures(
+        accuracy=float(np.median(off)),
+        precision=float((off < within).mean()),
+        recall=float((gap < within).mean()),
+    )
+
+
+def tread_heights(mesh):
+    """Median height of each step, 4 cm away from its edges and from what stands on it."""
+    points, found = sampled(mesh, 100_000), []
+    for x0, y0, x1, y1, high in STEPS:
+        right = min([x1] + [x for x, *_ in STEPS if x0 < x < x1])
+        low, most = np.array([x0, y0]) + 0.04, np.array([right, y1]) - 0.04
+        on = ((points[:, :2] > low) & (points[:, :2] < most)).all(axis=1)
+        tread = points[on & (np.abs(points[:, 2] - high) < 0.1), 2]
+        assert len(tread) > 100
+        found.append(np.median(tread))
+    return found
+
+
+def edge_off(mesh):
+    """How far the first step's front edge lies inside the true one: least and median, metres.
+
+    Of each slice of 5 cm along the edge, the surface's outermost point in the direction between
+    the tread's normal and the riser's.
+    """
+    points = sampled(mesh, 400_000)
+    x0, y0, _, y1, high = STEPS[0]
+    near = (np.abs(points[:, 0] - x0) < 0.1) & (np.abs(points[:, 2] - high) < 0.1)
+    inside = (points[near, 0] - x0 + high - points[near, 2]) / np.sqrt(2.0)
+    along = points[near, 1]
+    slices = np.arange(y0 + 0.05, y1 - 0.05, 0.05)
+    outermost = [inside[(along >= y) & (along < y + 0.05)].min() for y in slices]
+    return min(outermost), float(np.median(outermost))

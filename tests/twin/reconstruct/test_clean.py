@@ -1,0 +1,125 @@
+"""Meshes become one piece, flat where they are flat, and of few faces."""
+
+import numpy as np
+import pytest
+
+from nw_eval.errors import SceneError
+from nw_eval.twin.reconstruct import ColourMesh, read_colour_mesh, write_mesh
+from nw_eval.twin.reconstruct.clean.flatten import flatten
+from nw_eval.twin.reconstruct.clean.holes import holes
+from nw_eval.twin.reconstruct.clean.parts import large_parts
+from nw_eval.twin.reconstruct.clean.simplify import simplify
+
+CELL = 0.02
+
+
+def sheet(height, across=100, cell=CELL):
+    """A grid of across * across cells, whose z is a function of x and y; faces look up."""
+    x, y = np.meshgrid(*(np.arange(across + 1) * cell,) * 2, indexing="ij")
+    first = (np.arange(across)[:, None] * (across + 1) + np.arange(across)).ravel()
+    a, b, c, d = first, first + across + 1, first + across + 2, first + 1
+    vertices = np.stack([x, y, height(x, y)], -1).reshape(-1, 3)
+    shade = np.broadcast_to(np.where(vertices[:, :1] > 1.0, 200, 50), vertices.shape)
+    return ColourMesh(
+        vertices=vertices,
+        faces=np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32),
+        colours=shade.astype(np.uint8),
+    )
+
+
+def noisy(height, sigma=0.002):
+    rng = np.random.default_rng(3)
+    return sheet(lambda x, y: height(x, y) + rng.normal(0, sigma, x.shape))
+
+
+def test_a_noisy_floor_becomes_a_plane():
+    floor, planes = flatten(noisy(lambda x, y: 0.1 * x + 0 * y), CELL)
+    (plane,) = planes
+    assert plane.normal == pytest.approx(np.array([-0.1, 0, 1]) / np.hypot(0.1, 1), abs=1e-3)
+    assert plane.noise == pytest.approx(0.002, rel=0.15)
+    assert plane.moved > 0.95
+    assert plane.area == pytest.approx(4.0 * np.hypot(0.1, 1), rel=0.02)
+    assert np.abs(floor.vertices @ plane.normal - plane.offset).max() < 1e-3
+
+
+@pytest.mark.parametrize("high", [0.012, 0.04, 0.3])
+def test_a_step_stays_as_high_as_it_was(high):
+    """A mat of half a voxel, a threshold and a step, each 0.5 m broad, on a floor."""
+
+    def steps(x, y):
+        return np.where((np.abs(x - 1.0) < 0.25) & (np.abs(y - 1.0) < 0.7), high, 0.0)
+
+    before = noisy(steps)
+    after, _ = flatten(before, CELL)
+    assert np.abs(after.vertices - before.vertices).max() < CELL
+    x, y, z = after.vertices.T
+    inner = (np.abs(x - 1.0) < 0.2) & (np.abs(y - 1.0) < 0.6)
+    outer = (np.abs(x - 1.0) > 0.35) | (np.abs(y - 1.0) > 0.8)
+    assert z[inner].mean() == pytest.approx(high, abs=0.0015)
+    assert z[outer].mean() == pytest.approx(0.0, abs=0.0015)
+    assert z[outer].std() < 0.001  # It was 0.002.
+
+
+def test_a_gentle_hill_is_no_floor():
+    before = noisy(lambda x, y: 0.15 * np.exp(-4 * ((x - 1) ** 2 + (y - 1) ** 2)))
+    after, _ = flatten(before, CELL)
+    top = np.hypot(before.vertices[:, 0] - 1, before.vertices[:, 1] - 1) < 0.1
+    assert after.vertices[top, 2].mean() == pytest.approx(before.vertices[top, 2].mean(), abs=0.002)
+
+
+def test_flattening_again_gives_the_same_bits():
+    mesh = noisy(lambda x, y: 0 * x * y)
+    assert (flatten(mesh, CELL)[0].vertices == flatten(mesh, CELL)[0].vertices).all()
+
+
+def test_crumbs_go_and_large_parts_stay():
+    whole, side, crumb = (sheet(lambda x, y: 0 * x * y, n) for n in (30, 10, 3))
+    shifts = ([0, 0, 0], [5, 0, 0], [0, 5, 0])
+    starts = np.cumsum([0, len(whole.vertices), len(side.vertices)])
+    parts = (whole, side, crumb)
+    mesh = ColourMesh(
+        vertices=np.concatenate([p.vertices + s for p, s in zip(parts, shifts, strict=True)]),
+        faces=np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=True)]),
+        colours=np.concatenate([p.colours for p in parts]),
+    )
+    kept, facts = large_parts(mesh, 0.05)
+    assert (facts.kept, facts.dropped) == (2, 1)
+    assert facts.dropped_area == pytest.approx(9 / (900 + 100 + 9))
+    assert len(kept.faces) == 2 * (900 + 100)
+    assert len(kept.vertices) == len(whole.vertices) + len(side.vertices)
+
+
+def test_holes_are_reported_with_size_and_place():
+    mesh = sheet(lambda x, y: 0 * x * y, 50)
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    gone = (np.abs(middle[:, 0] - 0.5) < 0.1) & (np.abs(middle[:, 1] - 0.3) < 0.06)
+    rim, hole = holes(mesh.keep(~gone))
+    assert rim.length == pytest.approx(4.0)
+    assert rim.across == pytest.approx(np.sqrt(2.0))
+    assert hole.length == pytest.approx(2 * (0.2 + 0.12))
+    assert hole.centre == pytest.approx((0.5, 0.3, 0.0))
+
+
+def test_simplifying_keeps_a_step_and_spends_few_faces_on_what_is_flat():
+    before = sheet(lambda x, y: np.where(x > 1.0, 0.2, 0.0) + 0 * y)
+    after = simplify(before, 1000)
+    assert len(after.faces) <= 1000
+    x, _, z = after.vertices.T
+    assert np.abs(z - np.where(x > 1.01, 0.2, 0.0)).max() < 1e-4
+    assert (after.colours == np.where(x[:, None] > 1.0, 200, 50)).mean() > 0.95
+    # All of what it was.
+    assert np.linalg.norm(after.normals, axis=1).sum() == pytest.approx(
+        np.linalg.norm(before.normals, axis=1).sum(), rel=5e-3
+    )
+
+
+def test_meshes_are_read_as_they_were_written(tmp_path):
+    mesh = sheet(lambda x, y: x * y, 5)
+    write_mesh(mesh, tmp_path / "mesh.ply")
+    again = read_colour_mesh(tmp_path / "mesh.ply")
+    assert again.vertices == pytest.approx(mesh.vertices, abs=1e-6)
+    assert (again.faces == mesh.faces).all()
+    assert (again.colours == mesh.colours).all()
+    (tmp_path / "cut.ply").write_bytes((tmp_path / "mesh.ply").read_bytes()[:-200])
+    with pytest.raises(SceneError, match=r"cut\.ply"):
+        read_colour_mesh(tmp_path / "cut.ply")

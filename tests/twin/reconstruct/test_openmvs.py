@@ -1,0 +1,154 @@
+"""OpenMVS's programs are run with the right words; stand-ins of ours check them."""
+
+import os
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_room import SHEETS, SMALL, depth_of_room
+
+from nw_eval.errors import PrerequisiteError, SceneError
+from nw_eval.twin.capture import read_capture
+from nw_eval.twin.reconstruct import (
+    ColourMesh,
+    array_file,
+    read_colour_mesh,
+    reconstruct,
+    write_mesh,
+)
+from nw_eval.twin.reconstruct.openmvs.colmap_model import write_colmap_model
+
+OPENMVS = replace(SMALL, engine="openmvs", voxel=None)
+
+FAKE = """#!{python}
+import os, shutil, sys
+from pathlib import Path
+
+name, words = Path(sys.argv[0]).name, sys.argv[1:]
+options = dict(zip(words[::2], words[1::2], strict=True))
+work = Path(options.pop("-w"))
+assert work == Path.cwd(), work
+print(name, "at work")
+if name == os.environ.get("FAILS"):
+    print("error: not enough memory\\n")
+    sys.exit(3)
+if name == "InterfaceCOLMAP":
+    model, images = Path(options.pop("-i")), Path(options.pop("--image-folder"))
+    assert sorted(p.name for p in (model / "sparse").iterdir()) == [
+        "cameras.txt", "images.txt", "points3D.txt"]
+    lines = (model / "sparse/images.txt").read_text().splitlines()
+    names = [line.split()[9] for line in lines[::2]]
+    assert len(names) == 10 and all((images / each).is_file() for each in names)
+    assert options == {{"-o": "scene.mvs"}}, options
+    (work / "scene.mvs").write_text("scene")
+elif name == "DensifyPointCloud":
+    assert options == {{"-i": "scene.mvs", "-o": "dense.mvs", "--max-threads": "2"}}, options
+    assert (work / "scene.mvs").read_text() == "scene"
+    (work / "dense.mvs").write_text("dense")
+elif name == "ReconstructMesh":
+    assert options == {{"-i": "dense.mvs", "-o": "mesh.mvs", "--max-threads": "2"}}, options
+    assert (work / "dense.mvs").read_text() == "dense"
+    if os.environ.get("FAILS") != "silently":
+        shutil.copyfile({mesh!r}, work / "mesh.ply")
+"""
+
+
+@pytest.fixture
+def programs(tmp_path, monkeypatch):
+    """A PATH with stand-ins, the last of which leaves the room itself."""
+    corners, faces = [], []
+    for sheet in SHEETS:
+        a, u, v = sheet.corner, sheet.first, sheet.second
+        # Each sheet as a grid of 10 cm, both sides.
+        m, n = (max(1, round(float(np.linalg.norm(e)) / 0.1)) for e in (u, v))
+        s, t = np.meshgrid(np.arange(m + 1) / m, np.arange(n + 1) / n, indexing="ij")
+        points = a + s[..., None] * u + t[..., None] * v
+        first = (np.arange(m)[:, None] * (n + 1) + np.arange(n)).ravel()
+        first = first + sum(map(len, corners))
+        corners.append(points.reshape(-1, 3))
+        faces += [
+            np.stack([first, first + n + 1, first + n + 2], 1),
+            np.stack([first, first + n + 2, first + 1], 1),
+        ]
+    vertices = np.concatenate(corners)
+    room = ColourMesh(
+        vertices=vertices,
+        faces=np.concatenate(faces).astype(np.int32),
+        colours=np.zeros(vertices.shape, np.uint8),
+    )
+    write_mesh(room, tmp_path / "room.ply")
+    binaries = tmp_path / "bin"
+    binaries.mkdir()
+    for name in ("InterfaceCOLMAP", "DensifyPointCloud", "ReconstructMesh"):
+        text = FAKE.format(python=sys.executable, mesh=str(tmp_path / "room.ply"))
+        (binaries / name).write_text(text)
+        (binaries / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{binaries}{os.pathsep}{os.environ['PATH']}")
+    return binaries
+
+
+@pytest.mark.usefixtures("programs")
+def test_a_mesh_of_openmvs_gets_depth_maps_and_colours(room, tmp_path):
+    words = []
+    report = reconstruct(room, tmp_path / "mesh", replace(OPENMVS, least_part=0.0), words.append)
+    assert words[:3] == [
+        f"runs {n}" for n in ("InterfaceCOLMAP", "DensifyPointCloud", "ReconstructMesh")
+    ]
+    assert report.engine == "openmvs"
+    shot = read_capture(room).shots[2]
+    with np.load(array_file(tmp_path / "mesh" / "depth", shot.name)) as arrays:
+        depth, confidence = arrays["depth"], arrays["confidence"]
+    true = depth_of_room(shot.camera)
+    both = np.isfinite(true) & (depth > 0)
+    assert both.sum() > 0.99 * np.isfinite(true).sum()
+    assert np.median(np.abs(depth - true)[both]) < 1e-5
+    assert set(np.unique(confidence)) == {0.0, 1.0}
+    colours = read_colour_mesh(tmp_path / "mesh" / "mesh.ply").colours
+    assert 60 < colours.mean() < 190
+    assert colours.std() > 15
+
+
+def test_poses_and_points_are_written_as_colmap_reads_them(room, tmp_path):
+    capture, model = read_capture(room), tmp_path / "sparse"
+    write_colmap_model(capture, room, tmp_path)
+    lines = (model / "images.txt").read_text().splitlines()
+    _, w, x, y, z, *shift, camera, name = lines[2 * 3].split()
+    w, x, y, z = (float(v) for v in (w, x, y, z))
+    rotation = np.array(  # Of COLMAP's documentation: world to camera, Hamilton's quaternion.
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    shot = capture.shots[3]
+    assert rotation == pytest.approx(shot.camera.T_camera_world[:3, :3], abs=1e-9)
+    assert np.array(shift, float) == pytest.approx(shot.camera.T_camera_world[:3, 3])
+    assert (camera, name) == ("4", "000004.png")
+    u, v, point = lines[2 * 3 + 1].split()[:3]
+    local = rotation @ capture.points[int(point) - 1] + np.array(shift, float)
+    assert float(u) == pytest.approx(
+        shot.camera.fx * local[0] / local[2] + shot.camera.cx, abs=1e-5
+    )
+    assert float(v) == pytest.approx(
+        shot.camera.fy * local[1] / local[2] + shot.camera.cy, abs=1e-5
+    )
+
+
+@pytest.mark.usefixtures("programs")
+def test_a_program_that_fails_is_named_with_its_last_words(room, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAILS", "DensifyPointCloud")
+    words = r"DensifyPointCloud failed with 3; it said last: error: not enough memory; read .*\.log"
+    with pytest.raises(SceneError, match=words):
+        reconstruct(room, tmp_path, OPENMVS, lambda _: None)
+    monkeypatch.setenv("FAILS", "silently")
+    with pytest.raises(SceneError, match=r"ReconstructMesh ended well and wrote no mesh\.ply"):
+        reconstruct(room, tmp_path, OPENMVS, lambda _: None)
+
+
+def test_programs_that_are_missing_are_named(room, programs, tmp_path, monkeypatch):
+    (programs / "DensifyPointCloud").unlink()
+    monkeypatch.setenv("PATH", str(programs))
+    with pytest.raises(PrerequisiteError, match="not on PATH: DensifyPointCloud; install OpenMVS"):
+        reconstruct(room, tmp_path, OPENMVS, lambda _: None)

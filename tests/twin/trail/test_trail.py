@@ -1,0 +1,205 @@
+"""Trails are proposed over what lies on a walk: bars, gaps, slopes, boards and stairs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from nw_eval.built_in.entries.gaps import GAPS
+from nw_eval.built_in.entries.hurdles import HURDLES
+from nw_eval.built_in.entries.ramps import RAMPS
+from nw_eval.built_in.entries.stairs import STAIRS
+from nw_eval.errors import SceneError
+from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
+from nw_eval.twin.trail import propose_trail
+
+GROUND = quad_mesh((-5, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
+
+
+def box(x, z, y=(-0.8, 0.8), *, roll=0.0, pitch=0.0):
+    """Return a box from x to x, y to y and z to z, turned about its middle."""
+    center = [(low + high) / 2 for low, high in (x, y, z)]
+    half = [(high - low) / 2 for low, high in (x, y, z)]
+    quat = (math.cos((roll or pitch) / 2), math.sin(roll / 2), math.sin(pitch / 2), 0.0)
+    return box_mesh(center, half, quat, "obstacle")
+
+
+def walk(length, *, height=1.4, heading=0.0, step=0.25, swing=0.03):
+    """Return where the cameras of a walk were, heights and sides swinging a little."""
+    along = np.arange(0.0, length + 1e-9, step)
+    side = swing * np.sin(7.0 * along)
+    c, s = math.cos(heading), math.sin(heading)
+    centres = np.column_stack([c * along - s * side, s * along + c * side, height + 0 * along])
+    centres[:, 2] += 0.02 * np.cos(5.0 * along)
+    return centres
+
+
+def turned(mesh, heading):
+    """Return a mesh turned about z."""
+    c, s = math.cos(heading), math.sin(heading)
+    vertices = mesh.vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    return type(mesh)(vertices=vertices, faces=mesh.faces, kinds=mesh.kinds)
+
+
+def test_a_flat_way_is_a_trail_without_obstacles():
+    proposal = propose_trail(GROUND, walk(5.0))
+    assert proposal.task == "hurdles"
+    assert proposal.features == ()
+    assert "flat" in proposal.reasons[0]
+    np.testing.assert_allclose(proposal.trail, [(5.0, 0.0, 0.0)], atol=0.05)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.9])
+def test_bars_are_hurdles_with_a_waypoint_on_each(heading):
+    bars = [box((2.0, 2.35), (0, 0.25)), box((3.6, 3.95), (0, 0.35))]
+    mesh = turned(merge([GROUND, *bars]), heading)
+    proposal = propose_trail(mesh, walk(6.5, heading=heading))
+    assert proposal.task == "hurdles"
+    assert [feature.size for feature in proposal.features] == pytest.approx([0.25, 0.35], abs=0.01)
+    along = np.array(proposal.trail)[:, :2] @ [math.cos(heading), math.sin(heading)]
+    np.testing.assert_allclose(along, [2.175, 3.775, 5.35], atol=0.1)
+    np.testing.assert_allclose(np.array(proposal.trail)[:, 2], [0.25, 0.35, 0.0], atol=0.01)
+    assert proposal.spawn.yaw == pytest.approx(heading, abs=0.1)
+    assert proposal.warnings == ()
+
+
+def test_platforms_are_gaps_with_a_waypoint_behind_each():
+    platforms = [box(x, (-0.4, 0.0)) for x in ((-1.0, 1.3), (1.7, 2.75), (3.25, 6.0))]
+    lower = quad_mesh((-5, -5, -0.4), (30, 0, 0), (0, 10, 0), "ground")
+    proposal = propose_trail(merge([lower, *platforms]), walk(5.5))
+    assert proposal.task == "gaps"
+    assert [feature.size for feature in proposal.features] == pytest.approx([0.4, 0.5], abs=0.06)
+    assert len(proposal.trail) == 3
+    assert proposal.trail[0][0] == pytest.approx(2.225, abs=0.1)
+    assert {z for _, _, z in proposal.trail} == {0.0}
+
+
+@pytest.mark.parametrize("down", [False, True])
+def test_steps_are_stairs_with_a_waypoint_on_every_other(down):
+    rise, depth, count = 0.15, 0.3, 6
+    steps = [
+        box((1.5 + depth * i, 1.5 + depth * (i + 1) + 3.0 * (i == count - 1)), (0, rise * (i + 1)))
+        for i in range(count)
+    ]
+    mesh, centres = merge([GROUND, *steps]), walk(5.5, height=2.3)
+    if down:
+        centres = centres[::-1]
+    proposal = propose_trail(mesh, centres)
+    assert proposal.task == "stairs"
+    assert "6 steps" in proposal.features[0].words
+    assert proposal.features[0].size == pytest.approx(0.9, abs=0.02)
+    heights = [z for _, _, z in proposal.trail]
+    want = [0.75, 0.45, 0.15, 0.0] if down else [0.15, 0.45, 0.75, 0.9]
+    np.testing.assert_allclose(heights, want, atol=0.01)
+    assert any("0.90 m" in warning for warning in proposal.warnings) == down  # The spawn is above.
+
+
+def test_a_hump_is_a_ramp_with_a_waypoint_on_its_deck():
+    angle = math.radians(15.0)
+    run = 1.2 * math.cos(angle)
+    rise = run * math.tan(angle)
+    parts = [
+        GROUND,
+        quad_mesh((1.5, -0.5, 0), (run, 0, rise), (0, 1, 0), "obstacle"),
+        quad_mesh((1.5 + run, -0.5, rise), (0.8, 0, 0), (0, 1, 0), "obstacle"),
+        quad_mesh((2.3 + run, -0.5, rise), (run, 0, -rise), (0, 1, 0), "obstacle"),
+    ]
+    proposal = propose_trail(merge(parts), walk(6.5))
+    assert proposal.task == "ramps"
+    assert [feature.size for feature in proposal.features] == pytest.approx([15, 15], abs=1.5)
+    assert proposal.trail[0][2] == pytest.approx(rise, abs=0.01)
+    assert 1.5 + run < proposal.trail[0][0] < 2.3 + run
+    assert proposal.trail[-1][2] == 0.0
+
+
+def test_boards_that_lean_to_the_sides_are_ramps():
+    boards = []
+    for number, side in enumerate((1, -1, 1)):
+        x = 1.2 + 0.95 * number
+        lift = 0.9 * math.sin(math.radians(18.0))
+        low, along = (-0.45 * side, 0.9 * side)
+        origin, u, v = (x, low, 0.03), (0.85, 0, 0), (0, along, lift)
+        if side < 0:  # Its face is to look up.
+            origin, v = (x, low + along, 0.03 + lift), (0, -along, -lift)
+        boards.append(quad_mesh(origin, u, v, "obstacle"))
+    proposal = propose_trail(merge([GROUND, *boards]), walk(6.0, swing=0.0))
+    assert proposal.task == "ramps"
+    leaning = [feature for feature in proposal.features if "board" in feature.words]
+    assert len(leaning) == 3
+    assert [feature.words.split()[-1] for feature in leaning] == ["right", "left", "right"]
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        pytest.param(entry, id=entry.name, marks=[] if number < 2 else [pytest.mark.nightly])
+        for entries in (HURDLES, GAPS, RAMPS, STAIRS)
+        for number, entry in enumerate(entries)
+    ],
+)
+def test_the_shipped_scenes_are_taken_for_what_they_are(entry):
+    scene = entry.scene()
+    path = np.vstack([scene.spawn.position, scene.trail, scene.trail[-1:] + np.array([0.8, 0, 0])])
+    along = np.linspace(0, len(path) - 1, 60)
+    centres = np.column_stack([np.interp(along, np.arange(len(path)), axis) for axis in path.T])
+    proposal = propose_trail(scene.mesh(), centres + np.array([0, 0, 1.2]))
+    assert proposal.task == scene.task
+    # Nearly all of the shipped waypoints have one near; the last one depends on the walk's end.
+    proposed = np.array(proposal.trail)
+    if len(scene.trail) > 1:
+        near = np.linalg.norm(scene.trail[:-1, None] - proposed, axis=2).min(axis=1)
+        assert np.mean(near < 0.35) >= 0.75
+
+
+def test_ceilings_and_walks_back_do_not_matter():
+    ceiling = box((-1, 8), (2.2, 2.5), (-3, 3))
+    mesh = merge([GROUND, box((2.0, 2.35), (0, 0.25)), ceiling])
+    there = walk(5.0)
+    proposal = propose_trail(mesh, np.concatenate([there, there[::-1]]))
+    assert len(proposal.features) == 1
+    assert proposal.trail[-1][0] == pytest.approx(2.35 + 1.4, abs=0.25)
+
+
+def scanned(height, rng, *, cell=0.04, noise=0.006, holes=0.03):
+    """Return a scan of a height z(x): a grid of triangles, edges rounded, noise and holes."""
+    x, y = np.arange(-1.0, 7.0, cell), np.arange(-1.0, 1.0, cell)
+    gx, gy = np.meshgrid(x, y, indexing="ij")
+    z = height(gx) + rng.normal(0, noise, gx.shape)
+    vertices = np.column_stack([gx.ravel(), gy.ravel(), z.ravel()])
+    corner = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)).ravel()
+    corner = corner[rng.random(len(corner)) > holes]
+    a, b, c, d = corner, corner + len(y), corner + len(y) + 1, corner + 1
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    kinds = np.zeros(len(faces), np.uint8)
+    return type(GROUND)(vertices=vertices, faces=faces.astype(np.int32), kinds=kinds)
+
+
+@pytest.mark.parametrize(
+    ("height", "task", "count"),
+    [
+        (lambda x: 0.0 * x, "hurdles", 0),
+        (lambda x: 0.3 * (abs(x - 2.5) < 0.2) + 0.2 * (abs(x - 4.0) < 0.2), "hurdles", 2),
+        (lambda x: -0.4 * ((abs(x - 1.5) < 0.25) | (abs(x - 3.2) < 0.3)), "gaps", 2),
+        (lambda x: np.clip(0.25 * (x - 1.5), 0, 0.4), "ramps", 1),
+        (lambda x: 0.16 * np.clip(np.floor((x - 1.5) / 0.3) + 1, 0, 6), "stairs", 1),
+    ],
+    ids=["flat", "bars", "gaps", "ramp", "stairs"],
+)
+def test_scans_with_noise_and_holes_are_read_as_well(height, task, count):
+    for seed in range(3):
+        mesh = scanned(height, np.random.default_rng(seed))
+        proposal = propose_trail(mesh, walk(6.0, height=2.4))
+        assert (proposal.task, len(proposal.features)) == (task, count), proposal.reasons
+
+
+def test_what_lies_too_near_is_warned_of():
+    proposal = propose_trail(merge([GROUND, box((0.3, 0.6), (0, 0.2))]), walk(3.0))
+    assert any("start farther back" in warning for warning in proposal.warnings)
+
+
+def test_no_walk_and_no_ground_are_errors_in_words():
+    with pytest.raises(SceneError, match=r"went 0\.50 m"):
+        propose_trail(GROUND, walk(0.5, swing=0.0))
+    far = walk(4.0) + np.array([100.0, 0.0, 0.0])
+    with pytest.raises(SceneError, match="0% of the way has ground"):
+        propose_trail(GROUND, far)
