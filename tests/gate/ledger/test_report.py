@@ -94,12 +94,13 @@ def test_the_best_of_many_on_one_panel_shows_more_than_it_is(
     ]
     (best,) = ledger_report(entries).best_of_many
     assert (best.candidates, best.best, best.shown) == (8, "step-3", 0.91)
+    assert best.digest == entries[3].candidate_digest
     # Eight normal draws of standard deviation .3 / sqrt(40): 1.42 times that, less for the limit 1.
     assert 0.03 < best.overstated < 0.07
     assert best.any_passes is not None
     assert best.any_passes < 0.05 * 8
     page = ledger_page(ledger_report(entries))
-    assert "of 8 candidates the best, step-3, shows 0.910" in page
+    assert f"of 8 candidates the best, step-3 ({best.digest[:8]}), shows 0.910" in page
     assert "`--panel fresh` judges the one that was chosen" in page
     assert ledger_report(entries[:1]).best_of_many == ()
 

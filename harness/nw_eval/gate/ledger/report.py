@@ -55,6 +55,8 @@ class BestOfMany:
     panel: PanelKind
     candidates: int
     best: str
+    digest: str
+    """Of the best one's checkpoint and card."""
     shown: float
     """Mean success of the best."""
     mean: float
@@ -210,6 +212,7 @@ def _best(tests: Sequence[LedgerEntry]) -> BestOfMany:
         panel=best.panel,
         candidates=len(tests),
         best=best.candidate,
+        digest=best.candidate_digest,
         shown=best.success or 0.0,
         mean=mean,
         overstated=luck_of_the_best(simulated, mean).overstated if 0.0 < mean < 1.0 else None,

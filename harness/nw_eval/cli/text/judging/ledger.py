@@ -97,7 +97,9 @@ def _best(report: LedgerReport) -> Iterator[str]:
 
 def _luck(each: BestOfMany) -> str:
     panel = f"suite {clean(each.suite)}, {each.panel} panel ({each.suite_digest[:8]})"
-    best = f"the best, {clean(each.best, at_most=80)}, shows {each.shown:.3f}"
+    # By its digest too: checkpoints of one card share the name.
+    name = f"{clean(each.best, at_most=80)} ({each.digest[:8]})"
+    best = f"the best, {name}, shows {each.shown:.3f}"
     words = f"{panel}: of {each.candidates} candidates {best}, all of them {each.mean:.3f}"
     if each.overstated is not None:
         words += (
