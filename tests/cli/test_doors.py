@@ -47,6 +47,11 @@ def test_a_known_error_is_one_line_and_its_own_exit_code(
     assert capsys.readouterr().err == "error: scene 'x' has no floor; add one\n"
 
 
+def test_the_package_is_a_program_too() -> None:
+    run = [sys.executable, "-m", "nw_eval", "suites"]
+    assert "hurdles " in subprocess.run(run, capture_output=True, text=True, check=True).stdout
+
+
 def test_an_unknown_option_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         cli.main(["run", "smoke", "--trails", "3"])
