@@ -21,6 +21,7 @@ class AppearanceOptions:
         mesh: whether they begin on the mesh; else at the points that calibration found.
         depth: whether the depths of the reconstruction count.
         held_out_every: every so many-th picture is kept from training, to compare with; 0 = none.
+        held_out: a glob of names that are kept from training instead; empty = none are named.
         seed: of all that is drawn.
     """
 
@@ -32,6 +33,7 @@ class AppearanceOptions:
     mesh: bool = True
     depth: bool = True
     held_out_every: int = 8
+    held_out: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:

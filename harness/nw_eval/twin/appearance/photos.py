@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from nw_eval.errors import SceneError
+from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.inside import inside
+from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.reconstruct import array_file
@@ -35,6 +37,30 @@ def photos_of(
         SceneError: a picture, mask or depth is missing or damaged.
     """
     return tuple(_photo(shot, folder, depths, longest) for shot in capture.shots)
+
+
+def split_photos(
+    photos: tuple[Photo, ...], options: AppearanceOptions
+) -> tuple[tuple[Photo, ...], tuple[Photo, ...]]:
+    """Return what is learnt from, and what is held out: by name, or every 8th as the field does it.
+
+    Raises:
+        UsageError: no photograph has such a name, or all have.
+    """
+    if options.held_out:
+        held = tuple(photo for photo in photos if fnmatchcase(photo.name, options.held_out))
+        if len(held) in {0, len(photos)}:
+            raise UsageError(
+                f"{options.held_out!r} holds out {len(held)} of {len(photos)} photographs",
+                fix=f"name some of them, such as {photos[0].name}",
+            )
+        names = {photo.name for photo in held}
+        return tuple(photo for photo in photos if photo.name not in names), held
+    every = options.held_out_every
+    if not every or len(photos) < 2 * every:
+        return photos, ()
+    held = photos[every // 2 :: every]
+    return tuple(p for n, p in enumerate(photos) if n % every != every // 2), held
 
 
 def _photo(shot: PlacedShot, folder: Path, depths: Path | None, longest: int) -> Photo:

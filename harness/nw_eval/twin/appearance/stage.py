@@ -14,7 +14,7 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.splat.files import write_splat
 from nw_eval.twin.appearance.options import AppearanceOptions
-from nw_eval.twin.appearance.photos import photos_of
+from nw_eval.twin.appearance.photos import photos_of, split_photos
 from nw_eval.twin.appearance.points import points_of, points_on
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
@@ -77,12 +77,13 @@ def train_splat(
 
     Raises:
         SceneError: something of the capture or the mesh is missing or damaged.
+        UsageError: no photograph is held out by that name, or all of them are.
         StoreError: nothing can be written.
     """
     capture = read_capture(capture_folder)
     depths = None if mesh_folder is None or not options.depth else mesh_folder / "depth"
     photos = photos_of(capture, capture_folder, depths, longest=options.longest)
-    learnt, held = _split(photos, options.held_out_every)
+    learnt, held = split_photos(photos, options)
     trainer = _trainer(capture, mesh_folder, learnt, out, options, threads, say)
     _train(trainer, out, say)
     gaussians = trainer.gaussians
@@ -102,14 +103,6 @@ def train_splat(
     seen = "" if not views else f", {report.psnr:.1f} dB on {len(views)} photographs kept from it"
     say(f"splat: {len(gaussians):,} Gaussians of {len(learnt)} photographs{seen}")
     return report
-
-
-def _split(photos: tuple[Photo, ...], every: int) -> tuple[tuple[Photo, ...], tuple[Photo, ...]]:
-    """Return what is learnt from and what is held out: every 8th, as the field does it."""
-    if not every or len(photos) < 2 * every:
-        return photos, ()
-    held = photos[every // 2 :: every]
-    return tuple(p for n, p in enumerate(photos) if n % every != every // 2), held
 
 
 def _trainer(

@@ -52,6 +52,9 @@ class SplatFlags:
     """Gaussians, at most."""
     longest: int = 480
     """Longest side of the pictures that are learnt from, pixels."""
+    held_out: str = ""
+    """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
+    absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +95,10 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
             tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]
         ),
         splat=AppearanceOptions(
-            iterations=has["iterations"], most=has["gaussians"], longest=has["longest"]
+            iterations=has["iterations"],
+            most=has["gaussians"],
+            longest=has["longest"],
+            held_out=has["held_out"],
         ),
         name=has["name"],
         licence=has["licence"],

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from nw_eval.cli.verbs.twin.ablation import AblateSplat
 from nw_eval.cli.verbs.twin.stages import (
     Align,
     BuildTwin,
@@ -28,6 +29,7 @@ class Twin:
         | Annotated[Align, tyro.conf.subcommand("align")]
         | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
         | Annotated[PlaceScene, tyro.conf.subcommand("place")]
+        | Annotated[AblateSplat, tyro.conf.subcommand("ablate")]
     )
 
     def __call__(self) -> int:
