@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rooms import about_z, capture, degrees_off, floor_off, room, similarity, straight, walk
 
-from nw_eval.errors import SceneError
+from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.align import AlignOptions, align
 
 METRIC = AlignOptions(camera_height=1.5)
@@ -38,9 +38,12 @@ def test_up_is_within_a_third_of_a_degree_and_the_floor_within_a_centimetre(part
 def test_a_place_that_is_one_ramp_is_not_levelled():
     rng = np.random.default_rng(2)
     points, T = room(rng, floor=0, ramp=1500, walls=300), similarity(rng)
-    alignment = aligned(points, walk(rng), T)
+    poses = walk(rng)
+    alignment = aligned(points, poses, T, options=AlignOptions(metric=True))
     assert degrees_off(alignment, T) < 1.5  # By cameras and walls; the ramp has 14 degrees.
     assert any("no level plane" in warning for warning in alignment.warnings)
+    with pytest.raises(UsageError, match="no level floor was found, so that the cameras' height"):
+        aligned(points, poses, T, options=AlignOptions(camera_height=1.5))
 
 
 def test_phones_on_their_sides_are_told_from_phones_held_upright():

@@ -67,7 +67,7 @@ def align(
         capture_folder,
         options,
         up=gravity.up,
-        floor=gravity.floor,
+        floor=gravity.floor if gravity.has_floor else None,
         positions=positions,
         say=say,
     )

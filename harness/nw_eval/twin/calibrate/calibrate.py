@@ -15,7 +15,7 @@ from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import UNREADABLE, Photograph, are_numbered, take_in
 from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut, by_reason
 from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.calibrate.solving.features import match
+from nw_eval.twin.calibrate.solving.features import Matches, match
 from nw_eval.twin.calibrate.solving.mapping import map_cameras, triangulate
 from nw_eval.twin.calibrate.solving.pairs import pairs_of
 from nw_eval.twin.calibrate.solving.reasons import why_not
@@ -26,6 +26,8 @@ _LEAST = 3
 """Photographs without which there is nothing to calibrate."""
 _LEAST_POINTS = 20
 """Without which cameras and photographs have nothing to do with each other."""
+_TURNED = 0.95
+"""Share of the matching pairs without parallax at which there is no place to be found."""
 _FIX = (
     "photograph again: hold still, go on so that each picture shares two thirds with the one "
     "before, and keep something with texture in view"
@@ -92,7 +94,7 @@ def _calibrate(
                 f"{path}: {plural(len(photographs), 'photograph')} can be read, of {_LEAST} needed",
                 *by_reason(tuple(unreadable)),
             ],
-            fix="take twenty or more",
+            fix="give twenty or more",
         )
     solved = _solve(source, photographs, working, options, say)
     report = _report(source, [*unreadable, *solved.left_out], solved, options)
@@ -110,6 +112,8 @@ def _calibrate(
     masked = sum(shot.mask is not None for shot in capture.shots)
     report = replace(report, masked=masked, written=True)
     report.write(out)
+    for line in by_reason(report.left_out):
+        say(f"left out, {line}")
     return report
 
 
@@ -160,8 +164,30 @@ def _find(
     options: CalibrateOptions,
     say: Say,
 ) -> _Solved:
+    """Return cameras by the photographs alone; where EXIF's focal length misleads, without it."""
+    solved = _find_once(source, photographs, working, options, say)
+    enough = options.share * len(photographs)
+    if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
+        return solved
+    say("the focal lengths in EXIF may be wrong: once more without them")
+    again = working / "again"
+    again.mkdir()
+    (again / "masks").symlink_to(working / "masks")
+    blind = [replace(one, focal=None) for one in photographs]
+    other = _find_once(source, blind, again, options, say)
+    return max(solved, other, key=lambda each: len(each.solution.placed))
+
+
+def _find_once(
+    source: Footage,
+    photographs: Sequence[Photograph],
+    working: Path,
+    options: CalibrateOptions,
+    say: Say,
+) -> _Solved:
     pairs, matching = _pairs(source, photographs, options)
     matches = match(photographs, [None] * len(photographs), pairs, working, options, say)
+    _check_motion(matches)
     names = {one.file: one.name for one in photographs}
     solution, mapping, tries = map_cameras(matches, names, working, seed=options.seed, say=say)
     return _Solved(
@@ -172,6 +198,22 @@ def _find(
         pairs=len(pairs),
         tries=tries,
     )
+
+
+def _check_motion(matches: Matches) -> None:
+    """Refuse photographs without parallax: what is made of them may look like a place, and is none.
+
+    Raises:
+        SceneError: a mere turn of the camera explains nearly all pairs that match.
+    """
+    alike = len(matches.inliers)
+    if alike >= _LEAST and matches.turned >= _TURNED * alike:
+        raise SceneError(
+            f"{matches.turned} of {alike} pairs that match look as if the camera had turned on one "
+            "spot, or had one flat surface in view: nothing tells how far away anything is",
+            fix="walk while you photograph, half a metre from one photograph to the next, and "
+            "keep the ground and what stands on it in view together",
+        )
 
 
 def _pairs(

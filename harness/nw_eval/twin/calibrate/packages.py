@@ -24,12 +24,16 @@ def package(name: str) -> Any:
         ) from error
 
 
+_FATAL = 3
+"""Of glog's levels, the one that ends the process."""
+
+
 @contextmanager
 def quiet() -> Generator[Any]:
-    """Give pycolmap, which logs nothing below errors meanwhile."""
+    """Give pycolmap, which logs nothing meanwhile: what fails is seen by what it returns."""
     pycolmap = package("pycolmap")
     level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = 2
+    pycolmap.logging.minloglevel = _FATAL
     try:
         yield pycolmap
     finally:

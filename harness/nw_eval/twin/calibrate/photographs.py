@@ -10,19 +10,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
 
-SUFFIXES = frozenset(
-    {
-        *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"),
-        *(".heic", ".heif", ".avif", ".dng", ".cr2", ".nef", ".arw"),
-    }
-)
+_NOT_READ = frozenset({".heic", ".heif", ".dng", ".cr2", ".nef", ".arw"})
+SUFFIXES = _NOT_READ | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
 """What is meant as a photograph; those that Pillow does not read are named as unreadable."""
 UNREADABLE = "cannot be read"
 _MOST_PIXELS = 100_000_000
@@ -117,11 +113,20 @@ def take_in(
             try:
                 good.append(_take_in(one, one.path, number, working, upright=upright))
             except DAMAGE as error:
-                fault = str(error)
+                fault = _why(one.path, error)
         if fault is not None:
             bad.append(LeftOut(name=one.name, reason=UNREADABLE, detail=fault))
         pace.at(number + 1)
     return good, bad
+
+
+def _why(path: Path, error: Exception) -> str:
+    """Return why a file cannot be read, and what to do if its kind is known."""
+    if path.suffix.lower() in _NOT_READ:
+        return f"{path.suffix[1:].upper()} is not read here: export as JPEG"
+    if isinstance(error, UnidentifiedImageError):
+        return "not a picture, or damaged"
+    return str(error)
 
 
 def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: bool) -> Photograph:
@@ -129,7 +134,10 @@ def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: boo
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with Image.open(path) as image:
             if image.width * image.height > _MOST_PIXELS:
-                raise ValueError(f"more than {_MOST_PIXELS} pixels")
+                raise ValueError(
+                    f"{image.width * image.height / 1e6:.0f} million pixels, of "
+                    f"{_MOST_PIXELS / 1e6:.0f} million at most: make it smaller"
+                )
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
             image.load()

@@ -9,6 +9,8 @@ from pathlib import Path
 from nw_eval.files.cache import atomic_path
 
 REPORT = "report.json"
+_NAMED = 6
+"""Photographs that a line names; the report has all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +81,14 @@ class CalibrationReport:
 
 
 def by_reason(left_out: tuple[LeftOut, ...]) -> list[str]:
-    """Return a line for each reason, with the photographs it holds for."""
+    """Return a line for each reason, with the first photographs that it holds for."""
     reasons = dict.fromkeys(one.reason for one in left_out)
-    return [
-        f"{reason}: " + ", ".join(f"{o.name} ({o.detail})" for o in left_out if o.reason == reason)
-        for reason in reasons
-    ]
+    return [_line(reason, [one for one in left_out if one.reason == reason]) for reason in reasons]
+
+
+def _line(reason: str, mine: list[LeftOut]) -> str:
+    details = {one.detail for one in mine}
+    shared = details.pop() if len(details) == 1 and len(mine) > 1 else None
+    named = [one.name if shared else f"{one.name} ({one.detail})" for one in mine[:_NAMED]]
+    more = f" and {len(mine) - _NAMED} more" if len(mine) > _NAMED else ""
+    return f"{reason}: {', '.join(named)}{more}" + (f" ({shared})" if shared else "")

@@ -58,6 +58,7 @@ class GravityAnswer:
         up: (3,) unit vector in the capture's frame.
         floor: height of the floor along it below the first camera, in the capture's unit.
         floor_share: of the points, which lies on it.
+        has_floor: whether a level plane was found there; else it is as high as the lowest points.
         cues: what each says.
         warnings: what somebody should look at, disagreements aside.
     """
@@ -65,6 +66,7 @@ class GravityAnswer:
     up: Values
     floor: float
     floor_share: float
+    has_floor: bool
     cues: tuple[GravityCue, ...]
     warnings: tuple[str, ...]
 
@@ -113,6 +115,7 @@ def find_gravity(
         up=up,
         floor=floor.height if plane is None else _below(centres[0], up, plane),
         floor_share=floor.share,
+        has_floor=plane is not None,
         cues=_cues(up, level, found, floor, by_mesh, known),
         warnings=_warnings(level, floor, known),
     )
@@ -188,7 +191,8 @@ def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tu
     if floor.plane is None:
         warnings.append(
             "no level plane lies below the cameras with little below it: the floor's height is "
-            "that of the lowest points"
+            "that of the lowest points. Does the floor mirror, or has it no texture? Lay something "
+            "matt with a pattern on it, and photograph again"
         )
         if level.degrees > _SURE and not known:
             warnings.append(

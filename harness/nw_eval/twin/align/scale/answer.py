@@ -51,7 +51,7 @@ def find_scale(
     options: AlignOptions,
     *,
     up: Values,
-    floor: float,
+    floor: float | None,
     positions: PositionFit | None,
     say: Callable[[str], None],
 ) -> ScaleAnswer:
@@ -62,7 +62,7 @@ def find_scale(
         folder: of the capture.
         options: what somebody knows.
         up: (3,) unit vector in the capture's frame.
-        floor: height of the floor along it, in the capture's unit.
+        floor: height of the floor along it, in the capture's unit; None = none was found.
         positions: the fit to known positions; None without.
         say: hears of the tags that are found.
 
@@ -74,7 +74,7 @@ def find_scale(
     warnings: list[str] = []
     answers = [
         *_by_tags(capture, folder, options, warnings, say),
-        *_by_camera_height(capture, options, up, floor),
+        *_by_camera_height(capture, options, up, floor, warnings),
         *_by_lengths(capture, options, up, vertical=True),
         *_by_poses(options, positions, warnings),
         *_by_lengths(capture, options, up, vertical=False),
@@ -143,9 +143,12 @@ def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[s
 
 
 def _by_camera_height(
-    capture: Capture, options: AlignOptions, up: Values, floor: float
+    capture: Capture, options: AlignOptions, up: Values, floor: float | None, warnings: list[str]
 ) -> list[_ScaleBy]:
     if options.camera_height is None:
+        return []
+    if floor is None:
+        warnings.append("no level floor was found, so that the cameras' height gives no scale")
         return []
     heights = np.einsum("ni,i->n", capture.centres, up) - floor
     height = float(np.median(heights))
@@ -196,7 +199,7 @@ def _by_poses(
 def _nothing(capture: Capture, folder: Path, options: AlignOptions, warnings: list[str]) -> str:
     """Return that there is no scale, and which tags one need only measure."""
     text = "nothing says how long a unit of this capture is"
-    if options.tag_edge is not None or options.tag_edges:
+    if warnings:
         return f"{text}: {'; '.join(warnings)}"
     try:
         found = find_tags(capture, folder, options.tag_family, lambda _: None)

@@ -18,6 +18,8 @@ from nw_eval.twin.calibrate.packages import quiet
 from nw_eval.twin.calibrate.photographs import Photograph
 from nw_eval.twin.calibrate.solution import Lens
 
+_GUESS = 1.2
+"""Focal length in longer sides, as COLMAP has it where nothing is known."""
 _AT_ONCE = 6
 """Photographs between two looks at the clock."""
 
@@ -32,6 +34,7 @@ class Matches:
         features: of each picture, by file name.
         inliers: matches of two pictures, by their file names, that one motion of a camera explains.
         pairs: that were compared.
+        turned: pairs that a mere turn of the camera explains as well, or one flat surface.
     """
 
     database: Path
@@ -39,6 +42,7 @@ class Matches:
     features: dict[str, int]
     inliers: dict[tuple[str, str], int]
     pairs: int
+    turned: int = 0
 
 
 def match(
@@ -73,6 +77,7 @@ def match(
             masks = _masks(photographs, working)
             for lens, members in groups:
                 _enter(pycolmap, database, lens, members, options)
+            _forget(pycolmap, database, photographs, lenses, options)
             _extract(pycolmap, database, groups, masks, options, say)
             _compare(pycolmap, database, photographs, pairs, working, options, say)
             return _read(pycolmap, database, photographs, len(pairs))
@@ -123,6 +128,33 @@ def _enter(
         image_names=[one.file for one in members],
         options=_reader(pycolmap, lens, members[0], options),
     )
+
+
+def _forget(
+    pycolmap: Any,
+    database: Path,
+    photographs: Sequence[Photograph],
+    lenses: Sequence[Lens | None],
+    options: CalibrateOptions,
+) -> None:
+    """Give cameras of which nothing is known COLMAP's guess: it reads EXIF of its own accord."""
+    unknown = {
+        one.file
+        for one, lens in zip(photographs, lenses, strict=True)
+        if lens is None and one.focal is None
+    }
+    opened = pycolmap.Database.open(database)
+    try:
+        used = {i.camera_id for i in opened.read_all_images() if i.name in unknown}
+        for camera in opened.read_all_cameras():
+            if camera.camera_id in used and camera.has_prior_focal_length:
+                focal = _GUESS * max(camera.width, camera.height)
+                guess = pycolmap.Camera.create_from_model_name(
+                    camera.camera_id, options.lens, focal, camera.width, camera.height
+                )
+                opened.update_camera(guess)
+    finally:
+        opened.close()
 
 
 def _masks(photographs: Sequence[Photograph], working: Path) -> Path | None:
@@ -201,8 +233,11 @@ def _compare(
 
 def _read(pycolmap: Any, database: Path, photographs: Sequence[Photograph], pairs: int) -> Matches:
     opened = pycolmap.Database.open(database)
+    flat = pycolmap.TwoViewGeometryConfiguration
+    kinds = (flat.PLANAR, flat.PANORAMIC, flat.PLANAR_OR_PANORAMIC)
     try:
         images = opened.read_all_images()
+        turned = sum(geometry.config in kinds for geometry in opened.read_two_view_geometries()[1])
         names = {image.image_id: image.name for image in images}
         features = {
             image.name: int(opened.num_keypoints_for_image(image.image_id)) for image in images
@@ -219,4 +254,5 @@ def _read(pycolmap: Any, database: Path, photographs: Sequence[Photograph], pair
         features=features,
         inliers=inliers,
         pairs=pairs,
+        turned=turned,
     )

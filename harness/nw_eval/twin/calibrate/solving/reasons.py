@@ -17,6 +17,8 @@ _FEW_MATCHES = 30
 """COLMAP's own least number of points by which a camera is placed."""
 _BLURRED = 0.3
 """Of the sharpness of the others, their contrast allowed for."""
+_SHAKEN = 0.02
+"""Sharpness in squares of the contrast: what has edges at all has more."""
 
 
 def why_not(
@@ -24,8 +26,9 @@ def why_not(
 ) -> list[LeftOut]:
     """Return each photograph that is not among the placed, with the likeliest reason.
 
-    Blurred: far less fine detail than the others, though not less contrast. No texture: few
-    features. Too far: few matches with any that is placed, or with any at all if none is.
+    Blurred: far less fine detail than the others, though not less contrast; or few features, and
+    none of what there is has an edge. No texture: few features. Too far: few matches with any that
+    is placed, or with any at all if none is.
     """
     known = set(placed)
     files = {one.file for one in photographs if one.name in known}
@@ -52,6 +55,8 @@ def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: 
     features = matches.features.get(one.file, 0)
     if share < _BLURRED and one.contrast > 0.4 * contrast:
         reason, detail = BLURRED, f"{share:.0%} of the others' sharpness"
+    elif features < _FEW_FEATURES and one.sharpness < _SHAKEN * one.contrast**2:
+        reason, detail = BLURRED, f"{features} features, none of its edges is sharp"
     elif features < _FEW_FEATURES:
         reason, detail = PLAIN, f"{features} features"
     elif most < _FEW_MATCHES:
