@@ -9,6 +9,7 @@ from pathlib import Path
 
 from nw_eval.built_in.entries import ENTRIES
 from nw_eval.built_in.splits import SPLITS, Split, split_of
+from nw_eval.built_in.variants import has_variants, parted, variant
 from nw_eval.catalogue.brought import brought
 from nw_eval.errors import SceneError, nearest
 from nw_eval.files.inside import what_is
@@ -60,7 +61,7 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: as `get_scene`.
     """
-    if reference in _BY_NAME:
+    if _is_built_in(reference):
         return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
@@ -90,9 +91,10 @@ def references(
     """Return what `open_scene` takes for the scenes that patterns name; opens none of them.
 
     Args:
-        patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, or paths
-            of scene folders, `neverwhere:...`, `hub:...`; `triangles:` before any of them as in
-            `get_scene`. What is not on this machine is fetched.
+        patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, any of
+            these with `~2` behind it for their second variants, or paths of scene folders,
+            `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`. What is
+            not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
         collision: how meshes collide, whatever the patterns say of it; as they say if None.
 
@@ -110,7 +112,7 @@ def references(
         way = written if collision is None else collision
         for reference in _match(plain, Path() if base is None else base):
             # Boxes collide exactly as they are.
-            found[reference, "terrain" if reference in _BY_NAME else way] = None
+            found[reference, "terrain" if _is_built_in(reference) else way] = None
     return tuple(found)
 
 
@@ -126,11 +128,13 @@ def _of_split(pattern: str) -> tuple[str, ...] | None:
 
 
 def _match(pattern: str, base: Path) -> list[str]:
-    if (among := _of_split(pattern)) is not None:
-        return list(among)
-    matched = [name for name in names() if fnmatchcase(name, pattern)]
+    plain, number = parted(pattern)
+    among = _of_split(plain)
+    matched = [name for name in names() if fnmatchcase(name, plain)] if among is None else among
+    if number is not None:
+        matched = [f"{name}~{number}" for name in matched if has_variants(name)]
     if matched:
-        return matched
+        return list(matched)
     if not pattern:
         raise SceneError("a scene pattern is empty", fix=f"name one of: {', '.join(names())}")
     here = brought(pattern, base)
@@ -161,6 +165,13 @@ def _folders(pattern: Path) -> list[Path]:
         return []  # Not a pattern that paths can have.
 
 
+def _is_built_in(reference: str) -> bool:
+    name, number = parted(reference)
+    return name in _BY_NAME and (number is None or has_variants(name))
+
+
 @cache
-def _built_in(name: str) -> Scene:
-    return _BY_NAME[name].scene()
+def _built_in(reference: str) -> Scene:
+    name, number = parted(reference)
+    entry = _BY_NAME[name] if number is None else variant(name, number, _BY_NAME)
+    return entry.scene()
