@@ -35,6 +35,10 @@ Quat = Annotated[tuple[Component, Component, Component, Component], AfterValidat
 Far = Annotated[float, Field(ge=-limits.MESH_REACH, le=limits.MESH_REACH)]
 
 
+CameraPose = tuple[Sequence[float], Sequence[float]]
+"""Of a camera: position (m, world), and the quaternion, w x y z, that turns its axes, x right, y
+down, z ahead, into the world's."""
+
 _FORM = 'it is JSON: {"nw-captures": 1, "cameras": [{"position": [x, y, z], "quat": [w, x, y, z]}]}'
 
 
@@ -64,6 +68,19 @@ def read_captures(path: Path) -> CaptureCameras:
     Raises:
         SceneError: the file is missing, too large, or no such file; its first problem is named.
     """
+    poses = read_poses(path)
+    return CaptureCameras(
+        positions=np.array([position for position, _ in poses], dtype=np.float64),
+        axes=np.array([rotation_matrix(quat)[:, 2] for _, quat in poses]),
+    )
+
+
+def read_poses(path: Path) -> tuple[CameraPose, ...]:
+    """Read the poses of those cameras, in the order of the file.
+
+    Raises:
+        SceneError: as `read_captures`.
+    """
     try:
         file = _CaptureFile.model_validate_json(_content(path))
     except ValidationError as error:
@@ -72,19 +89,15 @@ def read_captures(path: Path) -> CaptureCameras:
         raise SceneError(
             f"{path}: {clean(place, at_most=80)}: {clean(first['msg'], at_most=200)}", fix=_FORM
         ) from None
-    return CaptureCameras(
-        positions=np.array([camera.position for camera in file.cameras], dtype=np.float64),
-        axes=np.array([rotation_matrix(camera.quat)[:, 2] for camera in file.cameras]),
-    )
+    return tuple((camera.position, camera.quat) for camera in file.cameras)
 
 
-def write_captures(path: Path, cameras: Sequence[tuple[Sequence[float], Sequence[float]]]) -> None:
+def write_captures(path: Path, cameras: Sequence[CameraPose]) -> None:
     """Write the cameras that a place was photographed with, whole or not at all.
 
     Args:
         path: of the file, which a key of scene.yaml names.
-        cameras: position (m, world) and quaternion (w x y z, from the camera's axes, x right, y
-            down, z ahead, into the world's) of each.
+        cameras: the pose of each.
 
     Raises:
         StoreError: it cannot be written.

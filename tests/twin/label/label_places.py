@@ -3,9 +3,12 @@
 import numpy as np
 import trimesh
 
+from nw_eval.scenes.capture_file import write_captures
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.label import open_labelling
+from nw_eval.twin.label import Labelling, open_labelling
+from nw_eval.twin.label.folder.opening import open_place
+from nw_eval.twin.trail import propose_trail
 
 SCENE = """\
 # A corridor, scanned in spring.
@@ -62,6 +65,20 @@ def written_place(folder, *solids, scene=SCENE):
     return folder
 
 
-def opened(tmp_path, *solids, **words):
+def opened(tmp_path, *solids, propose=propose_trail):
     """Return a labelling of such a place."""
-    return open_labelling(written_place(tmp_path / "place", *solids), **words)
+    return Labelling(open_place(written_place(tmp_path / "place", *solids)), propose=propose)
+
+
+WALK = [(-1.0 + 0.5 * i, 0.2, 1.5) for i in range(15)]
+"""Where a camera was carried over the floor, along x, 0.2 m to the left of its middle."""
+
+ALONG_X = (0.5, -0.5, 0.5, -0.5)
+"""A camera that looks along x, w x y z."""
+
+
+def photographed(tmp_path, *solids):
+    """Return a labelling of such a place that says from where it was photographed."""
+    folder = written_place(tmp_path / "place", *solids, scene=SCENE + "captures: captures.json\n")
+    write_captures(folder / "captures.json", [(position, ALONG_X) for position in WALK])
+    return open_labelling(folder)

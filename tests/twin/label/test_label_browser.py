@@ -25,7 +25,7 @@ def test_a_click_in_the_browser_puts_a_waypoint_and_the_key_saves_it(tmp_path):
     before = labelling.state.waypoints
     pictures = Path(os.environ.get("NW_EVAL_PICTURES", tmp_path))
     with LabelPage(labelling, gaussians(400)) as page, playwright.sync_playwright() as play:
-        page.controls.mesh.value = True
+        page.controls.place.mesh.value = True
         page.run(lambda: None)
         browser = play.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
         view = browser.new_page(viewport={"width": 1400, "height": 900})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from label_places import SCENE, block, floor, opened, written_place
+from label_places import SCENE, WALK, block, floor, opened, photographed, written_place
 
 from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.scenes.folder import load_folder
@@ -121,6 +121,41 @@ def test_a_crop_that_was_saved_can_be_taken_back(tmp_path):
     labelling.save()
     assert set(files_of(folder)) == set(before)
     assert files_of(folder)["collision.ply"] == before["collision.ply"]
+
+
+def test_the_cameras_of_the_capture_move_with_the_place(tmp_path):
+    labelling = photographed(tmp_path)
+    labelling.mark((0.0, 0.0, 0.0))
+    labelling.mark((1.0, 0.0, 0.0))
+    labelling.scale_to(1.5)
+    labelling.turn("z", math.pi / 2)
+    scene = load_folder(labelling.save())
+    corner = labelling.state.placement.matrix @ [*WALK[3], 1.0]
+    np.testing.assert_allclose(scene.captures.positions[3], corner[:3], atol=1e-9)
+    np.testing.assert_allclose(scene.captures.axes, [[0.0, 1.0, 0.0]] * len(WALK), atol=1e-9)
+    # As far apart as the splat says.
+    step = np.linalg.norm(np.diff(scene.captures.positions, axis=0), axis=1)
+    np.testing.assert_allclose(step, 0.5 * 1.5)
+    again = open_labelling(labelling.place.folder)
+    np.testing.assert_allclose(again.walk, scene.captures.positions)
+
+
+def test_cameras_that_a_build_wrote_stay_and_are_named_again_after_an_undo(tmp_path):
+    labelling = photographed(tmp_path)
+    folder = labelling.place.folder
+    before = files_of(folder)
+    labelling.nudge_waypoint(0, 0.1, 0.0)
+    labelling.save()
+    assert set(files_of(folder)) == set(before)
+    labelling.shift(1.0, 0.0, 0.0)
+    labelling.save()
+    written = set(files_of(folder)) - set(before)
+    assert sorted(name.split("-")[0] for name in written) == ["captures", "collision"]
+    labelling.undo()
+    labelling.save()
+    assert set(files_of(folder)) == set(before)
+    assert files_of(folder)["captures.json"] == before["captures.json"]
+    assert "captures: captures.json" in (folder / "scene.yaml").read_text()
 
 
 def test_a_save_that_cannot_be_loaded_changes_nothing(tmp_path):

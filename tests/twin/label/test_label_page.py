@@ -70,7 +70,7 @@ def test_a_click_beside_the_place_does_nothing(page, labelling):
 
 
 def test_a_click_moves_the_chosen_waypoint_sets_the_start_or_puts_a_marker(page, labelling):
-    press(page, "key A click puts: move waypoint")
+    press(page, "key A click puts: chosen waypoint")
     press(page, "key Edit (N F X): next")
     click(page, 5.0, 1.0)
     assert labelling.state.waypoints[1] == pytest.approx((5.0, 1.0, 0.0))
@@ -117,7 +117,7 @@ def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling
     press(page, "Scale the place")
     assert labelling.state.placement.scale == pytest.approx(2.0)
     assert page.server.scene.get_handle_by_name("/splat").scale == pytest.approx(2.0)
-    press(page, "Crop")
+    press(page, "Crop to the pink box")
     assert labelling.state.crop is not None
     press(page, "Take the crop back")
     assert labelling.state.crop is None
@@ -127,7 +127,7 @@ def test_what_is_wrong_is_shown_on_the_page(page):
     press(page, "Scale the place")
     assert "two markers" in page.controls.status.content
     press(page, "Turn: left")
-    assert page.controls.status.content == ""
+    assert page.controls.status.content == "● Not saved yet."
 
 
 def test_even_a_fault_of_its_own_is_shown_and_escaped(page):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from label_places import opened
+from label_places import block, floor, opened, photographed
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.label import CropBox, StartPose
-from nw_eval.twin.place import Route
 
 near = st.floats(-1.5, 1.5)
 points = st.tuples(st.floats(-1.5, 6), near, st.just(0.0))
@@ -198,28 +197,85 @@ def opened_again(labelling):
     return open_labelling(labelling.place.folder)
 
 
-def test_a_proposed_course_is_taken_over_as_one_change(tmp_path):
-    seen = []
-
-    def propose(mesh, task):
-        seen.append((mesh.vertices.max(), task))
-        trail = np.array([[3.0, 0.0, 0.0]])
-        return Route(task="hurdles", trail=trail, spawn=(1.0, 0.0, 0.0), yaw=0.5)
-
-    labelling = opened(tmp_path, propose=propose)
+def test_where_the_camera_walked_a_trail_over_the_bar_is_proposed_as_one_change(tmp_path):
+    labelling = photographed(tmp_path, floor(), block(2.0, 0.2, 0.2))
     before = labelling.state
-    labelling.propose_trail()
-    assert seen == [(7.0, "stairs")]
-    assert labelling.state.waypoints == ((3.0, 0.0, 0.0),)
-    assert labelling.start == StartPose(position=(1.0, 0.0, 0.0), yaw=0.5)
+    words = labelling.propose_along_walk()
+    assert "a bar 0.20 m high" in words
     assert labelling.course.task == "hurdles"
+    on_bar, behind = labelling.state.waypoints
+    assert on_bar == pytest.approx((2.1, 0.2, 0.2), abs=0.03)
+    assert behind[0] > 3.0
+    assert labelling.start.position == pytest.approx((-1.0, 0.2, 0.0), abs=0.03)
     labelling.undo()
     assert labelling.state == before
 
 
-def test_without_anything_that_proposes_it_says_so(tmp_path):
-    with pytest.raises(UsageError, match="proposes"):
-        opened(tmp_path).propose_trail()
+def test_the_walk_turns_and_scales_with_the_place(tmp_path):
+    labelling = photographed(tmp_path, floor(), block(2.0, 0.2, 0.2))
+    labelling.turn("z", math.pi / 2)
+    labelling.mark((0.0, 0.0, 0.0))
+    labelling.mark((1.0, 0.0, 0.0))
+    labelling.scale_to(1.1)
+    labelling.propose_along_walk()
+    on_bar, behind = labelling.state.waypoints
+    assert on_bar[2] == pytest.approx(0.22, abs=0.01)
+    assert behind[0] == pytest.approx(on_bar[0], abs=0.05)
+    assert behind[1] > on_bar[1] + 1.0
+    assert labelling.start.yaw == pytest.approx(math.pi / 2, abs=0.01)
+
+
+def test_without_cameras_a_trail_is_proposed_along_two_clicks(tmp_path):
+    labelling = opened(tmp_path, floor(), block(2.0, 0.2, 0.2))
+    with pytest.raises(UsageError, match="from where it was photographed"):
+        labelling.propose_along_walk()
+    while labelling.state.waypoints:
+        labelling.remove_waypoint(0)
+    labelling.set_start((-1.0, 0.0, 0.0), 0.0)
+    labelling.add_waypoint((5.0, 0.0, 0.0))
+    labelling.propose_along_trail()
+    assert labelling.state.waypoints[0] == pytest.approx((2.1, 0.0, 0.2), abs=0.03)
+    assert labelling.state.waypoints[-1][2] == 0.0
+
+
+def test_a_trail_of_nothing_is_not_proposed_along(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.set_start((2.5, 0.0, 0.1), 0.0)
+    labelling.remove_waypoint(1)
+    with pytest.raises(UsageError, match="put waypoints a metre or more away"):
+        labelling.propose_along_trail()
+    labelling.remove_waypoint(0)
+    with pytest.raises(UsageError, match="no waypoint"):
+        labelling.propose_along_trail()
+
+
+def test_a_waypoint_becomes_the_start_that_looks_at_the_next(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.add_waypoint((2.5, 2.0, 0.1), index=1)
+    labelling.start_at_waypoint(0)
+    assert labelling.start.position == (2.5, 0.0, 0.1)
+    assert labelling.start.yaw == pytest.approx(math.pi / 2)
+    assert len(labelling.state.waypoints) == 2
+
+
+def test_markers_are_put_at_waypoints_without_a_mouse(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.mark_waypoint(0)
+    labelling.mark_waypoint(1)
+    assert labelling.distance == pytest.approx(math.dist(*labelling.state.waypoints))
+
+
+def test_it_knows_whether_there_is_something_to_save(tmp_path):
+    labelling = opened(tmp_path)
+    assert labelling.is_saved
+    labelling.mark((0.0, 0.0, 0.0))
+    assert labelling.is_saved  # Markers measure; they are of no file.
+    labelling.nudge_waypoint(1, 0.1, 0.0)
+    assert not labelling.is_saved
+    labelling.save()
+    assert labelling.is_saved
+    labelling.undo()
+    assert not labelling.is_saved
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf])

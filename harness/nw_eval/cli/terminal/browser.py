@@ -9,9 +9,13 @@ from nw_eval.cli.terminal.last_words import tell
 
 def show(page: Path) -> None:
     """Open a page; where there is no browser that is said, and nothing else changes."""
+    show_address(page.resolve().as_uri())
+
+
+def show_address(address: str) -> None:
+    """Open an address; where there is no browser that is said, and nothing else changes."""
     import webbrowser
 
-    address = page.resolve().as_uri()
     try:
         opened = webbrowser.open(address)
     except (webbrowser.Error, OSError):

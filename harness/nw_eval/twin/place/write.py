@@ -100,8 +100,21 @@ def write_place(
         cameras = [(pose[:3, 3].tolist(), quaternions(pose[:3, :3]).tolist()) for pose in poses]
         write_captures(out / CAPTURES, cameras)
         text["captures"] = CAPTURES
-    _write_yaml(out / SCENE_FILE, text)
+    write_yaml(out / SCENE_FILE, text)
     load_folder(out)
+    write_suite(out, name)
+
+
+def write_suite(scene: Path, name: str) -> None:
+    """Write a suite of a scene into its folder: ten trials of the shipped policy.
+
+    Args:
+        scene: the scene's folder.
+        name: of the scene.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
     suite = {
         "nw-eval": 1,
         "name": name.replace("/", "-"),
@@ -113,7 +126,7 @@ def write_place(
         "record": "failures",
         "gate": {"success_rate": 0.75, "confidence": 0.95},
     }
-    _write_yaml(out / SUITE, suite)
+    write_yaml(scene / SUITE, suite)
 
 
 def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
@@ -128,9 +141,14 @@ def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
     write_collision(path, vertices, faces)
 
 
-def _write_yaml(path: Path, text: dict[str, Any]) -> None:
+def write_yaml(path: Path, text: dict[str, Any]) -> None:
+    """Write a mapping as YAML, each point on one line, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
     yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None  # Points on one line each.
+    yaml.default_flow_style = None
     yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
     stream = StringIO()
     yaml.dump(text, stream)

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from nw_eval.cli.verbs.twin.ablation import AblateSplat
+from nw_eval.cli.verbs.twin.label import LabelScene
 from nw_eval.cli.verbs.twin.stages import (
     Align,
     BuildTwin,
@@ -30,6 +31,7 @@ class Twin:
         | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
         | Annotated[PlaceScene, tyro.conf.subcommand("place")]
         | Annotated[AblateSplat, tyro.conf.subcommand("ablate")]
+        | Annotated[LabelScene, tyro.conf.subcommand("label")]
     )
 
     def __call__(self) -> int:

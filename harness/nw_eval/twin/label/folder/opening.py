@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.files.yaml_file import YamlProblems, read_yaml
+from nw_eval.scenes.capture_file import CameraPose, read_poses
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
@@ -29,6 +30,8 @@ class OpenedPlace:
         mesh: what can be touched; world, m.
         is_scan: whether the mesh is the collision file, not boxes: only then it can be moved.
         T_world_splat: (4, 4) similarity.
+        captures: name of the file of the cameras that photographed it; None = nobody says.
+        cameras: those, in the order of the file; world.
         state: what scene.yaml says of the course.
     """
 
@@ -39,7 +42,14 @@ class OpenedPlace:
     mesh: TriangleMesh
     is_scan: bool
     T_world_splat: NDArray[np.float64]
+    captures: str | None
+    cameras: tuple[CameraPose, ...]
     state: LabelState
+
+    @property
+    def walk(self) -> NDArray[np.float64]:
+        """Where the cameras stood, (N, 3), m, in order."""
+        return np.array([position for position, _ in self.cameras], dtype=float).reshape(-1, 3)
 
 
 def open_place(folder: Path) -> OpenedPlace:
@@ -54,7 +64,7 @@ def open_place(folder: Path) -> OpenedPlace:
     except YamlProblems as error:  # It was changed just now.
         raise SceneError(error.problems) from None
     collision = str(text.get("collision", "collision.yaml"))
-    splat = text.get("splat")
+    splat, captures = text.get("splat"), text.get("captures")
     is_scan = files[collision].suffix.lower() in MESH_SUFFIXES
     spawn = text.get("spawn", {})
     return OpenedPlace(
@@ -65,6 +75,8 @@ def open_place(folder: Path) -> OpenedPlace:
         mesh=read_mesh(files[collision]) if is_scan else load_folder(folder).static_mesh,
         is_scan=is_scan,
         T_world_splat=Placement(**text.get("T_world_splat", {})).matrix,
+        captures=captures,
+        cameras=read_poses(files[captures]) if captures is not None else (),
         state=LabelState(
             task=text["task"],
             waypoints=tuple(as_point(np.array(point, dtype=float)) for point in text["trail"]),

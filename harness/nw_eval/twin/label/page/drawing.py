@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nw_eval.twin.label.crop import CropBox
 from nw_eval.twin.label.labelling import Labelling
+from nw_eval.twin.label.page.cutaway import Cutaway
 from nw_eval.twin.label.page.splat_points import SplatPoints
 from nw_eval.twin.label.placement import Point
 
@@ -37,13 +41,21 @@ class Drawing:
         self._aim(server.initial_camera)
         self.shows_splat = splat is not None
         self.shows_mesh = splat is None
+        self.cutaway = Cutaway()
 
-    def refresh(self, chosen: int | None) -> None:
-        """Draw the state as it is; `chosen` is the index of a waypoint, which stands out."""
+    def refresh(self, chosen: int | None, crop: CropBox | None = None) -> None:
+        """Draw the state as it is.
+
+        Args:
+            chosen: index of a waypoint, which stands out.
+            crop: that somebody is about to make; world.
+        """
         self._draw_place()
         before, self._names = self._names, set()
         self._draw_course(chosen)
         self._draw_markers()
+        if crop is not None:
+            self._lines("/crop", _edges(crop), _PINK)
         for name in before - self._names:
             self._scene.remove_by_name(name)
 
@@ -59,9 +71,11 @@ class Drawing:
         camera.up = (0.0, 0.0, 1.0)
 
     def _draw_place(self) -> None:
-        state, mesh = self._labelling.state, self._labelling.mesh
-        if (state.placement, state.crop) != self._place:
-            self._place = (state.placement, state.crop)
+        state = self._labelling.state
+        what = (state.placement, state.crop, self.cutaway)
+        if what != self._place:
+            self._place = what
+            mesh = self.cutaway.of_mesh(self._labelling.mesh)
             self._scene.add_mesh_simple(
                 "/mesh",
                 mesh.vertices.astype(np.float32),
@@ -79,18 +93,14 @@ class Drawing:
     def _draw_splat(self, splat: SplatPoints) -> None:
         state = self._labelling.state
         placement = state.placement
-        if state.crop is not None:
-            matrix = placement.matrix
-            at = splat.centers @ matrix[:3, :3].T + matrix[:3, 3]
-            inside = ((at >= state.crop.low) & (at <= state.crop.high)).all(axis=1)
-            splat = splat.take(np.asarray(inside))
+        shown = self.cutaway.of_splat(splat, placement, state.crop)
         # The browser moves them: what was computed for the opened world stays as it is.
         self._scene.add_gaussian_splats(
             "/splat",
-            splat.centers,
-            splat.covariances,
-            splat.rgbs,
-            splat.opacities,
+            shown.centers,
+            shown.covariances,
+            shown.rgbs,
+            shown.opacities,
             scale=placement.scale,
             wxyz=placement.quat,
             position=placement.translation,
@@ -142,3 +152,10 @@ class Drawing:
     def _named(self, name: str) -> str:
         self._names.add(name)
         return name
+
+
+def _edges(box: CropBox) -> NDArray[np.float64]:
+    """Return the edges of a box, (12, 2, 3)."""
+    corners = np.array(list(product(*zip(box.low, box.high, strict=True))))
+    pairs = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
+    return corners[np.array(pairs)]

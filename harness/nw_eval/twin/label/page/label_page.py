@@ -5,18 +5,19 @@ from __future__ import annotations
 import html
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from nw_eval.errors import NwEvalError
+from nw_eval.scenes.folder import SCENE_FILE
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.chart import profile_svg
 from nw_eval.twin.label.page.controls import CLICKS, Controls
+from nw_eval.twin.label.page.cutaway import ceiling_level
 from nw_eval.twin.label.page.drawing import Drawing
 from nw_eval.twin.label.page.splat_points import splat_points
-from nw_eval.twin.label.page.viser_library import viser_server
+from nw_eval.twin.label.page.viser_library import HOST, stop, viser_server
 from nw_eval.twin.label.placement import Point
 
 PUBLISHED = "published"
@@ -26,20 +27,21 @@ PUBLISHED = "published"
 class LabelPage:
     """Serves a labelling to browsers until it is closed; a context manager.
 
-    It has no password: on another address than this machine's own, whoever reaches it can save.
+    It listens at this machine's own address only, and other web pages are turned away; whoever
+    else is logged in on this machine can reach it.
 
     Args:
         labelling: which nobody else may change meanwhile.
         splat: the looks of the place, in the splat's frame; None = the mesh is shown.
-        host: address to listen at.
-        port: 0 = one that is free.
+        port: to listen at; 0 = one that is free.
+        on_save: takes a line for people whenever something was saved.
 
     Attributes:
         controls: the panel.
         server: viser's.
 
     Raises:
-        PrerequisiteError: viser is not installed.
+        PrerequisiteError: viser is not installed, or cannot be guarded.
         UsageError: it cannot listen there.
     """
 
@@ -48,38 +50,40 @@ class LabelPage:
         labelling: Labelling,
         splat: Gaussians | None = None,
         *,
-        host: str = "127.0.0.1",
         port: int = 0,
+        on_save: Callable[[str], object] = lambda _: None,
     ) -> None:
         self._labelling = labelling
+        self._on_save = on_save
         self._lock = threading.RLock()  # Callbacks come from a pool of threads.
         points = None
         if splat is not None:
             points = splat_points(splat, labelling.place.T_world_splat)
-        self.server: Any = viser_server(host, port)
+        self.server: Any = viser_server(port)
         self._is_open = True
         try:
             self._drawing = Drawing(self.server, labelling, points)
-            self.controls = Controls(self.server.gui, labelling, self.run, self.save)
-            self.controls.splat.visible = points is not None
-            self.controls.mesh.value = points is None
+            level = ceiling_level(labelling.ground, labelling.start.position)
+            self.controls = Controls(self.server.gui, labelling, self.run, self.save, level)
+            self.controls.place.splat.visible = points is not None
+            self.controls.place.mesh.value = points is None
             self.server.scene.on_click()(self._on_click)
             self._refresh()
         except BaseException:
-            self.server.stop()
+            stop(self.server)
             raise
 
     @property
     def url(self) -> str:
         """Where browsers find it."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return f"http://{HOST}:{self.server.get_port()}"
 
     def close(self) -> None:
         """Stop serving; a second time does nothing."""
         with self._lock:
             was_open, self._is_open = self._is_open, False
         if was_open:
-            self.server.stop()
+            stop(self.server)
 
     def __enter__(self) -> Self:
         return self
@@ -100,7 +104,7 @@ class LabelPage:
             try:
                 words = action()
                 self._refresh()
-                self.controls.status.content = words if isinstance(words, str) else ""
+                self.controls.tell(words if isinstance(words, str) else "")
             except NwEvalError as error:
                 self._show_error(str(error))
             except Exception as error:  # noqa: BLE001 - otherwise it would only be in a log.
@@ -109,7 +113,8 @@ class LabelPage:
     def click(self, origin: Point, direction: Point) -> None:
         """Put what is chosen where a ray (world, m) meets the place."""
         labelling, controls = self._labelling, self.controls
-        point = labelling.snapped(origin, direction)
+        seen_from = self._drawing.cutaway.ray(origin, direction)
+        point = labelling.snapped(seen_from, direction) if seen_from is not None else None
         if point is None:
             return
         what = controls.click
@@ -125,10 +130,14 @@ class LabelPage:
 
     def save(self, publishes: bool) -> str:
         """Save, the published XML pair too where it is wanted; return what to tell people."""
-        folder: Path = self._labelling.save()
-        words = f"✓ Saved to `{folder}`."
+        labelling = self._labelling
+        folder = labelling.save()
+        self._on_save(f"{folder / SCENE_FILE}: {labelling.words}")
+        words = f"✓ Saved `{folder / SCENE_FILE}`."
         if publishes:
-            words += f" The published pair is in `{self._labelling.publish(folder / PUBLISHED)}`."
+            pair = labelling.publish(folder / PUBLISHED)
+            self._on_save(f"{pair}: the same, as Neverwhere publishes scenes")
+            words += f" The XML pair is in `{pair}`."
         return words
 
     def _on_click(self, event: Any) -> None:
@@ -137,10 +146,11 @@ class LabelPage:
     def _refresh(self) -> None:
         controls, labelling = self.controls, self._labelling
         controls.refresh()
-        self._drawing.shows_splat = controls.splat.value
-        self._drawing.shows_mesh = controls.mesh.value
+        place, drawing = controls.place, self._drawing
+        drawing.shows_splat, drawing.shows_mesh = place.splat.value, place.mesh.value
+        drawing.cutaway = place.cutaway
         with self.server.atomic():
-            self._drawing.refresh(controls.chosen if labelling.state.waypoints else None)
+            drawing.refresh(controls.chosen if labelling.state.waypoints else None, place.preview)
         controls.chart.content = profile_svg(labelling.profile())
         marks = {"warning": "⚠️", "note": "✓"}
         controls.hints.content = "\n\n".join(
@@ -148,6 +158,6 @@ class LabelPage:
         )
 
     def _show_error(self, text: str) -> None:
-        self.controls.status.content = f"**❌ {html.escape(text)}**"
+        self.controls.tell(f"**❌ {html.escape(text)}**")
         for client in self.server.get_clients().values():
             client.add_notification("That did not work", text, color="red", auto_close_seconds=10)

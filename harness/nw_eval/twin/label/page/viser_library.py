@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import socket
+from contextlib import redirect_stdout
 from importlib import import_module
+from io import StringIO
 from typing import Any
 
 from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.twin.label.page.guard import servers_are_guarded
+
+HOST = "127.0.0.1"
+"""The page listens at this machine's own address only."""
 
 
-def viser_server(host: str, port: int) -> Any:
-    """Return a running `viser.ViserServer`, which prints nothing and shares nothing.
+def viser_server(port: int) -> Any:
+    """Return a running `viser.ViserServer` that prints nothing, shares nothing, and is guarded.
 
     Args:
-        host: address that it listens at.
         port: 0 = one that is free.
 
     Raises:
-        PrerequisiteError: viser is not installed, or does not start.
+        PrerequisiteError: viser is not installed, does not start, or cannot be guarded.
         UsageError: it cannot listen there.
     """
     try:
@@ -25,12 +31,48 @@ def viser_server(host: str, port: int) -> Any:
         raise PrerequisiteError(
             f"the label page needs the package viser: {error}", fix="pip install nw-eval[twin]"
         ) from error
-    try:
-        server = viser.ViserServer(host=host, port=port, label="nw-eval label", verbose=False)
-    except (OSError, RuntimeError, AssertionError) as error:
-        raise UsageError(
-            f"cannot listen at {host}, port {port}: {error}", fix="choose another --port, or 0"
-        ) from error
+    _check_free(port)
+    # It draws a box round its address, whatever it is told.
+    with servers_are_guarded() as guarded, redirect_stdout(StringIO()):
+        try:
+            server = viser.ViserServer(host=HOST, port=port, label="nw-eval label", verbose=False)
+        except (OSError, RuntimeError, AssertionError) as error:
+            raise PrerequisiteError(
+                f"viser does not start: {error}", fix="pip install --upgrade nw-eval[twin]"
+            ) from error
+    if not guarded:
+        stop(server)
+        raise PrerequisiteError(
+            f"viser {viser.__version__} starts its server in a way that is not known here, and "
+            "other web pages could not be kept out",
+            fix="pip install 'viser==1.1.1'",
+        )
+    if port not in {0, server.get_port()}:  # It takes the next one that is free.
+        stop(server)
+        raise UsageError(f"port {port} is in use", fix="choose another --port, or 0")
     # Sharing would send the place to a server of viser's makers.
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
     return server
+
+
+def stop(server: Any) -> None:
+    """Stop a server; viser would say so on standard output."""
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+def _check_free(port: int) -> None:
+    """Check that a port can be listened at: viser would try a thousand others.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((HOST, port))
+    except (OSError, OverflowError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error).rstrip(".")
+        raise UsageError(
+            f"cannot listen at {HOST}, port {port}: {reason}", fix="choose another --port, or 0"
+        ) from None
