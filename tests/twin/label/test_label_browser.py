@@ -1,58 +1,130 @@
-"""A person's minute on the page, in a browser without a screen: click a waypoint, save."""
+"""A person on the page, in a browser without a screen: measure, lay a trail, save, run."""
 
 import os
-import time
 from pathlib import Path
 
+import numpy as np
 import pytest
-from label_places import block, floor, gaussians, opened
+from label_person import CHROMIUM, Browser, wait
+from label_places import block, floor, gaussians, written_place
 
+from nw_eval import cli
 from nw_eval.scenes.folder import load_folder
-from nw_eval.twin.label.page import LabelPage
+from nw_eval.scenes.neverwhere import load_published
+from nw_eval.splat.files import write_splat
+from nw_eval.twin.label.folder import copying
 
-CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-MIDDLE = (640, 420)
-
-playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright")
 pytest.importorskip("viser")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.timeout(1200),
+    pytest.mark.skipif(not CHROMIUM.exists(), reason="no chromium here"),
+]
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="no chromium here")
-def test_a_click_in_the_browser_puts_a_waypoint_and_the_key_saves_it(tmp_path):
-    labelling = opened(tmp_path, floor(), block(2.0, 1.0, 0.1), block(4.5, 0.3, 0.3))
-    before = labelling.state.waypoints
-    pictures = Path(os.environ.get("NW_EVAL_PICTURES", tmp_path))
-    with LabelPage(labelling, gaussians(400)) as page, playwright.sync_playwright() as play:
-        page.controls.place.mesh.value = True
-        page.run(lambda: None)
-        browser = play.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        view = browser.new_page(viewport={"width": 1400, "height": 900})
-        view.goto(page.url)
-        view.get_by_text("add 1 m on").wait_for(timeout=60_000)
-        view.wait_for_timeout(10_000)
-        view.mouse.move(*MIDDLE)
-        view.mouse.down()
-        view.wait_for_timeout(150)
-        view.mouse.up()
-        wait(lambda: len(labelling.state.waypoints) == len(before) + 1)
-        view.wait_for_timeout(3_000)
-        view.screenshot(path=pictures / "clicked.png")
-        view.keyboard.press("n")
-        wait(lambda: len(labelling.state.waypoints) == len(before) + 2)
-        view.keyboard.press("Control+s")
-        wait(lambda: "Saved" in page.controls.status.content)
-        view.wait_for_timeout(3_000)
-        view.screenshot(path=pictures / "saved.png")
-        browser.close()
-    again = load_folder(labelling.place.folder)
-    assert len(again.trail) == len(before) + 2
-    assert again.trail[len(before)] == pytest.approx(labelling.state.waypoints[2], abs=1e-4)
+@pytest.fixture
+def pictures(tmp_path):
+    return Path(os.environ.get("NW_EVAL_PICTURES", tmp_path))
 
 
-def wait(holds, seconds=30):
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.1)
+@pytest.fixture
+def folder(tmp_path):
+    """A corridor with a bar of 0.1 m, twice as large as it should be: 0.2 m; and a suite of it."""
+    first = written_place(tmp_path / "first", floor(-4.0, 18.0, width=10.0), block(4.0, 0.6, 0.2))
+    write_splat(first / "splat.ply", gaussians(300))
+    copying.copy_place(str(first), tmp_path / "corridor")
+    return tmp_path / "corridor"
+
+
+def test_two_markers_three_waypoints_saved_and_run(label, folder, pictures, tmp_path):
+    def person(page):
+        labelling = page._labelling
+        with Browser(page, pictures) as browser:
+            # The bar is 0.6 m long in the scan and 0.3 m in the world: two points say so.
+            browser.press("4")
+            browser.click((4.0, 0.5, 0.2))
+            browser.click((4.6, 0.5, 0.2))
+            wait(lambda: labelling.distance is not None)
+            assert labelling.distance == pytest.approx(0.6, abs=0.05)
+            browser.view.get_by_role("tab", name="Scale").click()
+            browser.shows(f"{labelling.distance:.3f} m")
+            browser.picture("measured")
+            browser.view.get_by_label("It is really, m").fill(str(labelling.distance / 2))
+            browser.press("Tab")
+            browser.view.get_by_role("button", name="Scale the place").click()
+            wait(lambda: labelling.state.placement.scale == pytest.approx(0.5, rel=1e-3))
+
+            browser.view.get_by_role("tab", name="Trail").click()
+            for count in (1, 0):
+                browser.press("x")
+                wait(lambda count=count: len(labelling.state.waypoints) == count)
+            browser.shows("There is no waypoint yet")
+            browser.press("1")
+            for i, point in enumerate([(2.15, 0.0, 0.1), (3.0, 0.2, 0.0), (3.6, 0.0, 0.0)], 1):
+                browser.click(point)
+                wait(lambda i=i: len(labelling.state.waypoints) == i, at=lambda i=i: i)
+                assert labelling.state.waypoints[-1] == pytest.approx(point, abs=0.05)
+            heights = [point[2] for point in labelling.state.waypoints]
+            np.testing.assert_allclose(heights, [0.1, 0.0, 0.0], atol=1e-3)  # Snapped to the mesh.
+            browser.press("Control+z")
+            wait(lambda: len(labelling.state.waypoints) == 2)
+            browser.press("Control+Shift+z")
+            wait(lambda: len(labelling.state.waypoints) == 3)
+            browser.shows("1 hurdle, 0.10 m at most: within reach.")
+            browser.shows("Not saved yet")
+            browser.press("Control+Shift+s")
+            browser.shows("✓ Saved")
+            browser.picture("saved")
+
+    code, printed = label(folder, do=person)
+    assert code == 0
+    assert f"label: next: nw-eval run {folder / 'suite.yaml'}" in printed.out
+
+    scene = load_folder(folder)
+    np.testing.assert_allclose(scene.trail[:, 2], [0.1, 0.0, 0.0], atol=1e-3)
+    (pair,) = (folder / "published").iterdir()
+    np.testing.assert_allclose(load_published(pair).trail[:, 2], scene.trail[:, 2], atol=1e-3)
+    run = ["run", str(folder / "suite.yaml"), "--trials", "2", "--out", str(tmp_path / "run")]
+    with pytest.raises(SystemExit) as left:
+        cli.main(run)
+    assert left.value.code in {0, 3}  # Two trials decide nothing.
+
+
+def test_with_the_keyboard_alone_a_trail_is_proposed_measured_and_saved(
+    label,
+    folder,
+    pictures,
+):
+    def person(page):
+        labelling = page._labelling
+        with Browser(page, pictures) as browser:
+            browser.press("v")  # Without a splat a browser without a graphics card is quick.
+            browser.press("c")
+            wait(lambda: page.controls.place.shows_mesh and not page.controls.place.shows_splat)
+            for _ in range(4):
+                browser.press("n")
+            browser.press("p")
+            browser.shows("Proposed for hurdles: a bar 0.20 m high")
+            wait(lambda: labelling.state.task == "hurdles")
+            browser.press("m")
+            browser.press("f")
+            browser.press("m")
+            wait(lambda: labelling.distance is not None)
+            before = labelling.state.waypoints
+            # Letters that are typed into a field are no keys.
+            browser.view.get_by_label("by, m").first.focus()
+            browser.view.keyboard.type("x")
+            browser.press("Escape")
+            browser.view.get_by_role("tab", name="Trail").focus()
+            for _ in range(3):
+                browser.press("ArrowRight")
+            browser.shows("Crop from, m")
+            assert labelling.state.waypoints == before
+            browser.picture("keys")
+            browser.press("Control+s")
+            browser.shows("✓ Saved")
+
+    code, _ = label(folder, do=person)
+    assert code == 0
+    assert load_folder(folder).trail[0, 2] == pytest.approx(0.2)

@@ -70,7 +70,7 @@ def test_a_click_beside_the_place_does_nothing(page, labelling):
 
 
 def test_a_click_moves_the_chosen_waypoint_sets_the_start_or_puts_a_marker(page, labelling):
-    press(page, "key A click puts: chosen waypoint")
+    press(page, "key Clicks (1 2 3 4): chosen")
     press(page, "key Edit (N F X): next")
     click(page, 5.0, 1.0)
     assert labelling.state.waypoints[1] == pytest.approx((5.0, 1.0, 0.0))

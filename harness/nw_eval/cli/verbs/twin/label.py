@@ -35,8 +35,9 @@ class LabelScene:
         from nw_eval.splat.files import read_splat
         from nw_eval.twin.label import open_labelling
         from nw_eval.twin.label.folder.copying import own_folder
-        from nw_eval.twin.label.page import LabelPage
+        from nw_eval.twin.label.page import LabelPage, check_server
 
+        check_server(self.port)
         folder = own_folder(self.scene, self.out)
         labelling = open_labelling(folder)
         splat = labelling.place.splat

@@ -13,6 +13,7 @@ from nw_eval.errors import SceneError, StoreError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
+from nw_eval.scenes.name import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.twin.align.apply import similarity_entry
@@ -63,7 +64,7 @@ def copy_place(reference: str, out: Path) -> None:
     """Write a scene folder of any place, with a suite that runs it; whole or not at all.
 
     A folder's files are copied. Of built-in and published places the boxes are written, or the mesh
-    where there are other solids; Gaussians as they are.
+    where there are other solids; Gaussians as they are. Such a copy is called as its folder is.
 
     Raises:
         UsageError: something is at `out` already.
@@ -106,7 +107,7 @@ def _write(scene: Scene, folder: Path) -> None:
     spawn = scene.spawn
     text: dict[str, Any] = {
         "nw-scene": 1,
-        "name": scene.name,
+        "name": name_of(folder.name),
         "title": scene.title,
         "task": scene.task,
         "licence": scene.licence,

@@ -11,15 +11,21 @@ from nw_eval.twin.label.page.panel import Panel, Run, keep
 from nw_eval.twin.label.page.place_controls import PlaceControls
 from nw_eval.words import Task
 
-CLICKS = ("waypoint", "chosen waypoint", "start", "marker")
+CLICKS = ("waypoint", "chosen", "start", "marker")
+_PUTS = {
+    "waypoint": "adds a **waypoint**",
+    "chosen": "moves the **chosen waypoint** (blue)",
+    "start": "sets the **start**",
+    "marker": "puts a **marker**, to measure",
+}
 
 _HELP = """\
 1. Click waypoints on the ground, in order, or let a trail be proposed (P).
 2. Look at the start (green box) and at the hints.
 3. Save.
 
-Drag turns the view, right drag shifts it, the wheel zooms. Keys stand in brackets; Ctrl+K lists
-all.
+Drag turns the view, right drag shifts it, the wheel zooms. Keys stand in brackets and rest while a
+number is typed; Ctrl+K lists all.
 """
 
 
@@ -32,9 +38,11 @@ class Controls:
         run: wraps every action.
         save: saves; its argument says whether the published pair is written too.
         level: height above which the view is cut at first, m; None = it is not.
+        has_splat: whether there is a splat to show.
 
     Attributes:
-        chosen: index of the waypoint that moves and is moved.
+        chosen: index of the waypoint that is moved.
+        click: what a click puts, one of `CLICKS`.
         by_name: all buttons and keys, by their labels.
         place: the tabs of the place itself.
     """
@@ -45,27 +53,35 @@ class Controls:
         labelling: Labelling,
         run: Run,
         save: Callable[[bool], object],
+        *,
         level: float | None = None,
+        has_splat: bool = False,
     ) -> None:
         self._gui = gui
         self._labelling = labelling
         self._panel = panel = Panel(gui, run)
-        self._save = save
         self.by_name = panel.by_name
         self.chosen = 0
+        self.click = CLICKS[0]
         gui.add_markdown(_HELP)
-        self._click = gui.add_dropdown("A click puts (1-4)", CLICKS, initial_value=CLICKS[0])
-        for key, click in enumerate(CLICKS, 1):
-            panel.command(
-                f"A click puts: {click}", str(key), None, lambda click=click: self.set_click(click)
-            )
+        # Buttons, not lists and boxes: keys rest while the focus is in a field.
+        panel.row(
+            "Clicks (1 2 3 4)",
+            *(
+                (click, str(key), None, lambda click=click: self.set_click(click))
+                for key, click in enumerate(CLICKS, 1)
+            ),
+        )
+        self._clicks = gui.add_markdown("")
         panel.row(
             "Ctrl(+Shift)+Z",
             ("undo", "Z", "cmd/ctrl", labelling.undo),
             ("redo", "Z", "cmd/ctrl+shift", labelling.redo),
         )
-        panel.button("Save (Ctrl+S)", self._save_all, "S", "cmd/ctrl", "green")
-        self._pair = gui.add_checkbox("XML pair too", initial_value=False)
+        panel.button("Save (Ctrl+S)", lambda: save(False), "S", "cmd/ctrl", "green")
+        panel.button(
+            "Save with XML pair (Ctrl+Shift+S)", lambda: save(True), "S", "cmd/ctrl+shift", "gray"
+        )
         self.status = gui.add_markdown("")
         self.chart = gui.add_html("")
         self.hints = gui.add_markdown("")
@@ -74,16 +90,11 @@ class Controls:
             self._add_trail()
         with tabs.add_tab("Start"):
             self._add_start()
-        self.place = PlaceControls(panel, labelling, tabs, level)
-
-    @property
-    def click(self) -> str:
-        """What a click puts: one of `CLICKS`."""
-        return self._click.value
+        self.place = PlaceControls(panel, labelling, tabs, level=level, has_splat=has_splat)
 
     def set_click(self, click: str) -> None:
         """Choose what a click puts."""
-        self._click.value = click
+        self.click = click
 
     def choose(self, step: int) -> None:
         """Choose the waypoint `step` further on, round and round."""
@@ -99,25 +110,20 @@ class Controls:
         labelling, state = self._labelling, self._labelling.state
         count = len(state.waypoints)
         self.chosen = min(max(self.chosen, 0), max(count - 1, 0))
-        self._waypoint.content = (
-            f"Waypoint **{self.chosen + 1}** of {count} is chosen (blue)."
-            if count
-            else "No waypoint yet: click on the ground."
-        )
-        keep(self._task, state.task)
+        self._clicks.content = f"A click {_PUTS[self.click]}."
+        chosen = f"waypoint **{self.chosen + 1}** of {count} is chosen (blue)"
+        self._waypoint.content = f"Task **{state.task}**; {chosen if count else 'no waypoint yet'}."
         keep(self._yaw, round(math.degrees(labelling.start.yaw), 1))
         self.place.refresh()
 
     def _add_trail(self) -> None:
         labelling, panel, gui = self._labelling, self._panel, self._gui
-        self._task = gui.add_dropdown("Task", get_args(Task), initial_value=labelling.state.task)
-        panel.on_change(self._task, lambda: labelling.set_task(self._task.value))
+        self._waypoint = gui.add_markdown("")
         if labelling.place.cameras:
             panel.button("Propose where the camera walked (P)", labelling.propose_along_walk, "P")
             panel.button("Propose along my waypoints (O)", labelling.propose_along_trail, "O")
         else:
             panel.button("Propose along my waypoints (P)", labelling.propose_along_trail, "P")
-        self._waypoint = gui.add_markdown("")
         panel.row(
             "Edit (N F X)",
             ("add 1 m on", "N", None, self._add_waypoint),
@@ -140,6 +146,13 @@ class Controls:
             ("start", "T", None, lambda: self._at_chosen(labelling.start_at_waypoint)),
             ("marker", "M", None, lambda: self._at_chosen(labelling.mark_waypoint)),
         )
+        panel.row(
+            "Task",
+            *(
+                (task, None, None, lambda task=task: labelling.set_task(task))
+                for task in get_args(Task)
+            ),
+        )
 
     def _add_start(self) -> None:
         labelling, panel, gui = self._labelling, self._panel, self._gui
@@ -148,9 +161,6 @@ class Controls:
         panel.button("1 m before the trail (B)", labelling.start_before_trail, "B")
         panel.arrows("Move", "", lambda x, y: labelling.nudge_start(x * step.value, y * step.value))
         step = gui.add_number("by, m", 0.1, min=0.001, max=5.0, step=0.01)
-
-    def _save_all(self) -> object:
-        return self._save(self._pair.value)
 
     def _add_waypoint(self) -> None:
         self._labelling.add_waypoint()

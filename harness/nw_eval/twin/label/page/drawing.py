@@ -89,6 +89,8 @@ class Drawing:
         self._scene.get_handle_by_name("/mesh").visible = self.shows_mesh
         if self._splat is not None:
             self._scene.get_handle_by_name("/splat").visible = self.shows_splat
+            # It would shine through.
+            self._scene.get_handle_by_name("/grid").visible = not self.shows_splat
 
     def _draw_splat(self, splat: SplatPoints) -> None:
         state = self._labelling.state

@@ -64,9 +64,14 @@ class LabelPage:
         try:
             self._drawing = Drawing(self.server, labelling, points)
             level = ceiling_level(labelling.ground, labelling.start.position)
-            self.controls = Controls(self.server.gui, labelling, self.run, self.save, level)
-            self.controls.place.splat.visible = points is not None
-            self.controls.place.mesh.value = points is None
+            self.controls = Controls(
+                self.server.gui,
+                labelling,
+                self.run,
+                self.save,
+                level=level,
+                has_splat=points is not None,
+            )
             self.server.scene.on_click()(self._on_click)
             self._refresh()
         except BaseException:
@@ -147,7 +152,7 @@ class LabelPage:
         controls, labelling = self.controls, self._labelling
         controls.refresh()
         place, drawing = controls.place, self._drawing
-        drawing.shows_splat, drawing.shows_mesh = place.splat.value, place.mesh.value
+        drawing.shows_splat, drawing.shows_mesh = place.shows_splat, place.shows_mesh
         drawing.cutaway = place.cutaway
         with self.server.atomic():
             drawing.refresh(controls.chosen if labelling.state.waypoints else None, place.preview)

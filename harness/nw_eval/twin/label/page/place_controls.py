@@ -23,12 +23,26 @@ class PlaceControls:
         labelling: what they act on.
         tabs: viser's tab group.
         level: height above which the view is cut at first, m; None = it is not.
+        has_splat: whether there is one to show.
+
+    Attributes:
+        shows_splat, shows_mesh: whether it is seen.
     """
 
-    def __init__(self, panel: Panel, labelling: Labelling, tabs: Any, level: float | None) -> None:
+    def __init__(
+        self,
+        panel: Panel,
+        labelling: Labelling,
+        tabs: Any,
+        *,
+        level: float | None,
+        has_splat: bool,
+    ) -> None:
         self._panel = panel
         self._labelling = labelling
         self._lies: object = None
+        self.shows_splat, self.shows_mesh = has_splat, not has_splat
+        self._cuts = level is not None
         self._bounds: tuple[Point, Point] | None = None
         with tabs.add_tab("Scale"):
             self._add_scale()
@@ -48,7 +62,7 @@ class PlaceControls:
     @property
     def cutaway(self) -> Cutaway:
         """What is shown of the place."""
-        return Cutaway(level=self._level.value if self._cuts.value else None)
+        return Cutaway(level=self._level.value if self._cuts else None)
 
     def refresh(self) -> None:
         """Bring all fields to the labelling's state."""
@@ -106,25 +120,26 @@ class PlaceControls:
 
     def _add_view(self, level: float | None) -> None:
         panel, gui = self._panel, self._panel.gui
-        self.splat = gui.add_checkbox("Show the splat", initial_value=True)
-        self.mesh = gui.add_checkbox("Show the mesh", initial_value=True)
-        self._cuts = gui.add_checkbox("Hide what is above", initial_value=level is not None)
-        self._level = gui.add_number(
-            "the height of, m", round(1.2 if level is None else level, 2), step=0.1
+        panel.row(
+            "Show, hide (V C R)",
+            ("splat", "V", None, self._toggle_splat),
+            ("mesh", "C", None, self._toggle_mesh),
+            ("roof", "R", None, self._toggle_roof),
         )
-        for field in (self.splat, self.mesh, self._cuts, self._level):
-            panel.on_change(field, lambda: None)
-        for key, field, label in (
-            ("V", self.splat, "Show or hide the splat"),
-            ("C", self.mesh, "Show or hide the mesh"),
-            ("R", self._cuts, "Hide the roof, or show it"),
-        ):
+        self._level = gui.add_number(
+            "Roof: above, m", round(1.2 if level is None else level, 2), step=0.1
+        )
+        panel.on_change(self._level, lambda: None)
+        gui.add_markdown("What is hidden is saved with the rest.")
 
-            def toggle(field: Any = field) -> None:
-                field.value = not field.value
+    def _toggle_splat(self) -> None:
+        self.shows_splat = not self.shows_splat
 
-            panel.command(label, key, None, toggle)
-        gui.add_markdown("Keys: V splat, C mesh, R roof. Saving saves what is hidden, too.")
+    def _toggle_mesh(self) -> None:
+        self.shows_mesh = not self.shows_mesh
+
+    def _toggle_roof(self) -> None:
+        self._cuts = not self._cuts
 
     def _level_floor(self) -> None:
         self._labelling.shift(0.0, 0.0, -self._labelling.start.position[2])

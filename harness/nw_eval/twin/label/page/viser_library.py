@@ -15,6 +15,28 @@ HOST = "127.0.0.1"
 """The page listens at this machine's own address only."""
 
 
+def check_server(port: int) -> None:
+    """Check that a server can be started, before anything is done for it.
+
+    Args:
+        port: 0 = one that is free.
+
+    Raises:
+        PrerequisiteError: viser is not installed.
+        UsageError: nothing can listen at the port.
+    """
+    _viser()
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((HOST, port))
+    except (OSError, OverflowError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error).rstrip(".")
+        raise UsageError(
+            f"cannot listen at {HOST}, port {port}: {reason}", fix="choose another --port, or 0"
+        ) from None
+
+
 def viser_server(port: int) -> Any:
     """Return a running `viser.ViserServer` that prints nothing, shares nothing, and is guarded.
 
@@ -25,13 +47,8 @@ def viser_server(port: int) -> Any:
         PrerequisiteError: viser is not installed, does not start, or cannot be guarded.
         UsageError: it cannot listen there.
     """
-    try:
-        viser = import_module("viser")
-    except ImportError as error:
-        raise PrerequisiteError(
-            f"the label page needs the package viser: {error}", fix="pip install nw-eval[twin]"
-        ) from error
-    _check_free(port)
+    check_server(port)  # viser would try a thousand other ports.
+    viser = _viser()
     # It draws a box round its address, whatever it is told.
     with servers_are_guarded() as guarded, redirect_stdout(StringIO()):
         try:
@@ -47,7 +64,7 @@ def viser_server(port: int) -> Any:
             "other web pages could not be kept out",
             fix="pip install 'viser==1.1.1'",
         )
-    if port not in {0, server.get_port()}:  # It takes the next one that is free.
+    if port not in {0, server.get_port()}:  # Somebody was faster.
         stop(server)
         raise UsageError(f"port {port} is in use", fix="choose another --port, or 0")
     # Sharing would send the place to a server of viser's makers.
@@ -61,18 +78,10 @@ def stop(server: Any) -> None:
         server.stop()
 
 
-def _check_free(port: int) -> None:
-    """Check that a port can be listened at: viser would try a thousand others.
-
-    Raises:
-        UsageError: it cannot.
-    """
+def _viser() -> Any:
     try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((HOST, port))
-    except (OSError, OverflowError) as error:
-        reason = (isinstance(error, OSError) and error.strerror) or str(error).rstrip(".")
-        raise UsageError(
-            f"cannot listen at {HOST}, port {port}: {reason}", fix="choose another --port, or 0"
-        ) from None
+        return import_module("viser")
+    except ImportError as error:
+        raise PrerequisiteError(
+            f"the label page needs the package viser: {error}", fix="pip install nw-eval[twin]"
+        ) from error
