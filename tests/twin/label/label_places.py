@@ -29,10 +29,10 @@ waypoint_noise: [0.0, 0.2]
 """
 
 
-def block(x, size, height, *, width=3.0):
-    """A solid from x to x + size, with its top at a height, m."""
+def block(x, size, height, *, width=3.0, bottom=0.0):
+    """A solid from x to x + size, so high, m; on the floor or above it."""
     box = trimesh.creation.box((size, width, abs(height)))
-    box.apply_translation((x + size / 2, 0.0, height / 2))
+    box.apply_translation((x + size / 2, 0.0, bottom + height / 2))
     return box
 
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from label_places import gaussians, opened
+from label_places import block, floor, gaussians, opened
 
 from nw_eval.errors import PrerequisiteError
 from nw_eval.scenes.folder import load_folder
@@ -103,7 +103,7 @@ def test_the_published_pair_is_written_where_it_is_wanted(page, labelling, monke
     assert written == []
     words = page.save(publishes=True)
     assert written == [labelling.place.folder / "published"]
-    assert str(written[0]) in words
+    assert "beside it in `published`" in words
 
 
 def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling):
@@ -114,6 +114,7 @@ def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling
     page.controls.set_click("marker")
     click(page, 0.0, 0.0)
     click(page, 0.5, 0.0)
+    page.controls.place._metres.value = 1.0
     press(page, "Scale the place")
     assert labelling.state.placement.scale == pytest.approx(2.0)
     assert page.server.scene.get_handle_by_name("/splat").scale == pytest.approx(2.0)
@@ -121,6 +122,76 @@ def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling
     assert labelling.state.crop is not None
     press(page, "Take the crop back")
     assert labelling.state.crop is None
+
+
+def test_the_crop_that_is_typed_is_drawn_before_it_is_made(page, labelling):
+    place = page.controls.place
+    assert place.preview is None
+    place._low.value = (0.0, -1.0, -1.0)
+    page.run(lambda: None)
+    assert place.preview.low == (0.0, -1.0, -1.0)
+    assert page.server.scene.get_handle_by_name("/crop") is not None
+    press(page, "Crop to the pink box")
+    assert labelling.state.crop.low == (0.0, -1.0, -1.0)
+    assert place.preview is None
+    assert page.server.scene.get_handle_by_name("/crop") is None
+    press(page, "key Take the crop back")
+    assert place._low.value[0] == pytest.approx(-2.01)
+
+
+def test_splat_and_mesh_are_shown_and_hidden_by_keys(page):
+    def seen():
+        handles = (page.server.scene.get_handle_by_name(name) for name in ("/splat", "/mesh"))
+        return tuple(handle.visible for handle in handles)
+
+    assert seen() == (True, False)
+    press(page, "key Show, hide (V C R): mesh")
+    assert seen() == (True, True)
+    press(page, "key Show, hide (V C R): splat")
+    assert seen() == (False, True)
+
+
+def test_under_a_roof_clicks_reach_the_floor(tmp_path):
+    labelling = opened(tmp_path, floor(), block(-2.0, 9.0, 0.1, width=5.0, bottom=2.0))
+    with LabelPage(labelling, gaussians()) as page:
+        level = page.controls.place.cutaway.level
+        assert level == pytest.approx(1.2)
+        shown = page.server.scene.get_handle_by_name("/mesh")
+        assert shown.vertices[:, 2].max() <= level
+        click(page, 1.0, 0.5)
+        assert labelling.state.waypoints[-1] == pytest.approx((1.0, 0.5, 0.0))
+        press(page, "key Show, hide (V C R): roof")
+        click(page, 1.0, 0.5)
+        assert labelling.state.waypoints[-1] == pytest.approx((1.0, 0.5, 2.1))
+        # A view: the place itself is as it was.
+        assert labelling.mesh.vertices[:, 2].max() == pytest.approx(2.1)
+
+
+def test_the_floor_under_the_start_is_put_at_zero(page, labelling):
+    click(page, 2.5, 0.3)
+    page.controls.set_click("start")
+    click(page, 2.5, 0.3)
+    press(page, "Put the floor under the start at z = 0")
+    assert labelling.start.position[2] == pytest.approx(0.0)
+    assert labelling.mesh.vertices[:, 2].max() == pytest.approx(0.0)
+
+
+def test_a_measured_distance_is_offered_for_the_scale(page):
+    page.controls.set_click("marker")
+    click(page, 0.0, 0.0)
+    click(page, 0.5, 0.0)
+    assert page.controls.place._metres.value == pytest.approx(0.5)
+
+
+def test_a_proposal_says_on_the_page_what_it_found(page):
+    press(page, "key Propose along my waypoints (P)")
+    assert page.controls.status.content.startswith("Proposed for ")
+
+
+def test_every_button_has_a_command_for_the_keyboard(page):
+    names = set(page.controls.by_name)
+    buttons = {name for name in names if not name.startswith("key ")}
+    assert {f"key {name}" for name in buttons} <= names
 
 
 def test_what_is_wrong_is_shown_on_the_page(page):

@@ -4,8 +4,9 @@
 """
 
 from nw_eval.twin.label.course.reach import Hint
+from nw_eval.twin.label.course_edits import Propose
 from nw_eval.twin.label.crop import CropBox
-from nw_eval.twin.label.labelling import Labelling, Propose, open_labelling
+from nw_eval.twin.label.labelling import Labelling, open_labelling
 from nw_eval.twin.label.state import LabelState, StartPose
 
 __all__ = [

@@ -82,8 +82,9 @@ def save_label(
                 (staged / splat).parent.mkdir(parents=True, exist_ok=True)
                 (staged / splat).touch()
             load_folder(staged)
-            for new in {collision, captures} - {place.collision, place.captures, None}:
-                moves.enter_context(_moved_in(staged / new, folder / new))
+            for old, new in ((place.collision, collision), (place.captures, captures)):
+                if new is not None and new != old:
+                    moves.enter_context(_moved_in(staged / new, folder / new))
             temporary = moves.enter_context(atomic_path(folder / SCENE_FILE))
             temporary.write_text(written, encoding="utf-8")
     except OSError as error:

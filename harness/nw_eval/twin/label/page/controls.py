@@ -39,6 +39,7 @@ class Controls:
         save: saves; its argument says whether the published pair is written too.
         level: height above which the view is cut at first, m; None = it is not.
         has_splat: whether there is a splat to show.
+        look: turns the browsers' views to the course.
 
     Attributes:
         chosen: index of the waypoint that is moved.
@@ -56,6 +57,7 @@ class Controls:
         *,
         level: float | None = None,
         has_splat: bool = False,
+        look: Callable[[], object] = lambda: None,
     ) -> None:
         self._gui = gui
         self._labelling = labelling
@@ -90,7 +92,9 @@ class Controls:
             self._add_trail()
         with tabs.add_tab("Start"):
             self._add_start()
-        self.place = PlaceControls(panel, labelling, tabs, level=level, has_splat=has_splat)
+        self.place = PlaceControls(
+            panel, labelling, tabs, level=level, has_splat=has_splat, look=look
+        )
 
     def set_click(self, click: str) -> None:
         """Choose what a click puts."""

@@ -17,6 +17,7 @@ from nw_eval.twin.label.placement import Point
 
 _ORANGE, _BLUE, _GREEN, _PINK = (232, 89, 12), (28, 100, 242), (43, 138, 62), (214, 51, 132)
 _ROBOT = (0.6, 0.3, 0.3)  # m, of a Go1 that stands
+_ASIDE = 0.25  # of the camera's distance
 _LIFT = 0.03  # m, so that lines are not in the ground
 
 
@@ -38,7 +39,8 @@ class Drawing:
         self._scene.set_up_direction("+z")
         # A little below a floor at z = 0, which it would flicker with.
         self._scene.add_grid("/grid", width=40.0, height=40.0, position=(0.0, 0.0, -0.02))
-        self._aim(server.initial_camera)
+        server.initial_camera.up = (0.0, 0.0, 1.0)
+        self.aim(server.initial_camera)
         self.shows_splat = splat is not None
         self.shows_mesh = splat is None
         self.cutaway = Cutaway()
@@ -59,16 +61,17 @@ class Drawing:
         for name in before - self._names:
             self._scene.remove_by_name(name)
 
-    def _aim(self, camera: Any) -> None:
-        """Look at the course from behind its start and above."""
+    def aim(self, camera: Any) -> None:
+        """Let a camera look at the course from behind its start and above."""
         start = self._labelling.start
         stops = np.array([start.position, *self._labelling.state.waypoints])
-        middle, length = stops.mean(axis=0), max(float(np.ptp(stops[:, :2], axis=0).max()), 2.0)
-        yaw = start.yaw + 0.9
-        back = np.array([-math.cos(yaw), -math.sin(yaw), 0.9]) * (0.8 * length + 1.0)
-        camera.position = middle + back
+        length = max(float(np.ptp(stops[:, :2], axis=0).max()), 2.0)
+        yaw, away = start.yaw + 0.9, 0.8 * length + 1.0
+        # The panel covers the right of the page: the course is to be seen beside it.
+        right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+        middle = stops.mean(axis=0) + _ASIDE * away * right
+        camera.position = middle + away * np.array([-math.cos(yaw), -math.sin(yaw), 0.9])
         camera.look_at = middle
-        camera.up = (0.0, 0.0, 1.0)
 
     def _draw_place(self) -> None:
         state = self._labelling.state

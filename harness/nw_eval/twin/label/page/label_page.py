@@ -71,6 +71,7 @@ class LabelPage:
                 self.save,
                 level=level,
                 has_splat=points is not None,
+                look=self._look,
             )
             self.server.scene.on_click()(self._on_click)
             self._refresh()
@@ -142,11 +143,15 @@ class LabelPage:
         if publishes:
             pair = labelling.publish(folder / PUBLISHED)
             self._on_save(f"{pair}: the same, as Neverwhere publishes scenes")
-            words += f" The XML pair is in `{pair}`."
+            words += f" The XML pair is beside it in `{pair.relative_to(folder)}`."
         return words
 
     def _on_click(self, event: Any) -> None:
         self.run(lambda: self.click(event.ray_origin, event.ray_direction))
+
+    def _look(self) -> None:
+        for client in self.server.get_clients().values():
+            self._drawing.aim(client.camera)
 
     def _refresh(self) -> None:
         controls, labelling = self.controls, self._labelling

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from nw_eval.twin.label.crop import CropBox
@@ -24,6 +25,7 @@ class PlaceControls:
         tabs: viser's tab group.
         level: height above which the view is cut at first, m; None = it is not.
         has_splat: whether there is one to show.
+        look: turns the browsers' views to the course.
 
     Attributes:
         shows_splat, shows_mesh: whether it is seen.
@@ -37,19 +39,21 @@ class PlaceControls:
         *,
         level: float | None,
         has_splat: bool,
+        look: Callable[[], object],
     ) -> None:
         self._panel = panel
         self._labelling = labelling
         self._lies: object = None
         self.shows_splat, self.shows_mesh = has_splat, not has_splat
         self._cuts = level is not None
+        self._measured: float | None = None
         self._bounds: tuple[Point, Point] | None = None
         with tabs.add_tab("Scale"):
             self._add_scale()
         with tabs.add_tab("Place"):
             self._add_place()
         with tabs.add_tab("View"):
-            self._add_view(level)
+            self._add_view(level, look)
 
     @property
     def preview(self) -> CropBox | None:
@@ -75,6 +79,9 @@ class PlaceControls:
             )
         else:
             self._distance.content = f"The markers are **{distance:.3f} m** apart."
+        if distance is not None and distance != self._measured:
+            keep(self._metres, round(distance, 3))
+        self._measured = distance
         if (state.placement, state.crop) != self._lies:
             self._lies = (state.placement, state.crop)
             vertices = labelling.mesh.vertices
@@ -88,8 +95,10 @@ class PlaceControls:
     def _add_scale(self) -> None:
         labelling, panel = self._labelling, self._panel
         self._distance = panel.gui.add_markdown("")
-        metres = panel.gui.add_number("It is really, m", 1.0, min=0.001, max=1000.0, step=0.001)
-        panel.button("Scale the place", lambda: labelling.scale_to(metres.value))
+        self._metres = panel.gui.add_number(
+            "It is really, m", 1.0, min=0.001, max=1000.0, step=0.001
+        )
+        panel.button("Scale the place", lambda: labelling.scale_to(self._metres.value))
         panel.button("Clear markers", labelling.clear_markers)
 
     def _add_place(self) -> None:
@@ -118,7 +127,7 @@ class PlaceControls:
         )
         panel.button("Take the crop back", lambda: labelling.crop_to(None))
 
-    def _add_view(self, level: float | None) -> None:
+    def _add_view(self, level: float | None, look: Callable[[], object]) -> None:
         panel, gui = self._panel, self._panel.gui
         panel.row(
             "Show, hide (V C R)",
@@ -130,6 +139,7 @@ class PlaceControls:
             "Roof: above, m", round(1.2 if level is None else level, 2), step=0.1
         )
         panel.on_change(self._level, lambda: None)
+        panel.button("Look at the course (Y)", look, "Y")
         gui.add_markdown("What is hidden is saved with the rest.")
 
     def _toggle_splat(self) -> None:
