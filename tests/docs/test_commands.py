@@ -83,6 +83,8 @@ NOT_RUN = MappingProxyType(
             "minutes; tests/twin/building builds a room by night"
         ),
         "nw-eval scenes check ./corridor": "of that place",
+        "nw-eval twin label corridor": "till Ctrl-C; tests/twin/label does, and uses its page",
+        "nw-eval run corridor/suite.yaml": "of that place; test_label_browser.py runs one by night",
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume runs/student-rgb": "hours",
         "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (

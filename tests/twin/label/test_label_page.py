@@ -12,8 +12,10 @@ from label_places import block, floor, gaussians, opened
 from nw_eval.errors import PrerequisiteError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import rotation_matrix
+from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.page import LabelPage
 from nw_eval.twin.label.page.chart import profile_svg
+from nw_eval.twin.label.page.cutaway import let_through
 from nw_eval.twin.label.page.splat_points import splat_points
 
 pytest.importorskip("viser")
@@ -167,6 +169,45 @@ def test_under_a_roof_clicks_reach_the_floor(tmp_path):
         assert labelling.mesh.vertices[:, 2].max() == pytest.approx(2.1)
 
 
+def covering(z, *, opacity_logit=3.0):
+    """Flat Gaussians, 0.3 m apart, at a height over the whole floor."""
+    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(-6, 8, 0.3), np.arange(-6, 8, 0.3)))
+    count = len(x)
+    return Gaussians(
+        means=np.column_stack([x, y, np.full(count, z)]),
+        log_scales=np.log(np.tile([0.2, 0.2, 0.01], (count, 1))),
+        quats=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        opacity_logits=np.full(count, opacity_logit),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("splat", "level"), [(covering(2.0), 1.2), (covering(2.0, opacity_logit=-5.0), None)]
+)
+def test_treetops_of_the_splat_between_the_view_and_the_start_are_hidden(labelling, splat, level):
+    with LabelPage(labelling, splat) as page:
+        assert page.controls.place.cutaway.level == level
+
+
+@pytest.mark.parametrize("opacity", [0.2, 0.6])
+def test_light_that_goes_through_one_gaussian_is_what_it_does_not_take(opacity):
+    splat = splat_points(
+        Gaussians(
+            means=np.zeros((1, 3)),
+            log_scales=np.log([[0.1, 0.2, 0.3]]),
+            quats=np.array([[0.9, 0.1, 0.3, -0.2]]),
+            opacity_logits=np.log([opacity / (1 - opacity)]),
+            sh=np.zeros((1, 1, 3)),
+        ),
+        np.eye(4),
+    )
+    through = [let_through(splat, (x, -3.0, 0.0), (x, 3.0, 0.0)) for x in (0.0, 0.05, 5.0)]
+    assert through[0] == pytest.approx(1 - opacity, abs=1e-4)
+    assert through[0] < through[1] < through[2] == 1.0
+    assert let_through(splat, (0.0, 3.0, 0.0), (0.0, 1.0, 0.0)) == 1.0  # It lies beyond.
+
+
 def test_the_floor_under_the_start_is_put_at_zero(page, labelling):
     click(page, 2.5, 0.3)
     page.controls.set_click("start")
@@ -260,3 +301,14 @@ def test_without_viser_it_says_what_to_install(labelling, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(PrerequisiteError, match=r"nw-eval\[twin\]"):
         LabelPage(labelling)
+
+
+def test_names_stand_over_their_waypoints_also_after_all_were_taken_away(page, labelling):
+    for _ in range(2):
+        press(page, "Edit (N F X): remove")
+    for x in (1.0, 4.0):
+        click(page, x, 0.4)
+    for i, point in enumerate(labelling.state.waypoints):
+        name = page.server.scene.get_handle_by_name(f"/trail_name/{i}")
+        assert name.text == str(i + 1)
+        np.testing.assert_allclose(name.position[:2], point[:2])

@@ -6,7 +6,7 @@ import math
 
 from nw_eval.errors import UsageError
 from nw_eval.twin.label.folder.opening import OpenedPlace
-from nw_eval.twin.label.history import History
+from nw_eval.twin.label.history import LabelHistory
 from nw_eval.twin.label.shown import ShownPlace
 from nw_eval.twin.label.state import LabelState
 
@@ -23,7 +23,7 @@ class Edited:
 
     def __init__(self, place: OpenedPlace) -> None:
         self.place = place
-        self._history = History(place.state)
+        self._history = LabelHistory(place.state)
         self._shown = ShownPlace(place.mesh, place.state)
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from nw_eval.twin.label.state import LabelState
 
 
-class History:
+class LabelHistory:
     """A line of states, and the one that holds now.
 
     Args:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, get_args
 
 from nw_eval.twin.label.labelling import Labelling
-from nw_eval.twin.label.page.panel import Panel, Run, keep
+from nw_eval.twin.label.page.panel import ControlPanel, Run, keep
 from nw_eval.twin.label.page.place_controls import PlaceControls
 from nw_eval.words import Task
 
@@ -61,7 +61,7 @@ class Controls:
     ) -> None:
         self._gui = gui
         self._labelling = labelling
-        self._panel = panel = Panel(gui, run)
+        self._panel = panel = ControlPanel(gui, run)
         self.by_name = panel.by_name
         self.chosen = 0
         self.click = CLICKS[0]

@@ -17,6 +17,7 @@ from nw_eval.twin.label.placement import Placement, Point, as_point, mapped
 
 _FAR = 1e9  # m
 _OVERHEAD = 1.2  # m above a start; what hangs higher there is a ceiling
+_SEEN = 0.7  # share of light; with less, what is behind is a haze
 _SKY = 8.0  # m above a start; higher things hide nothing
 
 
@@ -66,8 +67,42 @@ class Cutaway:
         return as_point(np.array(origin) + share * np.array(direction))
 
 
-def ceiling_level(ground: Ground, start: Point) -> float | None:
-    """Return a level below the ceiling over a start, world, m; None where the sky is."""
+def first_level(
+    ground: Ground, splat: SplatPoints | None, eye: Point, start: Point
+) -> float | None:
+    """Return a level to cut the view at, world, m; None where a start is seen without.
+
+    Args:
+        ground: of the place; a ceiling of it over the start is cut away.
+        splat: likewise treetops and roofs of it between eye and start; world; None = there is none.
+        eye: from where the start is looked at.
+        start: on the ground.
+    """
     x, y, z = start
-    above = ground.hit((x, y, z + _OVERHEAD), (0.0, 0.0, 1.0))
-    return None if above is None or above[2] > z + _SKY else z + _OVERHEAD
+    level = z + _OVERHEAD
+    above = ground.hit((x, y, level), (0.0, 0.0, 1.0))
+    if above is not None and above[2] <= z + _SKY:
+        return level
+    if splat is not None and let_through(splat, eye, (x, y, level)) < _SEEN:
+        return level
+    return None
+
+
+def let_through(splat: SplatPoints, eye: Point, target: Point) -> float:
+    """Return the share of light that Gaussians let through from a point to another.
+
+    Each takes its opacity times what its density is where the line comes nearest to it, as a
+    rasteriser would, which orders and projects them too.
+    """
+    origin, line = np.array(eye), np.array(target) - np.array(eye)
+    offsets = splat.centers - origin
+    share = np.clip(offsets @ line / (line @ line), 0.0, 1.0)
+    spread = np.sqrt(np.trace(splat.covariances, axis1=1, axis2=2))
+    near = np.linalg.norm(offsets - share[:, None] * line, axis=1) < 3 * spread + 0.01
+    near &= (share > 0) & (share < 1)
+    inverse = np.linalg.inv(splat.covariances[near] + 1e-8 * np.eye(3))
+    along = np.einsum("i,nij,j->n", line, inverse, line)
+    at = np.einsum("i,nij,nj->n", line, inverse, offsets[near]) / along
+    apart = offsets[near] - at[:, None] * line
+    density = np.exp(-0.5 * np.einsum("ni,nij,nj->n", apart, inverse, apart))
+    return float(np.prod(1.0 - np.minimum(splat.opacities[near, 0] * density, 0.99)))

@@ -13,7 +13,7 @@ from nw_eval.twin.label.crop import CropBox
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.cutaway import Cutaway
 from nw_eval.twin.label.page.splat_points import SplatPoints
-from nw_eval.twin.label.placement import Point
+from nw_eval.twin.label.placement import Point, as_point
 
 _ORANGE, _BLUE, _GREEN, _PINK = (232, 89, 12), (28, 100, 242), (43, 138, 62), (214, 51, 132)
 _ROBOT = (0.6, 0.3, 0.3)  # m, of a Go1 that stands
@@ -112,24 +112,29 @@ class Drawing:
         )
 
     def _draw_course(self, chosen: int | None) -> None:
+        # Each thing has a name of its own, and none hangs on another: browsers lose the places of
+        # things whose parent was taken away and comes back.
         start, waypoints = self._labelling.start, self._labelling.state.waypoints
         for i, point in enumerate(waypoints):
             colour = _BLUE if i == chosen else _ORANGE
             self._ball(f"/trail/{i}", point, colour, 0.09 if i == chosen else 0.07)
-            self._text(f"/trail/{i}/name", str(i + 1), (0.0, 0.0, 0.2))
+            self._text(f"/trail_name/{i}", str(i + 1), point, 0.2)
         x, y, z = start.position
         half = (math.cos(start.yaw / 2), 0.0, 0.0, math.sin(start.yaw / 2))
+        middle = (x, y, z + _ROBOT[2] / 2)
         self._scene.add_box(
             self._named("/start"),
             color=_GREEN,
             dimensions=_ROBOT,
             opacity=0.6,
             wxyz=half,
-            position=(x, y, z + _ROBOT[2] / 2),
+            position=middle,
         )
         nose = np.array([[[_ROBOT[0] / 2, 0.0, 0.0], [_ROBOT[0] / 2 + 0.35, 0.0, 0.0]]])
-        self._scene.add_arrows(self._named("/start/looks"), nose, colors=_GREEN)
-        self._text("/start/name", "start", (0.0, 0.0, 0.3))
+        self._scene.add_arrows(
+            self._named("/start_looks"), nose, colors=_GREEN, wxyz=half, position=middle
+        )
+        self._text("/start_name", "start", middle, 0.3)
         stops = np.array([start.position, *waypoints]) + np.array([0.0, 0.0, _LIFT])
         if waypoints:
             legs = np.stack([stops[:-1], stops[1:]], axis=1)
@@ -142,14 +147,17 @@ class Drawing:
         distance = self._labelling.distance
         if distance is not None:
             self._lines("/marker_line", np.array([markers]), _PINK)
-            x, y, z = np.mean(markers, axis=0).tolist()
-            self._text("/marker_distance", f"{distance:.3f} m", (x, y, z + 0.1))
+            middle = as_point(np.mean(markers, axis=0))
+            self._text("/marker_distance", f"{distance:.3f} m", middle, 0.1)
 
     def _ball(self, name: str, point: Point, colour: tuple[int, int, int], radius: float) -> None:
         self._scene.add_icosphere(self._named(name), radius=radius, color=colour, position=point)
 
-    def _text(self, name: str, text: str, point: Point) -> None:
-        self._scene.add_label(self._named(name), text, position=point, anchor="bottom-center")
+    def _text(self, name: str, text: str, point: Point, above: float) -> None:
+        x, y, z = point
+        self._scene.add_label(
+            self._named(name), text, position=(x, y, z + above), anchor="bottom-center"
+        )
 
     def _lines(self, name: str, points: Any, colour: tuple[int, int, int]) -> None:
         self._scene.add_line_segments(self._named(name), points, colors=colour, thickness=0.02)

@@ -14,11 +14,11 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.chart import profile_svg
 from nw_eval.twin.label.page.controls import CLICKS, Controls
-from nw_eval.twin.label.page.cutaway import ceiling_level
+from nw_eval.twin.label.page.cutaway import first_level
 from nw_eval.twin.label.page.drawing import Drawing
 from nw_eval.twin.label.page.splat_points import splat_points
 from nw_eval.twin.label.page.viser_library import HOST, stop, viser_server
-from nw_eval.twin.label.placement import Point
+from nw_eval.twin.label.placement import Point, as_point
 
 PUBLISHED = "published"
 """The folder, in the scene's, in which the published XML pair appears."""
@@ -63,7 +63,8 @@ class LabelPage:
         self._is_open = True
         try:
             self._drawing = Drawing(self.server, labelling, points)
-            level = ceiling_level(labelling.ground, labelling.start.position)
+            eye = as_point(self.server.initial_camera.position)
+            level = first_level(labelling.ground, points, eye, labelling.start.position)
             self.controls = Controls(
                 self.server.gui,
                 labelling,

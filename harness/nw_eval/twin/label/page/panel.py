@@ -12,7 +12,7 @@ Entry = tuple[str, str | None, str | None, Callable[[], object]]
 """A button in a row: name, key, modifier, and what it does."""
 
 
-class Panel:
+class ControlPanel:
     """Adds buttons to viser's panel, all of them in the list of commands too (Ctrl+K).
 
     Args:

@@ -9,7 +9,7 @@ from typing import Any
 from nw_eval.twin.label.crop import CropBox
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.cutaway import Cutaway
-from nw_eval.twin.label.page.panel import Panel, keep
+from nw_eval.twin.label.page.panel import ControlPanel, keep
 from nw_eval.twin.label.placement import Axis, Point
 
 _TURNS: tuple[tuple[str, Axis], ...] = (("Turn", "z"), ("Tilt x", "x"), ("Tilt y", "y"))
@@ -33,7 +33,7 @@ class PlaceControls:
 
     def __init__(
         self,
-        panel: Panel,
+        panel: ControlPanel,
         labelling: Labelling,
         tabs: Any,
         *,
