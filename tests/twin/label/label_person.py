@@ -2,10 +2,10 @@
 
 import math
 import os
+import shutil
 import signal
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from nw_eval import cli
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.twin.label import page as label_page
 
-CHROMIUM = Path("/usr/bin/chromium")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _WIDTH, _HEIGHT = 1180, 860
@@ -94,7 +94,7 @@ class Browser:
         from playwright.sync_api import sync_playwright
 
         self._play = sync_playwright().start()
-        self._browser = self._play.chromium.launch(executable_path=str(CHROMIUM), args=_FLAGS)
+        self._browser = self._play.chromium.launch(executable_path=CHROMIUM, args=_FLAGS)
         self.view = self._browser.new_page(viewport={"width": _WIDTH, "height": _HEIGHT})
         self.view.set_default_timeout(120_000)
         self.view.goto(self._page.url)
