@@ -50,10 +50,12 @@ def test_two_markers_three_waypoints_saved_and_run(label, folder, pictures, tmp_
             browser.view.get_by_role("tab", name="Scale").click()
             browser.shows(f"{labelling.distance:.3f} m")
             browser.picture("measured")
-            browser.view.get_by_label("It is really, m").fill(str(labelling.distance / 2))
+            scale = 0.3 / labelling.distance
+            browser.view.get_by_label("It is really, m").fill("0.3")
             browser.press("Tab")
             browser.view.get_by_role("button", name="Scale the place").click()
-            wait(lambda: labelling.state.placement.scale == pytest.approx(0.5, rel=1e-3))
+            wait(lambda: labelling.state.placement.scale == pytest.approx(scale))
+            assert scale == pytest.approx(0.5, abs=0.05)
 
             browser.view.get_by_role("tab", name="Trail").click()
             for count in (1, 0):
