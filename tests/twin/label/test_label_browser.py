@@ -15,7 +15,7 @@ from nw_eval.splat.files import write_splat
 from nw_eval.twin.label.folder import copying
 
 pytest.importorskip("playwright")
-pytest.importorskip("viser")
+viser = pytest.importorskip("viser")
 pytestmark = [
     pytest.mark.nightly,
     pytest.mark.timeout(1200),
@@ -130,3 +130,21 @@ def test_with_the_keyboard_alone_a_trail_is_proposed_measured_and_saved(
     code, _ = label(folder, do=person)
     assert code == 0
     assert load_folder(folder).trail[0, 2] == pytest.approx(0.2)
+
+
+def test_another_page_of_the_same_browser_cannot_speak_to_it(label, folder, pictures):
+    opens = """([url, word]) => new Promise(resolve => {
+        const socket = new WebSocket(url, [word]);
+        socket.onopen = () => resolve("opened");
+        socket.onerror = () => resolve("refused");
+    })"""
+
+    def person(page):
+        with Browser(page, pictures) as browser:
+            words = [page.url.replace("http", "ws"), f"viser-v{viser.__version__}"]
+            assert browser.view.evaluate(opens, words) == "opened"  # The page itself may.
+            browser.view.goto("data:text/html,<p>another page</p>")
+            assert browser.view.evaluate(opens, words) == "refused"
+
+    code, _ = label(folder, do=person)
+    assert code == 0

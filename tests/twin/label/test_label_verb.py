@@ -11,6 +11,7 @@ from nw_eval import cli
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.neverwhere import load_published
 from nw_eval.splat.files import read_splat
 from nw_eval.suite import load_suite
 from nw_eval.twin.label import open_labelling
@@ -117,3 +118,19 @@ def test_a_copy_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="No space left"):
         copying.copy_place(str(folder), tmp_path / "copies" / "other")
     assert list((tmp_path / "copies").iterdir()) == []
+
+
+def test_a_copy_of_a_published_scene_is_its_mesh_trail_and_splat(tmp_path):
+    pair = open_labelling(written_place(tmp_path / "place")).publish(tmp_path)
+    copying.copy_place(f"neverwhere:{pair}", tmp_path / "mine")
+    original, copy = load_published(pair), load_folder(tmp_path / "mine")
+    assert (copy.name, copy.task) == ("mine", original.task)
+    np.testing.assert_allclose(copy.trail, original.trail, atol=5e-5)
+    np.testing.assert_allclose(
+        copy.static_mesh.triangles, original.static_mesh.triangles, atol=1e-5
+    )
+    np.testing.assert_allclose(copy.T_world_splat, original.T_world_splat, atol=1e-9)
+    assert len(read_splat(copy.splat.path)) == len(read_splat(original.splat.path))
+    labelling = open_labelling(tmp_path / "mine")
+    labelling.turn("z", 0.3)
+    labelling.save()
