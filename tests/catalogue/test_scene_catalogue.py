@@ -11,6 +11,7 @@ import pytest
 from nw_eval.built_in.splits import EVALUATION
 from nw_eval.catalogue import get_scene, match_scenes, names
 from nw_eval.catalogue.find import _BY_NAME, references
+from nw_eval.catalogue.whereabouts import scene_files, scene_paths
 from nw_eval.errors import SceneError
 
 
@@ -148,3 +149,9 @@ def test_listing_and_opening_scenes_loads_no_heavy_library():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", ["hurdles/two_logs_park", "hurdles/two_logs_park~2"])
+def test_a_built_in_scene_and_its_variants_have_no_files(name):
+    assert scene_paths(name) == ()
+    assert scene_files(name) is None

@@ -3,6 +3,7 @@
 from nw_eval.catalogue.brought import brought, fetch_scene
 from nw_eval.catalogue.find import (
     get_scene,
+    is_built_in,
     is_meant,
     match_scenes,
     names,
@@ -17,6 +18,7 @@ __all__ = [
     "brought",
     "fetch_scene",
     "get_scene",
+    "is_built_in",
     "is_meant",
     "match_scenes",
     "names",

@@ -61,7 +61,7 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: as `get_scene`.
     """
-    if _is_built_in(reference):
+    if is_built_in(reference):
         return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
@@ -112,8 +112,14 @@ def references(
         way = written if collision is None else collision
         for reference in _match(plain, Path() if base is None else base):
             # Boxes collide exactly as they are.
-            found[reference, "terrain" if _is_built_in(reference) else way] = None
+            found[reference, "terrain" if is_built_in(reference) else way] = None
     return tuple(found)
+
+
+def is_built_in(reference: str) -> bool:
+    """Say whether a reference names a built-in scene, or a variant of one, and no files."""
+    name, number = parted(reference)
+    return name in _BY_NAME and (number is None or has_variants(name))
 
 
 def is_meant(name: str, pattern: str) -> bool:
@@ -163,11 +169,6 @@ def _folders(pattern: Path) -> list[Path]:
         return sorted(file.parent for file in found)
     except (ValueError, OSError):
         return []  # Not a pattern that paths can have.
-
-
-def _is_built_in(reference: str) -> bool:
-    name, number = parted(reference)
-    return name in _BY_NAME and (number is None or has_variants(name))
 
 
 @cache

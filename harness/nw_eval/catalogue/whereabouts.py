@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from os.path import commonpath
 from pathlib import Path
 
-from nw_eval.catalogue.find import names, parse_reference
+from nw_eval.catalogue.find import is_built_in, parse_reference
 from nw_eval.scenes.folder import SCENE_FILE, folder_files
 from nw_eval.scenes.neverwhere import PREFIX, reference_path
 from nw_eval.scenes.neverwhere.places import find_places
@@ -23,7 +23,7 @@ def scene_paths(reference: str) -> tuple[Path, ...]:
         SceneError: a published scene is not there.
     """
     plain, _ = parse_reference(reference)
-    if plain in names():
+    if is_built_in(plain):
         return ()
     if plain.startswith(PREFIX):
         places = find_places(Path(reference_path(plain)))
@@ -53,7 +53,7 @@ def scene_files(reference: str) -> SceneFiles | None:
     Raises:
         SceneError: the scene is not there, or its file cannot be read.
     """
-    if reference in names():
+    if is_built_in(reference):
         return None
     if not reference.startswith(PREFIX):
         path = Path(reference)

@@ -58,6 +58,7 @@ def test_what_was_changed_and_not_saved_is_said_at_the_end(label, tmp_path):
     ("scene", "why"),
     [
         ("hurdles/two_logs_park", "built-in"),
+        ("hurdles/two_logs_park~2", "built-in"),
         ("hub:org/corridor", "not a scene folder of your own"),
         ("neverwhere:hurdle_stata_v1", "not a scene folder of your own"),
     ],
@@ -79,10 +80,11 @@ def test_a_folder_in_the_cache_is_not_edited(tmp_path, monkeypatch):
     assert copying.own_folder(str(written_place(tmp_path.parent / "mine")), None)
 
 
-def test_a_copy_of_a_built_in_place_is_the_same_to_feet(tmp_path):
-    original = get_scene("hurdles/two_logs_park")
+@pytest.mark.parametrize("name", ["hurdles/two_logs_park", "hurdles/two_logs_park~2"])
+def test_a_copy_of_a_built_in_place_is_the_same_to_feet(tmp_path, name):
+    original = get_scene(name)
     out = tmp_path / "park"
-    copying.copy_place("hurdles/two_logs_park", out)
+    copying.copy_place(name, out)
     copy = load_folder(out)
     assert copy.name == "park"
     assert copy.solids == original.solids

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nw_eval.catalogue import brought, names, open_scene
+from nw_eval.catalogue import brought, is_built_in, names, open_scene
 from nw_eval.catalogue.whereabouts import scene_files
 from nw_eval.errors import SceneError, StoreError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
@@ -41,7 +41,7 @@ def own_folder(reference: str, out: Path | None) -> Path:
         return out
     path = Path(reference)
     folder = path.parent if path.name == SCENE_FILE else path
-    if reference in names():
+    if is_built_in(reference):
         what = "a built-in place, made from data"
     elif reference.startswith(("hub:", "neverwhere:")):
         what = "not a scene folder of your own"
@@ -76,7 +76,7 @@ def copy_place(reference: str, out: Path) -> None:
             f"{out} is there already", fix=f"label that, nw-eval twin label {out}, or name another"
         )
     here = brought(reference)
-    files = None if here in names() else scene_files(here)
+    files = None if is_built_in(here) else scene_files(here)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=out.parent, prefix=".copy-") as temporary:
