@@ -100,7 +100,7 @@ def splat_render(
     if target is not None and eye is None:
         raise UsageError("--target without --eye", fix="say where the camera stands too")
     gaussians = _gaussians(source)
-    if source in catalogue.names():
+    if catalogue.is_built_in(str(source)):
         scene = catalogue.get_scene(source)
         x, y, z = scene.spawn.position
         subject = portrait.Subject(
@@ -122,7 +122,7 @@ def _gaussians(source: str | Path) -> Gaussians:
     from nw_eval.splat.transform import transformed
 
     name = str(source)
-    if name in catalogue.names():
+    if catalogue.is_built_in(name):
         scene = catalogue.get_scene(name)
         return transformed(read_splat(scene.splat_store()), scene.T_world_splat)
     path = Path(source)

@@ -84,7 +84,7 @@ def show_suite(suite: str | Path) -> ShownSuite:
 
 
 def _listed(name: str, path: Path) -> ListedSuite:
-    from nw_eval.catalogue import names, open_scene, references
+    from nw_eval.catalogue import is_built_in, open_scene, references
     from nw_eval.errors import NwEvalError
     from nw_eval.suite import load_suite
 
@@ -92,7 +92,7 @@ def _listed(name: str, path: Path) -> ListedSuite:
         suite = load_suite(str(path))
         scenes = references(suite.scenes, suite.base)
         for reference, collision in scenes:
-            if reference not in names():  # A built-in one is right, and takes long to build.
+            if not is_built_in(reference):  # A built-in one is right, and takes long to build.
                 open_scene(reference, collision)
     except NwEvalError as error:
         return ListedSuite(name=name, file=path, problem=clean(str(error).splitlines()[0]))
