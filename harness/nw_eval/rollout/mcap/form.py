@@ -45,10 +45,10 @@ class Form:
         self._times = _starts(data, _TIME)
         # Where the numbers lie, as fields of two records: one call of NumPy copies all of them.
         sizes = [len(blank) for blank in blanks]
-        kinds = {"names": [str(i) for i in range(len(sizes))], "formats": [f"V{n}" for n in sizes]}
         places = [_only_place(data, blank) for blank in blanks]
-        self._message = np.dtype({**kinds, "offsets": places, "itemsize": len(data)})
-        self._numbers = np.dtype({**kinds, "offsets": [0, *accumulate(sizes)][: len(sizes)]})
+        self._message = _fields(places, sizes, length=len(data))
+        *starts, end = accumulate(sizes, initial=0)
+        self._numbers = _fields(starts, sizes, length=end)
 
     def __len__(self) -> int:
         return len(self._bytes)
@@ -75,6 +75,13 @@ class Form:
         if self._numbers.names:
             packed = np.ascontiguousarray(numbers).view(np.uint8).reshape(len(rows), -1)
             rows.view(self._message)[:, 0] = packed.view(self._numbers)[:, 0]
+
+
+def _fields(places: Sequence[int], sizes: Sequence[int], *, length: int) -> np.dtype[Any]:
+    """Return records of some bytes, of which those at the places are fields."""
+    names, formats = [str(i) for i in range(len(sizes))], [f"V{size}" for size in sizes]
+    layout: Any = {"names": names, "formats": formats, "offsets": places, "itemsize": length}
+    return np.dtype(layout)
 
 
 def long_times(times: NDArray[np.int64]) -> NDArray[np.uint8]:
