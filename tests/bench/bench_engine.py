@@ -174,7 +174,7 @@ def main():
 
     with TemporaryDirectory() as name:
         folder = Path(name)
-        some = ("hurdles", "--scenes", SCENES, "--baseline", "none", "--record", "none")
+        some = ("hurdles-state", "--scenes", SCENES, "--baseline", "none", "--record", "none")
         run(folder / "warm", *some, "--trials", "1")
         cost = {
             (workers, times): run(

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from nw_eval.arrays import pack
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.sampled import Sampled
 
@@ -84,6 +85,23 @@ def test_states_of_equal_sensors_are_equal_bytes():
     seen(first, range(7))
     seen(second, range(7))
     assert first.state() == second.state()
+
+
+@pytest.mark.parametrize("kind", ["<f4", ">f4", "|u1"])
+def test_a_sample_alone_is_saved_as_arrays_are(kind):
+    class Plain(Steps):
+        dtype = np.dtype(kind)
+
+        def measure(self, moment):
+            return np.array([moment.step], kind)
+
+        def state(self):
+            return {}
+
+    sensor = Sampled("s", Plain())
+    seen(sensor, range(4))
+    saved = {"steps": np.array([3]), "samples": np.array([[3]], kind)}
+    assert sensor.state() == pack(saved)
 
 
 def test_only_what_the_card_names_is_made(world, card_of):

@@ -35,6 +35,8 @@ def run_process(*, description: str) -> NoReturn:
         nothing_left_to_interrupt(code)
     except KeyboardInterrupt:  # Between two steps, or while a slow reader is waited for.
         leave()
+    # The interpreter collects garbage twice as it ends, and would look at every object for nothing.
+    gc.freeze()
     sys.exit(code)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -104,12 +105,17 @@ class Sampled:
     def state(self) -> bytes:
         """Return the samples on their way, and what measurement and wrappers remember."""
         arrays: Arrays = {}
-        if memory := self._measurement.state():
+        memory = self._measurement.state()
+        if len(self._samples) == 1 and not memory and not self._is_wrapped:
+            step, sample = self._samples[0]  # As it mostly is.
+            if sample.dtype.str[0] != ">":
+                return _packed_sample(step, sample)
+        if memory:
             arrays = {f"memory.{key}": value for key, value in memory.items()}
         if self._is_wrapped:
             arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
         arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
-        if len(self._samples) == 1:  # As it mostly is; a view costs a third of an array.
+        if len(self._samples) == 1:  # A view costs a third of an array.
             arrays["samples"] = self._samples[0][1][np.newaxis]
         elif self._samples:
             arrays["samples"] = np.array([sample for _, sample in self._samples])
@@ -124,6 +130,18 @@ class Sampled:
         self._measurement.restore(_under("memory.", arrays))
         self._chain.restore(_under("chain.", arrays))
         self.fresh = False
+
+
+def _packed_sample(step: int, sample: NDArray[Any]) -> bytes:
+    """Return one sample as `pack` does: what stands before its numbers is the same every time."""
+    return _head(sample.dtype.str, sample.shape) + step.to_bytes(8, "little") + sample.tobytes()
+
+
+@lru_cache(maxsize=64)
+def _head(kind: str, shape: tuple[int, ...]) -> bytes:
+    """Return what `pack` puts before the step and the numbers of one little-endian sample."""
+    steps, samples = np.zeros(1, np.int64), np.zeros((1, *shape), kind)
+    return pack({"steps": steps, "samples": samples})[: -steps.nbytes - samples.nbytes]
 
 
 def _under(prefix: str, arrays: Arrays) -> Arrays:

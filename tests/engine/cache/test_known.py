@@ -159,6 +159,17 @@ def test_two_of_a_hundred_run_again(go):
         assert len(hits(again)) == 98
 
 
+def test_the_longest_of_those_that_run_again_comes_first(go):
+    names = [f"flat-a-{number:03d}" for number in range(200)]
+    steps = {name: 50 + number * 37 % 200 for number, name in enumerate(names)}
+    results = {name: [replace(DONE, steps=count)] for name, count in steps.items()}
+    go("first", trials=200, results=results)
+    again = go("again", trials=200, results=results).office.started
+    assert len(again) == 4
+    assert again == sorted(again, key=steps.__getitem__, reverse=True)
+    assert again != sorted(again)
+
+
 def test_in_rounds_some_of_each_may_run_again_and_one_of_the_first_does(go):
     go("first", trials=100)
     again = go("again", trials=100, rounds=90, seed=3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,20 +84,27 @@ def plan_of(
 
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
-    found = open_scenes(draft, faults, request.collision)
-    for place in found:
-        _ = place.scene.digest  # Kept; what looks at the policy is still starting.
-    if bundle is None:
-        bundle = open_policy(draft, faults, request, card=card)
-    else:
-        bundle = vet_policy(draft, faults, request, bundle)
+    # Processes of their own look at policy and bank, which takes as long as the scenes do.
+    with ThreadPoolExecutor() as beside:
+        if bundle is None:
+            vetted = beside.submit(open_policy, draft, faults, request, card=card)
+        else:
+            vetted = beside.submit(vet_policy, draft, faults, request, bundle)
+        read = None
+        if suite is not None and against is None:
+            read = beside.submit(wanted_bank, request, suite)
+        found = open_scenes(draft, faults, request.collision)
+        for place in found:
+            _ = place.scene.digest  # Kept.
+        bundle = vetted.result()
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
     chosen = _chosen(found, request.scenes if scenes is None else scenes, suite)
     opened = [place.scene for place in chosen]
     check_splats(bundle.card, opened)
-    against = wanted_bank(request, suite) if against is None else against
+    if read is not None:
+        against = read.result()
     policy = policy_info(bundle)
     suite = _on_panel(request, suite, policy, against)
     trials, shard = shard_of(

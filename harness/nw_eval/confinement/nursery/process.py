@@ -85,12 +85,14 @@ def serve(owner: Connection) -> NoReturn:
 
 
 def _import(modules: tuple[str, ...]) -> None:
+    gc.disable()
     for module in modules:
         with suppress(Exception):  # The child that needs it says what is wrong.
             importlib.import_module(module)
-    # What is there by now is never garbage: a child that looked for some would copy every page.
-    gc.collect()
+    # What is there by now is hardly ever garbage, and children wait for this: to look for some
+    # takes a tenth of a second. A child that looked for it would copy every page.
     gc.freeze()
+    gc.enable()
 
 
 def _fork(wish: Wish, owner: Connection) -> int:

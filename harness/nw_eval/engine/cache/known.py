@@ -8,6 +8,7 @@ the same conditions are void, the run makes no further use of the cache, and say
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from math import floor
 from random import Random, SystemRandom
@@ -89,25 +90,27 @@ class KnownTrials:
     def to_run(self, jobs: Sequence[TrialJob]) -> list[TrialJob]:
         """Return those of some jobs that are to run; the results of the others wait.
 
-        Those that the cache knows all the same come first: the others wait for them.
+        Those that the cache knows all the same come first, the longest of them before the others:
+        all that waits is waiting for the last of them.
         """
         if self._differing:
             return list(jobs)
         found = {job.trial.id: known for job in jobs if (known := self._find(job)) is not None}
         again = self._drawn(sorted(found))
         self._expected |= {name: found[name][1] for name in again}
-        for job in jobs:
+        others = [job for job in jobs if job.trial.id in found and job.trial.id not in again]
+        logs = [(found[job.trial.id][0], self._log_of(job)) for job in others]
+        with ThreadPoolExecutor() as pool:  # Hashing holds no lock.
+            linked = list(pool.map(_is_linked, *zip(*logs, strict=True))) if logs else []
+        for job, is_linked in zip(others, linked, strict=True):
             name = job.trial.id
-            if name in found and name not in again:
-                entry, row = found[name]
-                try:
-                    entry.link_log(self._log_of(job))
-                except NO_ENTRY:
-                    self._broken.add(name)
-                else:
-                    self._waiting[name] = job, row
+            if is_linked:
+                self._waiting[name] = job, found[name][1]
+            else:
+                self._broken.add(name)
         run = [job for job in jobs if job.trial.id not in self._waiting]
-        return sorted(run, key=lambda job: job.trial.id not in self._expected)
+        steps = {name: row.steps for name, row in self._expected.items()}
+        return sorted(run, key=lambda job: -steps.get(job.trial.id, -1))
 
     def ended(self, job: TrialJob, row: Row) -> None:
         """Compare a trial that has run with what the cache says of it, and keep it."""
@@ -206,6 +209,15 @@ class KnownTrials:
             )
         else:
             self.has_added = True
+
+
+def _is_linked(entry: CacheEntry, log: Path) -> bool:
+    """Put an entry's log in a run's place; return whether it was what was kept."""
+    try:
+        entry.link_log(log)
+    except NO_ENTRY:
+        return False
+    return True
 
 
 def _is_worth_keeping(row: Row) -> bool:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from nw_eval.cards import Card
 
 _PRELOAD = "nw_eval.rollout.confined.preload"
+_KERNELS = "nw_eval.rollout.confined.kernels"
 _LIBRARY = {"onnx": "onnxruntime"}
 _NONE = frozenset({"remote", "zero"})
 """Adapters that need no library for their networks; those that are not named need torch."""
@@ -43,6 +44,8 @@ _lock = threading.Lock()
 _nursery: Nursery | None = None
 _born_in: Hashable = None
 """`_standing` of this process when the nursery was started."""
+_with_kernels: Nursery | None = None
+"""The nursery that was told to load kernels."""
 
 
 class Started(Protocol):
@@ -89,12 +92,23 @@ def prepare_for(card: Card) -> None:
         nursery.learn(_LIBRARY.get(card.adapter, "torch"))
 
 
+def prepare_kernels() -> None:
+    """Let a nursery that there is load the CPU renderer's kernels, if they have been compiled.
+
+    It takes as long as all else that it imports: what does not draw is forked before.
+    """
+    if _nursery is not None:
+        _load_kernels(_nursery)
+
+
 def has_kernels() -> bool:
     """Return whether processes to come have the CPU renderer's kernels; waits for the nursery."""
     receiver, sender = Pipe(duplex=False)
     with receiver, suppress(OSError, EOFError):
         with sender:
-            child = _open_nursery().fork(_tell_warmth, (), (sender,))
+            nursery = _open_nursery()
+            _load_kernels(nursery)
+            child = nursery.fork(_tell_warmth, (), (sender,))
         warmth = receiver.recv_bytes()
         child.join()
         return child.exitcode == 0 and warmth == _WARM
@@ -102,7 +116,7 @@ def has_kernels() -> bool:
 
 
 def _tell_warmth(sender: Connection) -> None:
-    from nw_eval.rollout.confined.preload import WARM
+    from nw_eval.rollout.confined.kernels import WARM
 
     sender.send_bytes(_WARM if WARM else b"")
 
@@ -137,7 +151,10 @@ def start_process(
     """
     if not rules.off and (is_one_of_many or _nursery is not None):
         with suppress(OSError):
-            return _open_nursery().fork(function, arguments, connections)
+            nursery = _open_nursery()
+            if is_one_of_many:
+                _load_kernels(nursery)
+            return nursery.fork(function, arguments, connections)
     process = get_context("spawn").Process(
         target=function, args=(*arguments, *connections), daemon=not is_one_of_many
     )
@@ -159,6 +176,15 @@ def _open_nursery() -> Nursery:
             _nursery, _born_in = Nursery(), standing
             _nursery.learn(_PRELOAD)
         return _nursery
+
+
+def _load_kernels(nursery: Nursery) -> None:
+    """Let a nursery load kernels, once, without waiting for it."""
+    global _with_kernels  # noqa: PLW0603 - one a process is the point.
+    with _lock:
+        if nursery is not _with_kernels:
+            nursery.learn(_KERNELS)
+            _with_kernels = nursery
 
 
 def _standing() -> Hashable:

@@ -11,8 +11,8 @@ from nw_eval.policies import Bundle, load_bundle
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import opening_rules
-from nw_eval.rollout.confined.isolated import call_isolated
-from nw_eval.rollout.confined.start import prepare_for
+from nw_eval.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
+from nw_eval.rollout.confined.start import prepare_for, prepare_kernels
 
 
 def vet_bundle(
@@ -43,15 +43,21 @@ def vet_bundle(
         check_bundle(bundle, get_robot(robot), allow_code=allow_code)
         return bundle
     prepare_for(bundle.card)
-    call_isolated(
+    arguments = {
+        "card": bundle.reference,
+        "checkpoint": None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        "robot": robot,
+        "allow_code": allow_code,
+    }
+    with IsolatedCall(
         _check,
         subject=bundle.where,
         rules=opening_rules(bundle, allow_code=allow_code),
-        card=bundle.reference,
-        checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
-        robot=robot,
-        allow_code=allow_code,
-    )
+        renders=False,
+        arguments=arguments,
+    ) as call:
+        prepare_kernels()  # Trials may want them, and this process does not.
+        call.answer(TIME_LIMIT)
     return bundle
 
 

@@ -106,7 +106,11 @@ def merged(count: int, parts: Sequence[Part]) -> Batch:
 
 def _index(channels: ArrayLike, times: ArrayLike, starts: ArrayLike) -> Integers:
     """Return the index of N pieces at `times` (N,), with records (N, K) in each."""
-    times = np.asarray(times, np.int64)[:, np.newaxis]
-    numbers = np.arange(len(times))[:, np.newaxis]
-    each = np.broadcast_arrays(channels, times, numbers, starts)
-    return np.stack(each, axis=-1).reshape(-1, 4)
+    times = np.asarray(times, np.int64)
+    count = len(times)
+    found = np.empty((count, np.size(starts), 4), np.int64)
+    found[:, :, 0] = channels
+    found[:, :, 1] = times[:, np.newaxis]
+    found[:, :, 2] = np.arange(count)[:, np.newaxis]
+    found[:, :, 3] = starts
+    return found.reshape(-1, 4)

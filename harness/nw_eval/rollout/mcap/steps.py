@@ -79,7 +79,7 @@ class Steps:
         self._command = command
         # Where the numbers of the body end in a step's bytes, and those of the actions.
         self._ends = 8 * body.width, 8 * (body.width + 3 * joints)
-        self._walked: list[list[float]] = []
+        self._walked = np.empty((0, 3))  # places of the trunk
         self._notes: list[StepNote] = []
 
     def note(self, step: StepNote) -> None:
@@ -109,15 +109,15 @@ class Steps:
     def _path(
         self, notes: Sequence[StepNote], times: Sequence[int], rows: Array, channels: Channels
     ) -> Part:
-        places = self._body.trunk(rows).tolist()
+        points = [number for number, note in enumerate(notes) if note.path != "none"]
+        before = len(self._walked)
+        self._walked = np.concatenate((self._walked, self._body.trunk(rows)[points]))
         shown: list[int] = []
         clouds: list[bytes] = []
-        for number, note in enumerate(notes):
-            if note.path != "none":
-                self._walked.append(places[number])
-            if note.path == "shown":
+        for count, number in enumerate(points, before + 1):
+            if notes[number].path == "shown":
                 shown.append(number)
-                clouds.append(path_cloud(times[number], self._walked))
+                clouds.append(path_cloud(times[number], self._walked[:count]))
         numbers = [channels("/robot/path", PointCloud) for _ in shown]
         return shown, records(numbers, [times[number] for number in shown], clouds)
 

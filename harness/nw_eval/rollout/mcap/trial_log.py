@@ -157,12 +157,17 @@ class TrialLog:
         )
         self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
 
-    @_costs_only_the_log
     def step(self, step: StepNote) -> None:
         """Write a control step."""
-        assert self._steps is not None, "start comes first"
-        self._steps.note(step)
-        self._out.add_noted(self._steps, step.time)
+        file, steps = self._file, self._steps
+        if file is None:
+            return
+        assert steps is not None, "start comes first"
+        steps.note(step)
+        try:  # As `_costs_only_the_log`, without a call of its own: this happens most often.
+            file.add_noted(steps, step.time)
+        except OSError as error:
+            self.lose(error)
 
     @_costs_only_the_log
     def state(self, time: float, saved: Saved) -> None:

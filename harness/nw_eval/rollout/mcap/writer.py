@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import IO, Any
 
 import numpy as np
@@ -45,6 +46,7 @@ _LEVEL = 1
 
 _MAGIC = b"\x89MCAP0\r\n"
 _INDEX = struct.Struct("<BQHI")  # opcode, length; channel, bytes of the pairs that follow
+_PAIR = 16  # bytes of a time and a place
 _FOOTER = struct.Struct("<BQQQ")  # what the summary's checksum covers of the footer
 
 
@@ -206,16 +208,18 @@ class McapWriter:
     def _put_index(self, index: NDArray[np.int64]) -> dict[int, int]:
         """Write where each channel's messages are in a chunk; return where that is written."""
         index = index[np.argsort(index[:, 0], kind="stable")]
-        channels, starts = np.unique(index[:, 0], return_index=True)
-        pairs = [pairs.tobytes() for pairs in np.split(index[:, 1:].astype("<u8"), starts[1:])]
+        channels = index[:, 0]
+        starts = [0, *(np.flatnonzero(channels[1:] != channels[:-1]) + 1).tolist()]
+        pairs = index[:, 1:].astype("<u8").tobytes()
         place = self._stream.tell()
         places: dict[int, int] = {}
-        for channel, data in zip(channels.tolist(), pairs, strict=True):
+        for start, end in pairwise([*starts, len(index)]):
+            channel, data = int(channels[start]), pairs[_PAIR * start : _PAIR * end]
             head = _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data))
             self._stream.write(head + data)
             places[channel] = place
             place += len(head) + len(data)
-            self._counts[channel] = self._counts.get(channel, 0) + len(data) // 16
+            self._counts[channel] = self._counts.get(channel, 0) + end - start
         return places
 
     def _statistics(self) -> Statistics:

@@ -22,11 +22,11 @@ from nw_eval.cards.observations.cameras import (
     SemanticsObservation,
     SplatRgbObservation,
 )
-from nw_eval.rollout.mcap.content.images import Form
 
 if TYPE_CHECKING:
     from nw_eval.cards import Card
     from nw_eval.robots import CameraMount
+    from nw_eval.rollout.mcap.content.images import Form
 
 Image = NDArray[Any]
 

@@ -183,8 +183,16 @@ def _poses(places: Array) -> Array:
 def _turned(quats: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (3,) or (N, 3) turned by unit quaternions (N, 4)."""
     scalar, axis = quats[:, :1], quats[:, 1:]
-    across = 2.0 * np.cross(axis, vectors)
-    return vectors + scalar * across + np.cross(axis, across)
+    across = 2.0 * _cross(axis, vectors)
+    return vectors + scalar * across + _cross(axis, across)
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cross products of (N, 3) with (3,) or (N, 3): `np.cross` takes longer."""
+    found = np.empty_like(a)
+    for to, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        found[:, to] = a[:, i] * b[..., j] - a[:, j] * b[..., i]
+    return found
 
 
 def _product(quats: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,7 +5,6 @@ Points are few: they show where things are, while `/scene` shows what they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -103,9 +102,9 @@ class TrailClouds:
         return _cloud(time_ns, WORLD, _coloured(self._rings, _RING * reached))
 
 
-def path_cloud(time_ns: int, path: Sequence[Sequence[float]]) -> bytes:
+def path_cloud(time_ns: int, path: Points) -> bytes:
     """Return where the trunk's origin has been, (N, 3) m."""
-    return _cloud(time_ns, WORLD, _rows(np.asarray(path), _PATH))
+    return _cloud(time_ns, WORLD, _rows(path, _PATH))
 
 
 def cloud_points(message: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
