@@ -24,7 +24,7 @@ from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
 from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.memory import elements, load_pair, prefetch_early, prefetch
+from nw_eval.splat.kernels.memory import elements, load_pair, prefetch_early
 from nw_eval.splat.kernels.records import append_lower, append_upper
 from nw_eval.splat.kernels.simd import ceil, floor, fma, mask_bits, maximum, minimum, negate, sqrt
 
