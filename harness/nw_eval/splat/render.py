@@ -6,6 +6,7 @@ import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -155,14 +156,12 @@ class CpuRenderer:
         clock: int,
     ) -> None:
         layout, preset = self.store.layout, self._preset
-        columns = pixels.indices(camera.width)[window[0] : window[1]]
-        rows = pixels.indices(camera.height)[window[2] : window[3]]
         frame.draw(
             (layout.geometry, layout.dc, layout.sh, layout.bounds),
             layout.sh_count,
             view_vector(camera, pixels, window),
-            _centres(columns),
-            _centres(rows),
+            _centres(pixels, *window[:2]),
+            _centres(pixels, *window[2:]),
             (
                 np.float32(preset.eps2d),
                 self._antialiased,
@@ -252,8 +251,10 @@ def _split(width: int, parts: int) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _centres(indices: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Pixel-centre coordinates with the slack that vector loads touch."""
+@lru_cache(maxsize=64)
+def _centres(pixels: Pixels, first: int, end: int) -> NDArray[np.float32]:
+    """Centres of the pixels first..end-1 taken along a side, with the slack of vector loads."""
+    indices = np.array([pixels.index(number) for number in range(first, end)])
     return np.concatenate([indices + 0.5, np.zeros(PIXELS)]).astype(np.float32)
 
 

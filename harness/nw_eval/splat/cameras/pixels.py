@@ -54,6 +54,11 @@ class Pixels:
         cells = np.arange(side // self.stride)[:, None] * self.stride
         return (cells + self.offset + np.arange(self.block)).reshape(-1)
 
+    def index(self, number: int) -> int:
+        """Pixel index of the number-th pixel taken along a side."""
+        cell, within = divmod(number, self.block)
+        return cell * self.stride + self.offset + within
+
     def crop(self, image: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the pixels of a full image (H, W, ...): (H', W', ...)."""
         rows, columns = self.indices(image.shape[0]), self.indices(image.shape[1])

@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.splat.kernels.simd import FLOAT, I1, I32, I64, integers, intrinsic
+from nw_eval.splat.kernels.simd import FLOAT, I32, I64, integers, intrinsic
 
 
 @intrinsic
@@ -33,14 +33,14 @@ def float_of(_typing: Any, bits: Any) -> Any:
 
 
 @intrinsic
-def lowest_bit(_typing: Any, value: Any) -> Any:
-    """Return the position of the lowest set bit of a non-zero int64."""
+def count_bits(_typing: Any, value: Any) -> Any:
+    """Return how many bits of an int64 are set."""
 
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(I64, [I64, I1]), "llvm.cttz.i64"
+            builder.module, ir.FunctionType(I64, [I64]), "llvm.ctpop.i64"
         )
-        return builder.call(function, [args[0], ir.Constant(I1, 1)])
+        return builder.call(function, [args[0]])
 
     return types.int64(types.int64), generate
 

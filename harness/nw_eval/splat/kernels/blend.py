@@ -7,7 +7,8 @@ alpha < 1/255 are skipped. This is gsplat's rule, in gsplat's order.
 The framebuffer has the light that each pixel still lets through, T, and beside it its paint: red,
 green, blue, depth. A finished pixel holds -T. Pixels outside the window hold -1. `live` counts the
 unfinished pixels of each 8x8 block of the window, so that splats and chunks behind finished blocks
-are left out.
+are left out. It is counted anew for every `BATCH` splats: until then a splat may be drawn on
+finished pixels, which changes none of them, and no splat has to ask which pixels it finished.
 
 Each splat is drawn with the shape of vector that fits it: 4x4 pixels for splats up to four pixels
 wide, 8x2 for up to eight, 16x1 for up to sixteen, and row spans solved from its ellipse for the
@@ -23,7 +24,7 @@ import numpy as np
 
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.bits import bits_of, lowest_bit, pack_range
+from nw_eval.splat.kernels.bits import bits_of, count_bits, pack_range
 from nw_eval.splat.kernels.math8 import EXP2, exp2, taken_below
 from nw_eval.splat.kernels.memory import load, peek, poke, prefetch, store
 from nw_eval.splat.kernels.project import (
@@ -50,7 +51,6 @@ from nw_eval.splat.kernels.simd import (
     minimum,
     minus_abs,
     negate,
-    sign_bits,
     sqrt,
     where,
 )
@@ -60,6 +60,9 @@ FINISHED = 1e-4
 
 AHEAD = 10
 """Splats by which records are fetched ahead of their use."""
+
+BATCH = 4096
+"""Splats, at least, between two counts of the pixels that are left."""
 
 SLACK_COLUMNS, SLACK_ROWS = 16, 4
 """Columns and rows behind the window that vectors may touch; their pixels count as finished."""
@@ -74,8 +77,8 @@ def _drawing(shape: LaneShape) -> Any:
     @inlined
     def draw(
         light: Any, paint: Any, o: Any, stride: Any, power: Any, curve: Any, colour: Any
-    ) -> Any:
-        """Blend a block of pixels, the first at o; return those that finish now as bits."""
+    ) -> None:
+        """Blend a block of pixels, the first at o."""
         threshold, finished, most_alpha, numbers = curve
         T = load(light, o, stride)
         # Rounding can lift the power of a needle above 0; nothing is more than opaque.
@@ -86,7 +89,6 @@ def _drawing(shape: LaneShape) -> Any:
         finish = left <= finished
         store_light(light, o, stride, where(finish, minus_abs(T), left))
         add(paint, o, stride, where(finish, 0.0, weight), colour)
-        return mask_bits(finish) & ~sign_bits(T)
 
     return draw
 
@@ -98,17 +100,18 @@ _line_columns = LINE.columns
 
 
 @kernel
-def _retire(live: Any, live_stride: Any, bits: Any, x: Any, y: Any, width_bits: Any) -> Any:
-    """Count the pixels of a block that finished out of `live`; return how many they are."""
-    count = 0
-    while bits != 0:
-        lane = lowest_bit(bits)
-        bits &= bits - 1
-        column, row = x + (lane & ((1 << width_bits) - 1)), y + (lane >> width_bits)
-        place = (row >> 3) * live_stride + (column >> 3)
-        poke(live, place, peek(live, place) - 1)
-        count += 1
-    return count
+def _count_live(light: Any, stride: Any, live: Any, live_stride: Any) -> Any:
+    """Count the unfinished pixels of each 8x8 block of a window into `live`; return their sum."""
+    total = 0
+    rows = len(light) // stride
+    for row in range(len(live) // live_stride - 1):
+        for column in range(live_stride - 1):
+            count = 0
+            for y in range(8 * row, min(8 * row + 8, rows)):
+                count += count_bits(mask_bits(load(light, y * stride + 8 * column) > 0.0))
+            poke(live, row * live_stride + column, count)
+            total += count
+    return total
 
 
 @kernel
@@ -194,16 +197,17 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
         light: float32, T of each pixel.
         paint: float32, four for each pixel.
         stride: pixels in a row of the two, slack included.
-        live: int64 unfinished pixels of each 8x8 block of the window.
+        live: int64, out: unfinished pixels of each 8x8 block of the window; one more block in each
+            row and column than the window has.
         live_stride: blocks per row.
         view: (SIZE,) float32 of view.py.
         most_alpha: alpha is clamped to it.
         numbers: `CURVE`.
 
     Returns:
-        (pixels that finished, blocks drawn, splats drawn).
+        (pixels that are not finished, blocks drawn, splats drawn).
     """
-    finished = blocks = drawn = 0
+    blocks = drawn = 0
     spans = np.empty(8, np.float32)
     span_bits = spans.view(np.int32)
     curve = (
@@ -220,90 +224,88 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
             broadcast(numbers[8]),
         ),
     )
-    for i in range(count):
-        prefetch(records, (peek(ordered, min(i + AHEAD, count - 1)) & 0xFFFFFFFF) * RECORD)
-        j = (peek(ordered, i) & 0xFFFFFFFF) * RECORD
-        packed_x = int(bits_of(peek(records, j + COLUMNS)))
-        packed_y = int(bits_of(peek(records, j + ROWS)))
-        xa, xb = packed_x & 0xFFFF, packed_x >> 16
-        ya, yb = packed_y & 0xFFFF, packed_y >> 16
-        # The first block alone answers for most.
-        if peek(live, (ya >> 3) * live_stride + (xa >> 3)) == 0 and not _any_live(
-            live, live_stride, xa, xb, ya, yb
-        ):
-            continue
-        drawn += 1
-        u, v = broadcast(peek(records, j + U)), broadcast(peek(records, j + V))
-        ca, cb = broadcast(peek(records, j + A)), broadcast(peek(records, j + B))
-        cc = broadcast(peek(records, j + C))
-        log_opacity = broadcast(peek(records, j + LOG_OPACITY))
-        colour = repeat4(records, j + RED)
-        o = ya * stride + xa
-        # power = log_opacity - dx (A dx) - dy (B dx + C dy), always in this order.
-        if xb - xa < 4:
-            dx = _square_columns(columns, xa) - u
-            across = fma(negate(dx * ca), dx, log_opacity)
-            slope = dx * cb
-            y = ya
-            while True:
-                dy = _square_rows(rows, y) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
-                bits = _draw_square(light, paint, o, stride, power, curve, colour)
-                if bits != 0:
-                    finished += _retire(live, live_stride, bits, xa, y, 2)
-                o += 4 * stride
-                y += 4
-                blocks += 1
-                if y > yb:
-                    break
-        elif xb - xa < 8:
-            dx = _flat_columns(columns, xa) - u
-            across = fma(negate(dx * ca), dx, log_opacity)
-            slope = dx * cb
-            y = ya
-            while True:
-                dy = _flat_rows(rows, y) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
-                bits = _draw_flat(light, paint, o, stride, power, curve, colour)
-                if bits != 0:
-                    finished += _retire(live, live_stride, bits, xa, y, 3)
-                o += 2 * stride
-                y += 2
-                blocks += 1
-                if y > yb:
-                    break
-        elif xb - xa < 16:
-            dx = _line_columns(columns, xa) - u
-            across = fma(negate(dx * ca), dx, log_opacity)
-            slope = dx * cb
-            for y in range(ya, yb + 1):
-                dy = broadcast(peek(rows, y)) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
-                bits = _draw_line(light, paint, o, stride, power, curve, colour)
-                if bits != 0:
-                    finished += _retire(live, live_stride, bits, xa, y, 4)
-                o += stride
-                blocks += 1
-        else:
-            for y in range(ya, yb + 1):
-                if (y - ya) & 7 == 0:
-                    ellipse = (
-                        peek(records, j + U),
-                        peek(records, j + A),
-                        peek(records, j + B),
-                        peek(records, j + C),
-                        peek(records, j + LOG_OPACITY) - THRESHOLD,
-                    )
-                    below = load(rows, y) - peek(records, j + V)
-                    store(spans, 0, _row_spans(below, ellipse, view, xa, xb))
-                packed = int(peek(span_bits, (y - ya) & 7))
-                dy = broadcast(peek(rows, y)) - v
-                for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
-                    dx = _line_columns(columns, x) - u
-                    across = fma(negate(dx * ca), dx, log_opacity)
-                    power = fma(negate(fma(dy, cc, dx * cb)), dy, across)
-                    bits = _draw_line(light, paint, y * stride + x, stride, power, curve, colour)
-                    if bits != 0:
-                        finished += _retire(live, live_stride, bits, x, y, 4)
+    batch = max(BATCH, len(light) // 4)
+    left = _count_live(light, stride, live, live_stride)
+    for start in range(0, count, batch):
+        if left == 0:
+            break
+        for i in range(start, min(start + batch, count)):
+            prefetch(records, (peek(ordered, min(i + AHEAD, count - 1)) & 0xFFFFFFFF) * RECORD)
+            j = (peek(ordered, i) & 0xFFFFFFFF) * RECORD
+            packed_x = int(bits_of(peek(records, j + COLUMNS)))
+            packed_y = int(bits_of(peek(records, j + ROWS)))
+            xa, xb = packed_x & 0xFFFF, packed_x >> 16
+            ya, yb = packed_y & 0xFFFF, packed_y >> 16
+            # The first block alone answers for most.
+            if peek(live, (ya >> 3) * live_stride + (xa >> 3)) == 0 and not _any_live(
+                live, live_stride, xa, xb, ya, yb
+            ):
+                continue
+            drawn += 1
+            u, v = broadcast(peek(records, j + U)), broadcast(peek(records, j + V))
+            ca, cb = broadcast(peek(records, j + A)), broadcast(peek(records, j + B))
+            cc = broadcast(peek(records, j + C))
+            log_opacity = broadcast(peek(records, j + LOG_OPACITY))
+            colour = repeat4(records, j + RED)
+            o = ya * stride + xa
+            # power = log_opacity - dx (A dx) - dy (B dx + C dy), always in this order.
+            if xb - xa < 4:
+                dx = _square_columns(columns, xa) - u
+                across = fma(negate(dx * ca), dx, log_opacity)
+                slope = dx * cb
+                y = ya
+                while True:
+                    dy = _square_rows(rows, y) - v
+                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    _draw_square(light, paint, o, stride, power, curve, colour)
+                    o += 4 * stride
+                    y += 4
                     blocks += 1
-    return finished, blocks, drawn
+                    if y > yb:
+                        break
+            elif xb - xa < 8:
+                dx = _flat_columns(columns, xa) - u
+                across = fma(negate(dx * ca), dx, log_opacity)
+                slope = dx * cb
+                y = ya
+                while True:
+                    dy = _flat_rows(rows, y) - v
+                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    _draw_flat(light, paint, o, stride, power, curve, colour)
+                    o += 2 * stride
+                    y += 2
+                    blocks += 1
+                    if y > yb:
+                        break
+            elif xb - xa < 16:
+                dx = _line_columns(columns, xa) - u
+                across = fma(negate(dx * ca), dx, log_opacity)
+                slope = dx * cb
+                for y in range(ya, yb + 1):
+                    dy = broadcast(peek(rows, y)) - v
+                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    _draw_line(light, paint, o, stride, power, curve, colour)
+                    o += stride
+                    blocks += 1
+            else:
+                for y in range(ya, yb + 1):
+                    if (y - ya) & 7 == 0:
+                        ellipse = (
+                            peek(records, j + U),
+                            peek(records, j + A),
+                            peek(records, j + B),
+                            peek(records, j + C),
+                            peek(records, j + LOG_OPACITY) - THRESHOLD,
+                        )
+                        below = load(rows, y) - peek(records, j + V)
+                        store(spans, 0, _row_spans(below, ellipse, view, xa, xb))
+                    packed = int(peek(span_bits, (y - ya) & 7))
+                    dy = broadcast(peek(rows, y)) - v
+                    for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
+                        dx = _line_columns(columns, x) - u
+                        across = fma(negate(dx * ca), dx, log_opacity)
+                        power = fma(negate(fma(dy, cc, dx * cb)), dy, across)
+                        _draw_line(light, paint, y * stride + x, stride, power, curve, colour)
+                        blocks += 1
+        left = _count_live(light, stride, live, live_stride)
+    return left, blocks, drawn

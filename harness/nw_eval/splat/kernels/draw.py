@@ -139,6 +139,7 @@ def draw(
         end = min(taken + slab, visible)
         for i in range(taken, end):
             chunk = chunk_keys[i] & 0xFFFFFFFF
+            following = chunk_keys[min(i + 1, visible - 1)] & 0xFFFFFFFF
             if taken > 0 and is_hidden(bounds, chunk, view, eps2d, live, live_stride):
                 statistics[HIDDEN_CHUNKS] += 1
                 continue
@@ -150,6 +151,7 @@ def draw(
                 sh_count,
                 bounds,
                 chunk,
+                following,
                 view,
                 eps2d,
                 antialiased,
@@ -173,7 +175,7 @@ def draw(
         now = clock_nanoseconds(clock) if clock >= 0 else 0
         statistics[SORT] += now - started
         started = now
-        finished, vectors, drawn = blend(
+        left, vectors, drawn = blend(
             records,
             ordered,
             ready,
@@ -188,7 +190,6 @@ def draw(
             most_alpha,
             numbers,
         )
-        left -= finished
         statistics[VECTORS] += vectors
         statistics[DRAWN] += drawn
         _keep_carried(records, depths, carried, later)

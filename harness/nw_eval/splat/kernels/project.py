@@ -18,13 +18,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from nw_eval.machine_code.jit import kernel
+from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
 from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.memory import load_pair
+from nw_eval.splat.kernels.memory import elements, load_pair, prefetch_early
 from nw_eval.splat.kernels.records import append_lower, append_upper
 from nw_eval.splat.kernels.simd import ceil, floor, fma, mask_bits, maximum, minimum, negate, sqrt
 
@@ -43,6 +43,13 @@ _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
 
 
+@inlined
+def _fetch(array: Any, first: Any, count: Any, line: Any) -> None:
+    """Ask for `count` elements from `first` on, `line` of them in a cache line."""
+    for place in range(first, first + count, line):
+        prefetch_early(array, place)
+
+
 @kernel
 def project_chunk(
     geometry: Any,
@@ -51,6 +58,7 @@ def project_chunk(
     sh_count: Any,
     bounds: Any,
     chunk: Any,
+    following: Any,
     view: Any,
     eps2d: Any,
     antialiased: Any,
@@ -67,6 +75,7 @@ def project_chunk(
         sh_count: coefficients per channel: 1, 4, 9 or 16.
         bounds: (chunks * BOUNDS,) float32.
         chunk: which chunk.
+        following: which one comes next: it is fetched meanwhile.
         view: (SIZE,) float32 of view.py.
         eps2d: variance added to the footprint, pixels squared.
         antialiased: whether opacity is compensated for it.
@@ -77,6 +86,7 @@ def project_chunk(
     Returns:
         The new count.
     """
+    geometry, dc, sh = elements(geometry), elements(dc), elements(sh)
     r0, r1, r2 = view[at.R], view[at.R + 1], view[at.R + 2]
     r3, r4, r5 = view[at.R + 3], view[at.R + 4], view[at.R + 5]
     r6, r7, r8 = view[at.R + 6], view[at.R + 7], view[at.R + 8]
@@ -101,8 +111,14 @@ def project_chunk(
     first_dc = chunk * (CHUNK * 3)
     first_sh = chunk * (CHUNK * 3) * (sh_count - 1)
     step = GROUP * GEOMETRY
+    later = (following - chunk) * CHUNK
+    harmonics = 3 * (sh_count - 1)
     for i in range(0, CHUNK, 2 * GROUP):
         g = first + i * GEOMETRY
+        # A chunk lies anywhere: memory is slower than this loop if it is first asked when needed.
+        _fetch(geometry, g + later * GEOMETRY, 2 * GROUP * GEOMETRY, 16)
+        _fetch(dc, first_dc + (i + later) * 3, 2 * GROUP * 3, 16)
+        _fetch(sh, first_sh + (i + later) * harmonics, 2 * GROUP * harmonics, 32)
         px = load_pair(geometry, g, step)
         py = load_pair(geometry, g + GROUP, step)
         pz = load_pair(geometry, g + 2 * GROUP, step)

@@ -108,9 +108,10 @@ def _widen(builder: Any, value: Any, numba_type: Any, wanted: Any) -> Any:
 
 
 def address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Return the IR pointer to array[index], unchecked."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.gep(data, [index])
+    """Return the IR pointer to element `index` of an array or of its `elements`, unchecked."""
+    if isinstance(array_type, types.Array):
+        array = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(array, [index])
 
 
 def call_llvm(builder: Any, name: str, *values: Any) -> Any:

@@ -15,7 +15,7 @@ from nw_eval.splat.kernels.memory import peek, poke
 from nw_eval.splat.kernels.project import DEPTH
 from nw_eval.splat.kernels.records import RECORD
 
-DIGIT = 12
+DIGIT = 13
 """Most bits of a digit."""
 
 HISTOGRAM = 3 << DIGIT

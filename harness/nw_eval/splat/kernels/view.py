@@ -31,32 +31,33 @@ def view_vector(camera: Camera, pixels: Pixels, window: Window) -> NDArray[np.fl
 
     Bounds of the Jacobian are gsplat's: the image and 15 % of its width on either side.
     """
-    v = np.zeros(SIZE, dtype=np.float64)
-    T_camera_world = camera.T_camera_world
-    v[R : R + 9] = T_camera_world[:3, :3].reshape(-1)
-    v[T : T + 3] = T_camera_world[:3, 3]
-    v[[FX, FY, CX, CY]] = camera.fx, camera.fy, camera.cx, camera.cy
+    # Few calls of NumPy: it is done for every frame, and between frames all code is cold.
+    T_camera_world = camera.T_camera_world[:3]
+    rows = T_camera_world.tolist()
     margin_x = 0.15 * camera.width / camera.fx
     margin_y = 0.15 * camera.height / camera.fy
-    v[X_LOW] = -(camera.cx / camera.fx + margin_x)
-    v[X_HIGH] = (camera.width - camera.cx) / camera.fx + margin_x
-    v[Y_LOW] = -(camera.cy / camera.fy + margin_y)
-    v[Y_HIGH] = (camera.height - camera.cy) / camera.fy + margin_y
-    v[[NEAR, FAR]] = camera.near, camera.far
-    v[[STRIDE, INVERSE_STRIDE, OFFSET, BLOCK]] = (
-        pixels.stride,
-        1.0 / pixels.stride,
-        pixels.offset,
-        pixels.block,
+    x_low = -(camera.cx / camera.fx + margin_x)
+    x_high = (camera.width - camera.cx) / camera.fx + margin_x
+    y_low = -(camera.cy / camera.fy + margin_y)
+    y_high = (camera.height - camera.cy) / camera.fy + margin_y
+    scale = float(np.linalg.norm(T_camera_world[:, 0]))
+    steepest_x, steepest_y = max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high))
+    column0, column1, row0, row1 = window
+    return np.array(
+        [
+            *(number for row in rows for number in row[:3]),
+            *(row[3] for row in rows),
+            *(camera.fx, camera.fy, camera.cx, camera.cy),
+            *(x_low, x_high, y_low, y_high),
+            *(camera.near, camera.far),
+            *(pixels.stride, 1.0 / pixels.stride, pixels.offset, pixels.block),
+            *window,
+            *(pixels.index(column0), pixels.index(column1 - 1) + 1),
+            *(pixels.index(row0), pixels.index(row1 - 1) + 1),
+            *camera.T_world_camera[:3, 3].tolist(),
+            scale * camera.fx * math.sqrt(1.0 + steepest_x**2),
+            scale * camera.fy * math.sqrt(1.0 + steepest_y**2),
+            0.0,
+        ],
+        dtype=np.float32,
     )
-    v[[COLUMN0, COLUMN1, ROW0, ROW1]] = window
-    columns, rows = pixels.indices(camera.width), pixels.indices(camera.height)
-    v[[LEFT, RIGHT]] = columns[window[0]], columns[window[1] - 1] + 1
-    v[[TOP, BOTTOM]] = rows[window[2]], rows[window[3] - 1] + 1
-    v[EYE : EYE + 3] = camera.T_world_camera[:3, 3]
-    scale = float(np.linalg.norm(T_camera_world[:3, 0]))
-    steepest_x = max(abs(float(v[X_LOW])), abs(float(v[X_HIGH])))
-    steepest_y = max(abs(float(v[Y_LOW])), abs(float(v[Y_HIGH])))
-    v[SPREAD_X] = scale * camera.fx * math.sqrt(1.0 + steepest_x**2)
-    v[SPREAD_Y] = scale * camera.fy * math.sqrt(1.0 + steepest_y**2)
-    return v.astype(np.float32)
