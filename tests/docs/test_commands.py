@@ -83,6 +83,7 @@ NOT_RUN = MappingProxyType(
             "minutes; tests/twin/building builds a room by night"
         ),
         "nw-eval scenes check ./corridor": "of that place",
+        "nw-eval run corridor/suite.yaml": "of that place",
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume runs/student-rgb": "hours",
         "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (

@@ -57,3 +57,14 @@ def gaussians_on(shape, count=120_000):
     points, _ = trimesh.sample.sample_surface(shape, count, seed=0)
     inside = (points[:, 0] > -1.4) & (points[:, 2] > -0.15)
     return points[inside]
+
+
+def floor_with_hole(x0, x1, y0, y1):
+    return trimesh.util.concatenate(
+        [
+            box((-1.5, -1.0, -0.2), (x0, 1.0, 0.0)),
+            box((x1, -1.0, -0.2), (5.5, 1.0, 0.0)),
+            box((x0, -1.0, -0.2), (x1, y0, 0.0)),
+            box((x0, y1, -0.2), (x1, 1.0, 0.0)),
+        ]
+    )

@@ -18,6 +18,7 @@ _OTHER = 0.6  # m; what is farther off is something else
 _HEIGHTS_FIRST = 0.05  # m; beyond it other edges are in view, and tell nothing of the sides
 _AGREED = 0.05  # m, within which half of what moved as one lies
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Residuals:
     """Pixels in which both splat and mesh show something.

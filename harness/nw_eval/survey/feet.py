@@ -24,7 +24,8 @@ _MOST = 120  # places along the trail; on a longer one they are farther apart
 _LINES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of the half width
 _RADIUS = 0.02  # m, of a foot
 _MASS = 3.0  # kg, what a foot carries
-_FALL = 0.25  # m: it lands at 2.2 m/s, as feet do
+_FALL = 0.05  # m over the ground, from where it is thrown down
+_SPEED = 3.0  # m/s at which it lands, as feet do after a jump
 _STEP = 0.005  # s
 _STEPS = 120  # until it lies still
 _ROUND = 0.06  # m round its place, within which it may have slid off an edge
@@ -111,6 +112,7 @@ def _fallen(scene: Scene, starts: Values) -> Values:
         )
     model = spec.compile()
     data = mujoco.MjData(model)
+    data.qvel.reshape(-1, 3)[:, 2] = -_SPEED
     for _ in range(_STEPS):
         mujoco.mj_step(model, data)
     return starts + data.qpos.reshape(-1, 3)

@@ -18,11 +18,12 @@ from nw_eval.survey.views import NEAR, SurveyedViews
 def survey_lines(survey: Survey) -> tuple[str, ...]:
     """Return what was measured, each number with its limit where it has one."""
     ground, feet = survey.ground, survey.feet
-    lines = [
+    line = (
         f"ground: of {survey.length:.1f} m of trail, {ground.width:.2f} m wide where the feet of "
         f"{survey.robot} go, {100 * ground.sound:.1f} % is seen as it is touched; "
         f"{feet.sunk} of {feet.count} dropped feet sank in"
-    ]
+    )
+    lines = [line]
     if survey.views is not None:
         lines += _view_lines(survey.views)
     return tuple(lines)

@@ -29,7 +29,7 @@ _FLAT = Scene(
     splat=None,
 )
 
-# Where a foot may be put down around its place, m: a robot that stands over a gap stands on its rim.
+# Where a foot may be put down around its place, m: over a gap a robot stands on its rim.
 _FOOTHOLD = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])
 _SETTLING = 50  # control steps until a robot that was put down stands
 _STEEPEST = 0.52  # rad; the steepest ramps are of 30 degrees

@@ -29,7 +29,7 @@ NEAR = 3.0
 
 _BEYOND = 1.0  # m behind what is near where Gaussians are left out: a far backdrop covers nothing
 _SIZE = (96, 54)  # pixels
-_ENOUGH = 100  # pixels that a view is judged by
+_ENOUGH = 250  # pixels that a view is judged by
 _SOLID = 0.5  # coverage from which a pixel of the splat has a depth
 # What belongs to the course: so far to each side of the trail, and below and above it, m. Beside it
 # Gaussians may be coarse, and the ground of a gap may be anything.
@@ -151,8 +151,8 @@ class _Looker:
             off=(-beyond * facing)[solid],
             normals=normals[solid],
             facing=facing[solid],
-            course=(-_BELOW < over)[solid],
-            built=(-_DEPTH < over)[solid],
+            course=(over > -_BELOW)[solid],
+            built=(over > -_DEPTH)[solid],
         )
         there = np.abs(residuals.off[residuals.course])
         x, y, z = eye.tolist()

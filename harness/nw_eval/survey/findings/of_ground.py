@@ -11,7 +11,7 @@ LONGEST_GAP = 1.0
 """Length of a gap from rim to rim, m, that may be what the course is about."""
 
 INVENTED = 0.1
-"""Area of ground that physics may add to what the mesh shows, m2: a foot or two of a closed hole."""
+"""Area of ground that physics may add to what the mesh shows, m2: a small hole that is closed."""
 
 _MOST = 5  # findings of one scene; the largest
 _CODES: dict[Flaw, Code] = {
@@ -23,7 +23,7 @@ _FIXES: dict[Flaw, str] = {
     "missing": "close the mesh there, photograph that ground too, or lead the trail elsewhere",
     "untouched": "what hangs there is thinner than physics can carry, or its faces look down: make "
     "it a closed solid 15 mm thick or more",
-    "unseen": "close the mesh there, or cut it open if there is a gap: sensors and physics must agree",
+    "unseen": "close the mesh there, or open it up to the corridor's sides if that is a gap",
 }
 
 

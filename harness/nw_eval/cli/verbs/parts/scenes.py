@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -45,8 +46,10 @@ class Show:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Find what is wrong with scenes: files, scale, start, trail; ground that does not carry feet,
-    and a splat that does not show a Go1's camera what the mesh has there. Exit code 2 if any is.
+    """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
+
+    Along the trail: ground that does not carry feet, and a splat that does not show a Go1's
+    camera what the mesh has there.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
@@ -64,7 +67,7 @@ class Check:
         if any(scene.has_errors for scene in checked):
             return SceneError.exit_code
         if self.suite is not None:
-            print(f"{self.suite}: nw-eval run {self.suite}")
+            print(f"ready: nw-eval run {shlex.quote(str(self.suite))}")
         return 0
 
 
