@@ -46,8 +46,9 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
                     code="splat_thin",
                     severity=severity,
                     message=f"the splat covers {100 * share:.0f} % of what the mesh shows within "
-                    f"{NEAR:g} m at {_where(view)}; {100 * LEAST_COVERED:.0f} % is wanted, and {below} of "
-                    f"{len(near)} views have less",
+                    f"{NEAR:g} m at {_where(view)}; "
+                    f"{100 * LEAST_COVERED:.0f} % is wanted, and {below} of {len(near)} views "
+                    "have less",
                     fix="train it on photographs of that stretch, or lead the trail elsewhere",
                     value=share,
                     place=view.position,
@@ -85,7 +86,8 @@ def _depth(seen: SurveyedViews) -> list[SceneFinding]:
             severity="error" if median > MOST_MEDIAN or p95 > FAR_P95 else "warning",
             message=f"on the course within {NEAR:g} m splat and mesh are {median:.3f} m apart in "
             f"the median and {p95:.3f} m in the 95th percentile ({MOST_MEDIAN:g} and "
-            f"{MOST_P95:g} m are allowed); it is worst at {_where(view)}, there {view.p95 or 0.0:.2f} m",
+            f"{MOST_P95:g} m are allowed); it is worst at {_where(view)}, there "
+            f"{view.p95 or 0.0:.2f} m",
             fix="look at `nw-eval scenes render`: Gaussians float there, or the mesh is coarse",
             value=p95,
             place=view.position,
@@ -126,8 +128,8 @@ def _captures(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
             severity="warning",
             message=f"nothing was photographed like the robot's view at {_where(view)}: the "
             f"nearest camera is {nearest.distance:.2f} m away and turned by "
-            f"{nearest.angle:.2f} rad ({FARTHEST:g} m and {WIDEST:g} rad are allowed); so are {len(beyond)} of "
-            f"{len(known)} views",
+            f"{nearest.angle:.2f} rad ({FARTHEST:g} m and {WIDEST:g} rad are allowed); "
+            f"so are {len(beyond)} of {len(known)} views",
             fix="photograph that stretch again, from low down, looking along the trail",
             value=nearest.distance,
             place=view.position,
