@@ -58,7 +58,7 @@ def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFindi
     size = f"{flaw.width:.2f} m wide in the {ground.width:.2f} m where feet go, {flaw.area:.3f} m2"
     off = "" if flaw.off is None else f", by {flaw.off:.2f} m ({TOLERANCE:g} m is allowed)"
     added = f" ({INVENTED:g} m2 of such ground is a warning)" if flaw.kind == "unseen" else ""
-    said = {
+    messages: dict[Flaw, str] = {
         "missing": f"there is no ground {where}: {size}",
         "untouched": f"ground is seen {where}, where physics has none or lower one{off}: {size}",
         "unseen": f"physics carries feet {where}, where the mesh shows no ground or lower one{off}"
@@ -70,7 +70,7 @@ def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFindi
     return SceneFinding(
         code=_CODES[flaw.kind],
         severity=severity,
-        message=said[flaw.kind],
+        message=messages[flaw.kind],
         fix=fix,
         value=flaw.area,
         place=flaw.place,
