@@ -95,7 +95,7 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
 
     reference = parse(to, "scene")
     found = folder_files(folder)
-    faults = [str(each) for each in inspect_scene(folder) if each.severity == "error"]
+    faults = [str(each) for each in inspect_scene(folder).findings if each.severity == "error"]
     if faults:
         raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="mend the scene first")
     beside = {name: folder / name for name in _BESIDE}

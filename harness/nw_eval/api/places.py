@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.scenes.figures import SceneFigures
     from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.survey import Survey
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,8 @@ class CheckedScene:
     """The name or the folder that was asked about."""
     findings: tuple[SceneFinding, ...]
     """Errors first; none if nothing is worth saying."""
+    survey: Survey | None
+    """What was measured along its trail; None where errors came before."""
 
     @property
     def has_errors(self) -> bool:
@@ -93,21 +96,44 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
     return figures(scene)
 
 
-def check_scenes(references: Sequence[str]) -> tuple[CheckedScene, ...]:
+def check_scenes(
+    references: Sequence[str], *, suite: Path | None = None
+) -> tuple[CheckedScene, ...]:
     """Return what is wrong with scenes; one that cannot be read is a finding, too.
 
+    Args:
+        references: built-in names, scene folders, `neverwhere:` and `hub:` as suites have them.
+        suite: a file to write, a suite of these scenes that is ready to run, unless one of them
+            has errors; None = none is written.
+
     Raises:
-        UsageError: no scene is named, so nothing would be checked.
+        UsageError: no scene is named, so nothing would be checked; or the suite is there already.
+        StoreError: the suite cannot be written.
     """
     from nw_eval.catalogue.inspect import inspect_scene
     from nw_eval.errors import UsageError
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
-    return tuple(
-        CheckedScene(reference=reference, findings=inspect_scene(reference))
-        for reference in references
-    )
+    if suite is not None and suite.exists():
+        raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
+    checked: list[CheckedScene] = []
+    for reference in references:
+        found = inspect_scene(reference)
+        checked.append(
+            CheckedScene(reference=reference, findings=found.findings, survey=found.survey)
+        )
+    if suite is not None and not any(scene.has_errors for scene in checked):
+        _write_suite(suite, references)
+    return tuple(checked)
+
+
+def _write_suite(path: Path, references: Sequence[str]) -> None:
+    """Write a suite of scenes; paths in it start from its own folder."""
+    from nw_eval.catalogue.find import from_folder
+    from nw_eval.suite.ready import write_ready_suite
+
+    write_ready_suite(path, path.stem, [from_folder(each, path.parent) for each in references])
 
 
 def render_scenes(

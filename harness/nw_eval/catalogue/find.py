@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from functools import cache
@@ -65,15 +66,38 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
         return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
-    path = Path(reference)
-    if path.name == SCENE_FILE:
-        path = path.parent
-    if what_is(path) == "folder":
-        return load_folder(path, collision=collision)
+    folder = folder_of(reference)
+    if folder is not None:
+        return load_folder(folder, collision=collision)
     raise SceneError(
         f"no built-in scene and no folder is called {reference!r}",
         fix=nearest(reference, _BY_NAME),
     )
+
+
+def folder_of(reference: str) -> Path | None:
+    """Return the folder that a reference names, itself or by its `scene.yaml`; None if it is none.
+
+    The name of a built-in scene is no folder's, whatever lies in the working folder.
+    """
+    if reference in _BY_NAME or reference.startswith(PREFIX):
+        return None
+    path = Path(reference)
+    if path.name == SCENE_FILE:
+        path = path.parent
+    return path if what_is(path) == "folder" else None
+
+
+def from_folder(reference: str, folder: Path) -> str:
+    """Return what names the same scene from another folder: a path in it starts there."""
+    plain, collision = parse_reference(reference)
+    begin = _TRIANGLES if collision == "triangles" else ""
+    here = folder_of(plain)
+    if here is not None:
+        return begin + Path(os.path.relpath(here, folder)).as_posix()
+    if plain.startswith(PREFIX) and what_is(path := reference_path(plain)) != "nothing":
+        return begin + PREFIX + Path(os.path.relpath(path, folder)).as_posix()
+    return reference
 
 
 def match_scenes(patterns: Sequence[str], base: Path | None = None) -> tuple[Scene, ...]:

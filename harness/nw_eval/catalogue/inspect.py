@@ -2,32 +2,72 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.catalogue.brought import brought
-from nw_eval.catalogue.find import get_scene
+from nw_eval.catalogue.find import folder_of, open_scene, parse_reference
 from nw_eval.errors import SceneError
+from nw_eval.scenes.folder import inspect_folder
 from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import SceneFinding, unreadable
+from nw_eval.scenes.health.finding import SceneFinding, has_errors, unreadable
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
+from nw_eval.scenes.scene import Scene
+from nw_eval.survey import Survey, survey_scene
 
 
-def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
-    """Return all that is wrong or remarkable about a scene, errors first.
+@dataclass(frozen=True, kw_only=True)
+class InspectedScene:
+    """What is known about a scene.
+
+    Attributes:
+        findings: all that is wrong or remarkable, errors first.
+        survey: what was measured along its trail; None where errors came before.
+    """
+
+    findings: tuple[SceneFinding, ...]
+    survey: Survey | None
+
+
+def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> InspectedScene:
+    """Return all that is wrong or remarkable about a scene, and its figures.
+
+    Its trail is gone along with eye and feet only where nothing else is an error.
 
     Args:
         reference: what `get_scene` understands.
-        read_splat: look into the splat as well; a built-in scene generates it for that.
+        read_splat: look at the splat as well; a built-in scene generates it for that.
 
     Raises:
         FetchError, PrerequisiteError, StoreError: as `brought`.
     """
     try:
-        here = brought(str(reference))
-        if here.startswith(PREFIX):
-            return inspect_published(here).findings
-        found = check_scene(get_scene(here), read_splat=read_splat)
+        scene, found = _checked(reference, read_splat=read_splat)
+        surveyed = None
+        if scene is not None and not has_errors(found):
+            surveyed = survey_scene(scene, read_splat=read_splat)
+            found = (*found, *surveyed.findings)
     except SceneError as error:
-        return unreadable(error)
+        return InspectedScene(findings=unreadable(error), survey=None)
     order = ("error", "warning", "note")
-    return tuple(sorted(found, key=lambda finding: order.index(finding.severity)))
+    return InspectedScene(
+        findings=tuple(sorted(found, key=lambda finding: order.index(finding.severity))),
+        survey=surveyed,
+    )
+
+
+def _checked(
+    reference: str | Path, *, read_splat: bool
+) -> tuple[Scene | None, tuple[SceneFinding, ...]]:
+    """Return a scene, if it could be read, and what its files, start and waypoints are like."""
+    plain, collision = parse_reference(str(reference))
+    here = brought(plain)
+    if here.startswith(PREFIX):
+        published = inspect_published(here, collision=collision)
+        return published.scene, published.findings
+    folder = folder_of(here)
+    if folder is not None:
+        scene, found = inspect_folder(folder, collision=collision)
+    else:
+        scene, found = open_scene(here, collision), ()
+    return scene, (*found, *check_scene(scene, read_splat=read_splat))

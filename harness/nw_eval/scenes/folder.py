@@ -19,6 +19,7 @@ from nw_eval.files.json_schema import json_schema_of
 from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 from nw_eval.scenes import limits
 from nw_eval.scenes.capture_file import Far, Quat, read_captures
+from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
@@ -198,10 +199,22 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: a file is missing or wrong; every problem found, with file and line.
     """
+    return inspect_folder(folder, collision=collision)[0]
+
+
+def inspect_folder(
+    folder: Path, *, collision: Collision = "terrain"
+) -> tuple[Scene, tuple[SceneFinding, ...]]:
+    """Return the scene of a folder, and what its mesh lacks or has more than terrain can be.
+
+    Raises:
+        SceneError: as `load_folder`.
+    """
     file, text = _read(folder / SCENE_FILE, _SceneFile)
     trail = np.array(text.trail, dtype=np.float64)
     path = _beside(folder, file, "collision", text.collision)
     solids: tuple[Solid, ...]
+    findings: tuple[SceneFinding, ...] = ()
     if path.suffix.lower() in MESH_SUFFIXES:
         # Embree loads with it; listing scenes needs neither.
         from nw_eval.scenes.terrain.store import compiled_terrain
@@ -213,7 +226,7 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
             spawn=np.array(text.spawn.position, dtype=np.float64),
             options=TerrainOptions(collision=collision),
         )
-        solids, ground = terrain.solids, Plane(z=terrain.floor)
+        solids, ground, findings = terrain.solids, Plane(z=terrain.floor), terrain.findings
     else:
         boxes = _boxes(path)
         static_mesh = solids_mesh(boxes, text.ground)
@@ -226,7 +239,7 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
                 ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
             )
             raise SceneError([problem])
-    return Scene(
+    scene = Scene(
         name=text.name,
         task=text.task,
         title=text.title or text.name,
@@ -243,6 +256,7 @@ def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
         else read_captures(_beside(folder, file, "captures", text.captures)),
         licence=text.licence,
     )
+    return scene, findings
 
 
 def folder_files(folder: Path) -> dict[str, Path]:

@@ -69,14 +69,16 @@ class RayScene:
         found = self._scene.run(_single(origins), _single(directions), query="DISTANCE")
         return np.where(found > _FAR, np.inf, found.astype(np.float64))
 
-    def height(self, xy: NDArray[np.floating], z_from: float = 50.0) -> NDArray[np.float64]:
+    def height(
+        self, xy: NDArray[np.floating], z_from: float | NDArray[np.float64] = 50.0
+    ) -> NDArray[np.float64]:
         """Return the height of the ground under points: the first upward face below `z_from`.
 
         Undersides (ceilings, shelves from below) and faces `overhead` or `beside` do not count.
 
         Args:
             xy: (N, 2) metres, world.
-            z_from: height to look down from, metres.
+            z_from: height to look down from, metres; one for all, or (N,).
 
         Returns:
             (N,) float64 metres, -inf where there is nothing below.

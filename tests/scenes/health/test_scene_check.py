@@ -138,7 +138,7 @@ def test_splats_that_cannot_be_read_are_told_from_empty_ones(tmp_path):
 
 def test_inspection_never_raises(tmp_path):
     for reference in ("hurdles/nowhere", tmp_path, f"neverwhere:{tmp_path}"):
-        (finding,) = inspect_scene(reference)
+        (finding,) = inspect_scene(reference).findings
         assert (finding.code, finding.severity) == ("unreadable", "error")
 
 

@@ -12,6 +12,7 @@ from nw_eval import cli
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.twin.align import read_alignment
+from nw_eval.twin.building import Build
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.capture import read_capture
 
@@ -88,6 +89,21 @@ def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, 
         cli.main(["twin", "build", str(tmp_path / "gone"), "--out", str(tmp_path / "scene")])
     assert caught.value.code == 4
     assert "error: there is nothing at" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])
+def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
+    boxes = "boxes: [{center: [2.0, 0, 0.05], half_size: [0.5, 1.0, 0.05]}]"
+    (tmp_path / "collision.yaml").write_text(boxes)
+    (tmp_path / "scene.yaml").write_text(
+        "{nw-scene: 1, name: room, task: stairs, licence: MIT, "
+        f"trail: [[2.0, 0, 0.1], [4.0, 0, {z}]]}}"
+    )
+    lines = []
+    Build(tmp_path, None, lines.append).check()
+    assert lines[-1] == f"check: {said}: nw-eval run {tmp_path / 'suite.yaml'}"
+    assert any("dropped feet sank in" in line for line in lines) == (said == "ready")
+    assert any("error waypoint_below_surface" in line for line in lines) == (said != "ready")
 
 
 @pytest.mark.nightly

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.survey.lines import survey_lines
 from nw_eval.twin.align import align, read_alignment, write_alignment
 from nw_eval.twin.align.apply import moved_capture, moved_mesh
 from nw_eval.twin.appearance import train_splat
@@ -18,7 +21,7 @@ from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.settings import BuildSettings, facts_of
 from nw_eval.twin.calibrate import calibrate
 from nw_eval.twin.capture import read_capture
-from nw_eval.twin.place import Route, write_place
+from nw_eval.twin.place import SUITE, Route, write_place
 from nw_eval.twin.reconstruct import read_colour_mesh, reconstruct
 from nw_eval.twin.trail import propose_trail
 
@@ -53,6 +56,7 @@ class Build:
         self.align()
         self.splat()
         self.place()
+        self.check()
 
     def calibrate(self, photographs: Path) -> None:
         """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
@@ -154,6 +158,23 @@ class Build:
             course=route,
         )
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
+
+    def check(self) -> None:
+        """Say what is measured and wrong along the trail, and how the place is run.
+
+        The place stays as it is, whatever is found: most is mended by hand.
+        """
+        (checked,) = check_scenes([str(self.folder.scene)])
+        if checked.survey is not None:
+            for line in survey_lines(checked.survey):
+                self._say(f"check: {line}")
+        for finding in checked.findings:
+            self._say(f"check: {finding}")
+        suite = shlex.quote(str(self.folder.scene / SUITE))
+        if checked.has_errors:
+            self._say(f"check: mend the errors, then: nw-eval run {suite}")
+        else:
+            self._say(f"check: ready: nw-eval run {suite}")
 
     def _route(self, mesh: TriangleMesh, centres: NDArray[np.float64]) -> Route:
         """Return the trail that the place suggests; where it suggests none, a step ahead."""

@@ -18,6 +18,7 @@ from nw_eval.scenes.capture_file import write_captures
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.name import checked_name
 from nw_eval.splat.transform import quaternions
+from nw_eval.suite.ready import write_ready_suite
 from nw_eval.twin.align.apply import moved_capture, moved_points, similarity_entry
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.place.entries import rounded, write_collision
@@ -102,31 +103,7 @@ def write_place(
         text["captures"] = CAPTURES
     write_yaml(out / SCENE_FILE, text)
     load_folder(out)
-    write_suite(out, name)
-
-
-def write_suite(scene: Path, name: str) -> None:
-    """Write a suite of a scene into its folder: ten trials of the shipped policy.
-
-    Args:
-        scene: the scene's folder.
-        name: of the scene.
-
-    Raises:
-        StoreError: it cannot be written.
-    """
-    suite = {
-        "nw-eval": 1,
-        "name": name.replace("/", "-"),
-        "robot": "go1",
-        "policy": "go1-parkour",
-        "trials": 10,
-        "seed": 1,
-        "scenes": ["."],
-        "record": "failures",
-        "gate": {"success_rate": 0.75, "confidence": 0.95},
-    }
-    write_yaml(scene / SUITE, suite)
+    write_ready_suite(out / SUITE, name, ["."])
 
 
 def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:

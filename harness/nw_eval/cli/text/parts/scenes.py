@@ -45,10 +45,14 @@ def scene_page(scene: SceneFigures) -> str:
 
 
 def findings_text(scenes: Sequence[CheckedScene]) -> str:
-    """Return a line for each finding about each scene, and one for a scene without any."""
+    """Return a line for each figure and finding of each scene, and one where nothing is wrong."""
+    from nw_eval.survey.lines import survey_lines
+
     lines: list[str] = []
     for scene in scenes:
         name = clean(scene.reference)
+        if scene.survey is not None:
+            lines += [f"{name}: {line}" for line in survey_lines(scene.survey)]
         lines += [f"{name}: {finding}" for finding in scene.findings]
         if not scene.findings:
             lines.append(f"{name}: nothing wrong")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -45,19 +46,29 @@ class Show:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Find what is wrong with scenes: files, scale, holes, trail, spawn. Exit code 2 if any is."""
+    """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
+
+    Along the trail: ground that does not carry feet, and a splat that does not show a Go1's
+    camera what the mesh has there.
+    """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
+    suite: Path | None = None
+    """Write a suite of them to this file, ready to run, unless something is wrong."""
 
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.text.parts.scenes import findings_text
         from nw_eval.errors import SceneError
 
-        checked = api.check_scenes(self.scenes)
+        checked = api.check_scenes(self.scenes, suite=self.suite)
         print(findings_text(checked))
-        return SceneError.exit_code if any(scene.has_errors for scene in checked) else 0
+        if any(scene.has_errors for scene in checked):
+            return SceneError.exit_code
+        if self.suite is not None:
+            print(f"ready: nw-eval run {shlex.quote(str(self.suite))}")
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,9 +16,10 @@ from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
 from nw_eval.scenes.name import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
+from nw_eval.suite.ready import write_ready_suite
 from nw_eval.twin.align.apply import similarity_entry
 from nw_eval.twin.place.entries import rounded, write_collision
-from nw_eval.twin.place.write import COLLISION, SPLAT, write_suite, write_yaml
+from nw_eval.twin.place.write import COLLISION, SPLAT, SUITE, write_yaml
 
 _BOXES = "collision.yaml"
 
@@ -88,7 +89,7 @@ def copy_place(reference: str, out: Path) -> None:
                 for name, path in files.files.items():
                     (staged / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(path, staged / name)
-            write_suite(staged, load_folder(staged).name)
+            write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
             staged.rename(out)
     except OSError as error:
         raise StoreError(
