@@ -56,11 +56,11 @@ def stairs(folder, wall="wall"):
 
 
 def test_a_narrow_start_block_over_a_lower_floor_carries_the_robot(tmp_path):
-    assert inspect_scene(parkour(tmp_path)) == ()
+    assert inspect_scene(parkour(tmp_path)).findings == ()
 
 
 def test_a_start_block_narrower_than_the_robot_does_not(tmp_path):
-    (finding,) = inspect_scene(parkour(tmp_path, width=0.1))
+    (finding,) = inspect_scene(parkour(tmp_path, width=0.1)).findings
     assert (finding.code, finding.severity) == ("spawn_blocked", "error")
 
 
@@ -85,7 +85,7 @@ def test_waypoints_move_as_the_environments_of_that_name_have_it(tmp_path):
     assert load_published(parkour(tmp_path)).waypoint_noise == (0.1, 0.1)
     assert load_published(stairs(tmp_path)).waypoint_noise == (0.0, 0.1)
     # A name of one's own means what it resembles, and the check says what was taken.
-    (note,) = inspect_scene(parkour(tmp_path, "my_parkour"))
+    (note,) = inspect_scene(parkour(tmp_path, "my_parkour")).findings
     assert (note.code, note.severity) == ("task_guessed", "note")
     assert "waypoint noise (0.0, 0.1) m" in note.message
 
