@@ -12,10 +12,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 
-from nw_eval.built_in.entry import Entry
+from nw_eval.built_in.entry import Course, Entry
 from nw_eval.built_in.splits import split_of
 
 MOST = 99
@@ -67,11 +68,12 @@ def variant(name: str, number: int, entries: Mapping[str, Entry]) -> Entry:
     )
 
 
-def _painted(entry: Entry, like: Sequence[Entry], random: np.random.Generator) -> object:
+def _painted(entry: Entry, like: Sequence[Entry], random: np.random.Generator) -> Course:
     """Return the course of a scene in the materials of another of its kind, if there is one."""
     same = [other.course for other in like if type(other.course) is type(entry.course)]
     if not same:
         return entry.course
     other = same[int(random.integers(len(same)))]
-    names = [each.name for each in fields(entry.course) if each.name in _MATERIALS]
-    return replace(entry.course, **{each: getattr(other, each) for each in names})
+    course: Any = entry.course  # A dataclass, as all courses are.
+    names = [each.name for each in fields(course) if each.name in _MATERIALS]
+    return replace(course, **{each: getattr(other, each) for each in names})
