@@ -151,6 +151,14 @@ def test_the_shipped_scenes_are_taken_for_what_they_are(entry):
         assert np.mean(near < 0.35) >= 0.75
 
 
+def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stand():
+    ground = quad_mesh((1.0, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
+    proposal = propose_trail(ground, walk(6.0))
+    assert proposal.spawn.position[0] == pytest.approx(1.3, abs=0.05)
+    np.testing.assert_allclose(proposal.trail, [(6.0, 0.0, 0.0)], atol=0.05)
+    assert not any("holes" in warning for warning in proposal.warnings)
+
+
 def test_who_walks_over_the_course_and_then_once_around_it_gets_the_way_over_it():
     over = walk(5.0)
     turn = np.linspace(0.0, 2.0 * math.pi, 24)
