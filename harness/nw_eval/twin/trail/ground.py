@@ -57,6 +57,10 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     The way begins and ends where there is ground to stand on: cameras look ahead, and rarely at
     what lies below the first of them.
     """
+    # A robot stands on ground behind the start, too.
+    run = round(_STAND / STEP)
+    before = way[0] - np.arange(run, 0, -1)[:, None] * (way[1] - way[0])
+    way = np.concatenate([before, way])
     ahead = np.gradient(way, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
@@ -65,7 +69,7 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
     there = np.isfinite(heights)
     seen = there.sum(axis=1) >= 3
-    first, last = _firm(seen)
+    first, last = _firm(seen, run)
     way, heights, seen = way[first:last], heights[first:last], seen[first:last]
     known = float(seen.mean()) if len(seen) else 0.0
     if known < _KNOWN:
@@ -84,17 +88,17 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     )
 
 
-def _firm(seen: NDArray[np.bool_]) -> tuple[int, int]:
+def _firm(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
     """Return the first place of a way that has ground for a robot about it, and one past the last.
 
-    Without any, the whole way.
+    Not before the place `run`; without any, the whole way from there on.
     """
     half = round(_STAND / STEP / 2)
     about = np.pad(seen, half, mode="edge")
     held = np.lib.stride_tricks.sliding_window_view(about, 2 * half + 1).all(axis=1)
-    places = np.flatnonzero(held)
+    places = np.flatnonzero(held[run:]) + run
     if not len(places):
-        return 0, len(seen)
+        return run, len(seen)
     return int(places[0]), int(places[-1]) + 1
 
 
