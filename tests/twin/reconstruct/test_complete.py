@@ -50,12 +50,13 @@ def round_hole(x, y):
 
 def test_a_hole_that_nobody_knows_the_depth_of_is_filled_in_the_colour_that_is_seen():
     mesh, area = complete(floor(round_hole), [FLOOR], look_down(0.0), CELL)
-    assert area == pytest.approx(np.pi * 0.3**2, rel=0.25)
+    assert np.pi * 0.3**2 < area < np.pi * 0.4**2, "and a cell beyond its edge"
     added = mesh.vertices[len(floor(round_hole).vertices) :]
     np.testing.assert_allclose(added[:, 2], 0.0, atol=1e-12)
     assert (mesh.normals[:, 2] > 0.0).all(), "the same side is up"
     middle = np.argmin(np.linalg.norm(mesh.vertices - (1.0, 1.0, 0.0), axis=1))
     assert mesh.colours[middle].tolist() == [80, 90, 200]
+    assert mesh.colours.min() >= 80, "nothing is black at the seams"
 
 
 @pytest.mark.parametrize(("depth", "views"), [(2.4, 3), (1.5, 3), (0.0, 1)])

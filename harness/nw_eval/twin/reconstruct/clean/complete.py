@@ -23,8 +23,12 @@ _BAND = 1.5
 """Voxels from a plane within which a vertex covers it."""
 _COSINE = np.cos(np.deg2rad(35.0))
 _CELL = 2.0
-"""Voxels of a cell of the plane: vertices are a voxel apart."""
-_REACH = 60
+"""Voxels of a cell of the plane: it has room for eight faces."""
+_FULL = 0.7
+"""Share of a cell that faces cover; one with less has a hole."""
+_CRACK = 4
+"""Cells to each side among which what the mesh covers wholly must be met about a crack."""
+_REACH = 64
 """Cells to each side among which the plane must be met again."""
 _LARGEST = 4_000_000
 """Cells of a plane that is looked at."""
@@ -66,16 +70,23 @@ def _patch(
     normal = np.array(plane.normal)
     along, across = _axes(normal)
     near = (np.abs(mesh.vertices @ normal - plane.offset) < band) & (normals @ normal > _COSINE)
-    if not near.any():
+    faces = near[mesh.faces].all(axis=1)
+    if not faces.any():
         return None
-    flat = np.column_stack([mesh.vertices[near] @ along, mesh.vertices[near] @ across])
-    low = flat.min(axis=0) - cell
+    middles = mesh.vertices[mesh.faces[faces]].mean(axis=1)
+    areas = 0.5 * np.linalg.norm(mesh.normals[faces], axis=1)
+    flat = np.column_stack([middles @ along, middles @ across])
+    low = flat.min(axis=0) - 1.25 * cell  # No face's middle lies just between two cells.
     shape = np.ceil((flat.max(axis=0) + cell - low) / cell).astype(np.int64)
     if shape.prod() > _LARGEST:
         return None
-    covered = np.zeros(tuple(shape), dtype=bool)
-    covered[tuple(((flat - low) / cell).astype(np.int64).T)] = True
-    holes = _enclosed(covered) & ~covered
+    known = np.zeros(tuple(shape))
+    np.add.at(known, tuple(((flat - low) / cell).astype(np.int64).T), areas / cell**2)
+    covered = known > 0.0
+    whole = known >= _FULL
+    # At the rim of a platform lie cells that faces cover in part: they are no holes.
+    cracks = covered & ~whole & _enclosed(whole, _CRACK)
+    holes = (_enclosed(covered, _REACH) & ~covered) | cracks
     cells = np.argwhere(holes)
     centres = _points(low + (cells + 0.5) * cell, plane, along, across)
     open_cells, colours = _seen(centres, maps)
@@ -88,16 +99,16 @@ def _patch(
     return _quads(_grown(holes) & (holes | covered), holes, paint, low, cell, plane, along, across)
 
 
-def _enclosed(covered: Cells) -> Cells:
-    """Return the cells from which a covered one lies in each of eight directions."""
-    whole = np.ones_like(covered)
+def _enclosed(covered: Cells, most: int) -> Cells:
+    """Return the cells from which, at most so far, a covered one lies in each of 8 directions."""
+    around = np.ones_like(covered)
     for step in [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
-        met, reach = covered.copy(), 1
-        while reach < _REACH:  # What reaches n cells reaches 2n from n cells on.
+        met, reach = _shifted(covered, *step), 1
+        while reach < most:  # What reaches n cells reaches 2n from n cells on.
             met |= _shifted(met, step[0] * reach, step[1] * reach)
             reach *= 2
-        whole &= met
-    return whole
+        around &= met
+    return around
 
 
 def _shifted(cells: Cells, down: int, right: int) -> Cells:
@@ -164,12 +175,13 @@ def _quads(
     used, renumbered = np.unique(numbers, return_inverse=True)
     quads = renumbered.reshape(-1, 4)
     lattice = np.column_stack([used // (columns + 1), used % (columns + 1)])
-    # A corner has the mean colour of the cells about it that were looked at.
-    total, count = np.zeros((rows + 1, columns + 1, 3)), np.zeros((rows + 1, columns + 1, 1))
-    for down in (0, 1):
-        for right in (0, 1):
+    # A corner has the mean colour of the cells about it that were looked at, two to each side.
+    total, count = np.zeros((rows + 3, columns + 3, 3)), np.zeros((rows + 3, columns + 3, 1))
+    for down in range(4):
+        for right in range(4):
             total[down : rows + down, right : columns + right] += paint * own[..., None]
             count[down : rows + down, right : columns + right] += own[..., None]
+    total, count = total[1:-1, 1:-1], count[1:-1, 1:-1]
     at = tuple(lattice.T)
     colours = total[at] / np.maximum(count[at], 1.0)
     return ColourMesh(
