@@ -12,6 +12,8 @@ from nw_eval.splat import CpuRenderer, composite, open_store
 
 TAG_EDGE = 0.24
 """Outer edge of the tag's black border: on A3 paper, metres."""
+_THICK = 0.03
+"""Of the Gaussians of a floor, along a ray at most, metres."""
 _BLURRED = 3
 """Moments of an exposure."""
 
@@ -115,11 +117,12 @@ def _drawn(paper, T_world_tag, camera):
     coverage = cv2.resize(inside, down, interpolation=cv2.INTER_AREA)
     grey = cv2.resize(grey * inside, down, interpolation=cv2.INTER_AREA)
     rgb[:] = (grey / np.maximum(coverage, 1e-6))[..., None]
-    # Depth of the paper's plane along each pixel's ray, a little nearer than the floor below it.
+    # Depth of the paper's plane along each pixel's ray; Gaussians have a thickness, below which
+    # none is to hide it.
     T = camera.T_camera_world @ T_world_tag
     x, y = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(shape)], -1)
     facing = rays @ T[:3, 2]
     plane = float(T[:3, 3] @ T[:3, 2]) / np.where(np.abs(facing) > 1e-9, facing, 1e-9)
-    depth = np.where((coverage > 0) & (plane > 0), plane, np.inf).astype(np.float32)
+    depth = np.where((coverage > 0) & (plane > 0), plane - _THICK, np.inf).astype(np.float32)
     return rgb, depth, np.clip(coverage, 0.0, 1.0)

@@ -58,6 +58,19 @@ def complete(
     return _joined(added), area
 
 
+def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane], voxel: float) -> Cells:
+    """Return whether each vertex (V,) lies on one of the planes and faces as it does."""
+    normals, found = _vertex_normals(mesh), np.zeros(len(mesh.vertices), dtype=bool)
+    for plane in planes:
+        found |= _near(mesh, normals, plane, _BAND * voxel)
+    return found
+
+
+def _near(mesh: ColourMesh, normals: F64, plane: FlatPlane, band: float) -> Cells:
+    normal = np.array(plane.normal)
+    return (np.abs(mesh.vertices @ normal - plane.offset) < band) & (normals @ normal > _COSINE)
+
+
 def _patch(
     mesh: ColourMesh,
     normals: F64,
@@ -69,7 +82,7 @@ def _patch(
     """Return quads for the cells of a plane that are to be filled; None without any."""
     normal = np.array(plane.normal)
     along, across = _axes(normal)
-    near = (np.abs(mesh.vertices @ normal - plane.offset) < band) & (normals @ normal > _COSINE)
+    near = _near(mesh, normals, plane, band)
     faces = near[mesh.faces].all(axis=1)
     if not faces.any():
         return None
