@@ -95,8 +95,8 @@ def _firm(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
     """
     half = round(_STAND / STEP / 2)
     about = np.pad(seen, half, mode="edge")
-    held = np.lib.stride_tricks.sliding_window_view(about, 2 * half + 1).all(axis=1)
-    places = np.flatnonzero(held[run:]) + run
+    windows = np.lib.stride_tricks.sliding_window_view(about, 2 * half + 1)
+    places = np.flatnonzero(windows[run:].all(axis=1)) + run
     if not len(places):
         return run, len(seen)
     return int(places[0]), int(places[-1]) + 1

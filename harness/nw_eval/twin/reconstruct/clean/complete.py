@@ -206,9 +206,9 @@ def _quads(
 
 def _axes(normal: F64) -> tuple[F64, F64]:
     """Return two unit vectors in a plane, right-handed with its normal."""
-    along = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    along: F64 = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))]).astype(np.float64)
     along = along / np.linalg.norm(along)
-    return along, np.cross(normal, along)
+    return along, np.cross(normal, along).astype(np.float64)
 
 
 def _points(flat: F64, plane: FlatPlane, along: F64, across: F64) -> F64:
