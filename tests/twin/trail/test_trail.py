@@ -151,6 +151,24 @@ def test_the_shipped_scenes_are_taken_for_what_they_are(entry):
         assert np.mean(near < 0.35) >= 0.75
 
 
+def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stand():
+    for edge in (1.0, -0.05):  # The second is below the first camera, and its rear legs' void.
+        ground = quad_mesh((edge, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
+        proposal = propose_trail(ground, walk(6.0))
+        assert proposal.spawn.position[0] == pytest.approx(edge + 0.3, abs=0.05)
+    np.testing.assert_allclose(proposal.trail, [(6.0, 0.0, 0.0)], atol=0.05)
+    assert not any("holes" in warning for warning in proposal.warnings)
+
+
+def test_who_walks_over_the_course_and_then_once_around_it_gets_the_way_over_it():
+    over = walk(5.0)
+    turn = np.linspace(0.0, 2.0 * math.pi, 24)
+    around = np.column_stack([2.5 - 2.8 * np.cos(turn), 1.4 * np.sin(turn), 1.4 + 0 * turn])
+    proposal = propose_trail(GROUND, np.concatenate([over, around]))
+    np.testing.assert_allclose(proposal.trail, [(5.0, 0.0, 0.0)], atol=0.05)
+    assert proposal.spawn.yaw == pytest.approx(0.0, abs=0.1)
+
+
 def test_ceilings_and_walks_back_do_not_matter():
     ceiling = box((-1, 8), (2.2, 2.5), (-3, 3))
     mesh = merge([GROUND, box((2.0, 2.35), (0, 0.25)), ceiling])

@@ -22,7 +22,8 @@ class DepthOptions:
         window: side of the square that is compared, pixels, odd.
         step: cost of a change by one plane between neighbouring pixels; a match costs 0 to 1.
         jump: cost of a larger change.
-        least_likeness: normalised cross correlation below which nothing is known.
+        least_likeness: normalised cross correlation below which nothing is known, unless one
+            neighbour more than `least_agreeing` sees the same surface.
         least_agreeing: neighbours that must see the same surface.
         tolerance: largest difference of what two pictures say, a share of the depth.
     """

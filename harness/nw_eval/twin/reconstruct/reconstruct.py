@@ -9,6 +9,7 @@ import numpy as np
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.capture import Capture, read_capture
+from nw_eval.twin.reconstruct.clean.complete import complete, on_planes
 from nw_eval.twin.reconstruct.clean.flatten import flatten
 from nw_eval.twin.reconstruct.clean.holes import holes
 from nw_eval.twin.reconstruct.clean.parts import large_parts
@@ -62,9 +63,12 @@ def reconstruct(
     else:
         maps, surface, voxel = _by_sweep(capture, capture_folder, out, options, say, threads)
     say(f"cleans {len(surface.faces)} faces")
-    kept, parts = large_parts(surface, options.least_part)
-    flat, planes = flatten(kept, voxel) if options.flatten else (kept, [])
-    mesh = simplify(flat, options.faces)
+    flat, planes = flatten(surface, voxel) if options.flatten else (surface, [])
+    kept, parts = large_parts(flat, options.least_part, on_planes(flat, planes, voxel))
+    whole, filled = complete(kept, planes, maps, voxel)
+    if filled > 0.0:
+        say(f"holes of an area of {filled:.4g} are filled where planes go on through them")
+    mesh = simplify(whole, options.faces)
     borders = holes(mesh)
     write_mesh(mesh, out / "mesh.ply")
     known = [each.confidence[each.depth > 0] for each in maps]

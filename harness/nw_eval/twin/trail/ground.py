@@ -18,6 +18,8 @@ _SIDES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Lines beside the way on which the ground is looked at, metres: what a robot stands on."""
 _KNOWN = 0.5
 """Least share of a way that has ground below it."""
+_STAND = 0.6
+"""Of a way without a hole on which a robot can stand, metres."""
 _MEDIAN = 5
 """Samples of which the middle one counts: scans have spikes."""
 
@@ -51,7 +53,14 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
 
     Raises:
         SceneError: less than half of the way has ground below it.
+
+    The way begins and ends where there is ground to stand on: cameras look ahead, and rarely at
+    what lies below the first of them.
     """
+    # A robot stands on ground behind the start, too.
+    run = round(_STAND / STEP)
+    before = way[0] - np.arange(run, 0, -1)[:, None] * (way[1] - way[0])
+    way = np.concatenate([before, way])
     ahead = np.gradient(way, axis=0)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
@@ -60,7 +69,9 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
     there = np.isfinite(heights)
     seen = there.sum(axis=1) >= 3
-    known = float(seen.mean())
+    first, last = _firm(seen, run)
+    way, heights, seen = way[first:last], heights[first:last], seen[first:last]
+    known = float(seen.mean()) if len(seen) else 0.0
     if known < _KNOWN:
         raise SceneError(
             f"{known:.0%} of the way has ground below it in the mesh",
@@ -75,6 +86,20 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     return GroundProfile(
         xy=way, along=stations, height=_settled(height), lean=_settled(lean), known=known
     )
+
+
+def _firm(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
+    """Return the first place of a way that has ground for a robot about it, and one past the last.
+
+    Not before the place `run`; without any, the whole way from there on.
+    """
+    half = round(_STAND / STEP / 2)
+    about = np.pad(seen, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(about, 2 * half + 1)
+    places = np.flatnonzero(windows[run:].all(axis=1)) + run
+    if not len(places):
+        return run, len(seen)
+    return int(places[0]), int(places[-1]) + 1
 
 
 def _lean(heights: Values) -> Values:

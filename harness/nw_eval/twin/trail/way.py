@@ -16,12 +16,16 @@ _SMOOTH = 0.6
 """Length over which a way is rounded off, metres: hands and steps swing by less."""
 _LEAST = 1.0
 """Of a way that can be a trail, metres."""
+_FAR = 0.9
+"""Share of the farthest camera's distance: the first time that the walk is so far, it is there."""
 
 
 def way_of(centres: Values) -> Values:
-    """Return the way to the camera farthest from the first, (S, 2) metres, `STEP` apart.
+    """Return the way there, (S, 2) metres, `STEP` apart: from the first camera to the walk's end.
 
-    Who walked back took the same way twice; only the way there counts.
+    Who walked back took the same way twice; only the way there counts. So does it where somebody
+    then went around the place, and half a step farther: the end is the farthest camera of the first
+    time that the walk came near its greatest distance.
 
     Args:
         centres: (V, 3) of the cameras in the order of the walk, metres, z up.
@@ -37,7 +41,7 @@ def way_of(centres: Values) -> Values:
             f"the cameras went {gone:.2f} m from the first one, which is no trail",
             fix=f"photograph a walk of {_LEAST:g} m or more, or write the trail by hand",
         )
-    walked = _even(flat[: int(np.argmax(away)) + 1])
+    walked = _even(flat[: _end(away) + 1])
     half = max(1, round(_SMOOTH / STEP / 2))
     # The ends are mirrored at themselves, so that the way still begins and ends where it did.
     before, after = (
@@ -48,6 +52,15 @@ def way_of(centres: Values) -> Values:
     sums = np.cumsum(np.concatenate([np.zeros((1, 2)), padded]), axis=0)
     width = 2 * half + 1
     return _even((sums[width:] - sums[:-width]) / width)
+
+
+def _end(away: Values) -> int:
+    """Return the camera at which the walk, at such distances from its first one, turned back."""
+    near = away >= _FAR * away.max()
+    first = int(np.argmax(near))
+    back = np.flatnonzero(~near[first:])
+    last = first + int(back[0]) if len(back) else len(away)
+    return first + int(np.argmax(away[first:last]))
 
 
 def _even(points: Values) -> Values:

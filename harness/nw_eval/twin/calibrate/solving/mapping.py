@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import SceneError
+from nw_eval.plural import plural
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import quiet
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse
 from nw_eval.twin.calibrate.solving.features import Matches
+from nw_eval.twin.calibrate.solving.ties import tied
 
 _ENOUGH = 0.9
 """Share of the photographs with which the first try is taken, without a second."""
@@ -47,10 +49,15 @@ def map_cameras(
         largest = max(
             models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None
         )
-        tries[kind] = 0 if largest is None else int(largest.num_reg_images())
+        found = Solution(placed=()) if largest is None else solution_of(largest, names)
+        held = tied(found)
+        tries[kind] = len(held.placed)
         say(f"{kind} mapping placed {tries[kind]} of {len(names)} photographs")
-        if largest is not None and tries[kind] > len(best.placed):
-            best, how = solution_of(largest, names), kind
+        if len(found.placed) > len(held.placed):
+            loose = len(found.placed) - len(held.placed)
+            say(f"{plural(loose, 'other')} it placed without a tie to these: left out")
+        if tries[kind] > len(best.placed):
+            best, how = held, kind
         if tries[kind] >= _ENOUGH * len(names):
             break
     return best, how, tries

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh
 from nw_eval.twin.reconstruct.packages import package
 
+_ISLAND = 0.8
+"""Share of a part's vertices that lie on a plane, if it is an island of it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PartsKept:
@@ -26,12 +29,24 @@ class PartsKept:
     dropped_area: float
 
 
-def large_parts(mesh: ColourMesh, least: float) -> tuple[ColourMesh, PartsKept]:
-    """Return a mesh of the largest part and of those with at least a share of its area."""
+def large_parts(
+    mesh: ColourMesh, least: float, flat: NDArray[np.bool_] | None = None
+) -> tuple[ColourMesh, PartsKept]:
+    """Return a mesh of the largest part, of those with at least a share of its area, and flat ones.
+
+    Args:
+        mesh: to choose from.
+        least: share.
+        flat: (V,) whether a vertex lies on a plane of the place; parts that do for the most are
+            islands of a floor or a wall that is plain between them. None = nobody knows.
+    """
     count, part = parts_of(mesh.faces, len(mesh.vertices))
     own = part[mesh.faces[:, 0]]
     area = np.bincount(own, np.linalg.norm(mesh.normals, axis=1), minlength=count)
     large = area >= max(least * area.max(), 1e-300)
+    if flat is not None:
+        vertices = np.bincount(part, minlength=count)
+        large |= np.bincount(part, flat, minlength=count) > _ISLAND * vertices
     facts = PartsKept(
         kept=int(large.sum()),
         dropped=int(count - large.sum()),

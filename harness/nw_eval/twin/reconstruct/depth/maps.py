@@ -144,10 +144,12 @@ def _agreed(
     for j in compared:
         move, shift = view.to(views[j])
         count_agreeing(found.depth, swept[j].depth, move, shift, options.tolerance, count)
-    known = (found.likeness > options.least_likeness) & (count >= options.least_agreeing)
+    # What is plain looks like little; where one neighbour more agrees on its depth, that is enough.
+    least = np.where(count > options.least_agreeing, 0.0, options.least_likeness)
+    known = (found.likeness > least) & (count >= options.least_agreeing)
     if view.mask is not None:
         known &= view.mask
-    alike = (found.likeness - options.least_likeness) / (_SURE - options.least_likeness)
+    alike = (found.likeness - least) / (_SURE - least)
     sure = np.clip(alike, 0.0, 1.0) * np.clip(0.5 + 0.5 * found.unique / _UNIQUE, 0.0, 1.0)
     sure *= np.minimum(count / min(4, max(len(compared), 1)), 1.0)
     confidence = np.where(known, np.maximum(sure, _LEAST_CONFIDENCE), 0.0).astype(np.float32)

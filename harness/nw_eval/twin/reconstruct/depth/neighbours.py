@@ -43,13 +43,22 @@ def _angles(
 def depth_range(capture: Capture, place: int) -> tuple[float, float] | None:
     """Return the nearest and the farthest depth of a shot, or None if it shows too few points.
 
-    They are the first and the last percentile of its points' depths, and 15 percent more.
+    They are the first and the last percentile of its points' depths, and 15 percent more. The
+    nearest is no farther than points of other shots that lie in its picture: what is close is often
+    plain, and was matched elsewhere.
     """
     shot = capture.shots[place]
-    T = shot.camera.T_camera_world
-    depth = capture.points[shot.seen] @ T[2, :3] + T[2, 3]
+    camera, T = shot.camera, shot.camera.T_camera_world
+    local = capture.points @ T[:3, :3].T + T[:3, 3]
+    depth = local[shot.seen, 2]
     depth = depth[depth > 0.0]
     if len(depth) < _LEAST_POINTS:
         return None
     near, far = np.percentile(depth, [1.0, 99.0])
+    ahead = local[local[:, 2] > 0.0]
+    u = camera.fx * ahead[:, 0] / ahead[:, 2] + camera.cx
+    v = camera.fy * ahead[:, 1] / ahead[:, 2] + camera.cy
+    shown = ahead[(u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height), 2]
+    if len(shown) >= _LEAST_POINTS:
+        near = min(near, np.percentile(shown, 1.0))
     return float(near) / _MARGIN, float(far) * _MARGIN

@@ -1,0 +1,109 @@
+"""What measures a twin finds the errors that are put into it, and none in the original."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fit import similarity
+from looks import MeshRenderer, psnr
+from surface import surface_figures
+from trials import tallied
+from walk import handheld
+
+from nw_eval.catalogue import get_scene
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.splat import Camera, look_at
+from nw_eval.twin.reconstruct import ColourMesh
+
+SCENE = "hurdles/one_low_carpet"
+
+
+@pytest.fixture(scope="module")
+def place():
+    return get_scene(SCENE)
+
+
+@pytest.fixture(scope="module")
+def cameras(place):
+    return handheld(place, 6, width=96, height=54)
+
+
+def grid(cell=0.05):
+    """The floor near the trail as fine triangles, as a reconstruction would have it."""
+    x, y = np.meshgrid(np.arange(-1.5, 5.0, cell), np.arange(-1.5, 1.5, cell), indexing="ij")
+    rows, columns = x.shape
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    faces = [[first, first + columns, first + 1], [first + 1, first + columns, first + columns + 1]]
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    faces = np.concatenate([np.stack(each, axis=1) for each in faces]).astype(np.int32)
+    return TriangleMesh(vertices=vertices, faces=faces, kinds=np.zeros(len(faces), np.uint8))
+
+
+def raised(mesh, height):
+    vertices = mesh.vertices + np.array([0.0, 0.0, height])
+    return TriangleMesh(vertices=vertices, faces=mesh.faces, kinds=mesh.kinds)
+
+
+def test_the_walk_goes_over_the_course_and_around_it_at_the_height_of_a_hand(place):
+    centres = np.array([c.T_world_camera[:3, 3] for c in handheld(place, 40, width=64, height=36)])
+    over, around = centres[:13], centres[13:]
+    assert np.abs(over[:, 1]).max() < 0.15
+    assert np.ptp(over[:, 0]) > 4.0
+    assert around[:, 1].min() < -1.0
+    assert around[:, 1].max() > 1.0
+    assert (np.abs(centres[:, 2] - 1.5) < 0.3).all()
+
+
+def test_a_surface_that_is_a_centimetre_off_measures_a_centimetre_and_one_of_five_is_none(
+    place, cameras
+):
+    line, flat = np.vstack([place.spawn.position, place.trail]), grid()
+    near = surface_figures(place.mesh(), raised(flat, -0.01), line, cameras)
+    far = surface_figures(place.mesh(), raised(flat, -0.05), line, cameras)
+    assert near.accuracy == pytest.approx(0.01, abs=1e-3)
+    assert near.precision > 0.99
+    assert 0.5 < near.completeness < 0.99, "the bar is missing in it"
+    assert far.precision == 0.0
+    assert far.f < 0.1
+
+
+def test_a_similarity_is_found_again():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(20, 3))
+    T = look_at((1.0, 2.0, 3.0), (0.0, 0.5, 0.0)).copy()
+    T[:3, :3] *= 0.47
+    np.testing.assert_allclose(similarity(points, points @ T[:3, :3].T + T[:3, 3]), T, atol=1e-12)
+
+
+def test_another_exposure_is_no_error_and_another_picture_is():
+    rng = np.random.default_rng(0)
+    picture = rng.uniform(size=(20, 30, 3))
+    assert psnr(0.8 * picture + 0.05, picture) > 100.0
+    assert psnr(rng.uniform(size=(20, 30, 3)), picture) < 12.0
+
+
+def test_a_mesh_is_shown_in_the_colours_of_its_corners_and_white_beyond():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    colours = np.array([[255, 0, 0], [255, 0, 0], [0, 0, 255], [0, 0, 255]], np.uint8)
+    mesh = ColourMesh(vertices=corners, faces=faces, colours=colours)
+    T = look_at((0.5, 0.5, 1.5), (0.5, 0.5, 0.0), (0.0, 1.0, 0.0))
+    camera = Camera.from_fovy(width=60, height=60, fovy=np.radians(90.0), T_world_camera=T)
+    seen = MeshRenderer(mesh).render(camera)
+    np.testing.assert_allclose(seen[2, 2], 1.0)
+    np.testing.assert_allclose(seen[30, 30], (0.5, 0.0, 0.5), atol=0.05)
+    assert seen[45, 30, 0] > 0.7, "red is below"
+
+
+def test_the_failing_waypoint_is_the_one_that_most_failures_did_not_reach():
+    def row(reached, status="ok"):
+        return SimpleNamespace(
+            status=status, success=reached / 3, completed=reached == 3, waypoints_reached=reached
+        )
+
+    outcome = tallied([row(3), row(1), row(1), row(0), row(0, "error")])
+    assert outcome.failing == 2
+    assert outcome.failures == 3
+    assert outcome.trials == 4
+    assert outcome.success == pytest.approx(5 / 12)
+    assert tallied([row(3)]).failing is None

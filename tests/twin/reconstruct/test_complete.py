@@ -1,0 +1,75 @@
+"""Holes of planes are filled where somebody looked at them and nobody looked through."""
+
+import numpy as np
+import pytest
+
+from nw_eval.twin.reconstruct import ColourMesh
+from nw_eval.twin.reconstruct.clean.complete import complete
+from nw_eval.twin.reconstruct.clean.flatten import FlatPlane
+from nw_eval.twin.reconstruct.depth.maps import DepthMap
+from nw_eval.twin.reconstruct.depth.view import WorkingView
+
+CELL = 0.02
+FLOOR = FlatPlane(normal=(0.0, 0.0, 1.0), offset=0.0, area=4.0, noise=0.0, moved=1.0)
+
+
+def floor(is_known):
+    """A floor of 2 x 2 m at z = 0 with the cells that a function of x and y says are known."""
+    x, y = np.meshgrid(*(np.arange(101) * CELL,) * 2, indexing="ij")
+    first = (np.arange(100)[:, None] * 101 + np.arange(100)).ravel()
+    a, b, c, d = first, first + 101, first + 102, first + 1
+    middle_x, middle_y = (grid[:-1, :-1].ravel() + CELL / 2 for grid in (x, y))
+    known = is_known(middle_x, middle_y)
+    faces = [np.stack([a, b, c], 1)[known], np.stack([a, c, d], 1)[known]]
+    mesh = ColourMesh(
+        vertices=np.stack([x, y, 0 * x], -1).reshape(-1, 3),
+        faces=np.concatenate(faces).astype(np.int32),
+        colours=np.full((101 * 101, 3), 90, np.uint8),
+    )
+    return mesh.keep(np.ones(len(mesh.faces), bool))
+
+
+def look_down(depth, count=3):
+    """Maps of cameras 2 m over the floor's middle that look straight down at (80, 90, 200)."""
+    T = np.array([[1, 0, 0, -1.0], [0, -1, 0, 1.0], [0, 0, -1, 2.0], [0, 0, 0, 1]])
+    K = np.array([[60.0, 0, 50], [0, 60, 50], [0, 0, 1]])
+    rgb = np.full((100, 100, 3), (80, 90, 200), np.uint8)
+    return [
+        DepthMap(
+            view=WorkingView(name=f"{n}", rgb=rgb, mask=None, K=K, T_camera_world=T),
+            depth=np.full((100, 100), depth, np.float32),
+            confidence=np.ones((100, 100), np.float32),
+        )
+        for n in range(count)
+    ]
+
+
+def round_hole(x, y):
+    return (x - 1.0) ** 2 + (y - 1.0) ** 2 > 0.3**2
+
+
+def test_a_hole_that_nobody_knows_the_depth_of_is_filled_in_the_colour_that_is_seen():
+    mesh, area = complete(floor(round_hole), [FLOOR], look_down(0.0), CELL)
+    assert np.pi * 0.3**2 < area < np.pi * 0.4**2, "and a cell beyond its edge"
+    added = mesh.vertices[len(floor(round_hole).vertices) :]
+    np.testing.assert_allclose(added[:, 2], 0.0, atol=1e-12)
+    assert (mesh.normals[:, 2] > 0.0).all(), "the same side is up"
+    middle = np.argmin(np.linalg.norm(mesh.vertices - (1.0, 1.0, 0.0), axis=1))
+    assert mesh.colours[middle].tolist() == [80, 90, 200]
+    assert mesh.colours.min() >= 80, "nothing is black at the seams"
+
+
+@pytest.mark.parametrize(("depth", "views"), [(2.4, 3), (1.5, 3), (0.0, 1)])
+def test_a_hole_that_is_looked_through_or_hidden_or_seen_once_stays(depth, views):
+    before = floor(round_hole)
+    mesh, area = complete(before, [FLOOR], look_down(depth, views), CELL)
+    assert area == 0.0
+    assert len(mesh.faces) == len(before.faces)
+
+
+def test_a_gap_right_across_is_no_hole():
+    gap = floor(lambda x, _: np.abs(x - 1.0) > 0.3)
+    mesh, area = complete(gap, [FLOOR], look_down(0.0), CELL)
+    inner = np.abs(mesh.vertices[:, 0] - 1.0) < 0.2
+    assert not (inner & (np.abs(mesh.vertices[:, 1] - 1.0) < 0.8)).any()
+    assert area < 0.1
