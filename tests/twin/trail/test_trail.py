@@ -160,6 +160,18 @@ def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stan
     assert not any("holes" in warning for warning in proposal.warnings)
 
 
+def test_a_robot_is_not_set_down_with_a_foot_over_a_hole():
+    # Ground all along, but for a hole to the left of the way, 0.2 m wide and 0.26 m long.
+    parts = [
+        quad_mesh((-2, -2, 0), (10, 0, 0), (0, 2.0, 0), "ground"),
+        quad_mesh((-2, 0.25, 0), (10, 0, 0), (0, 2.0, 0), "ground"),
+        quad_mesh((-2, 0, 0), (1.7, 0, 0), (0, 0.25, 0), "ground"),
+        quad_mesh((-0.04, 0, 0), (8, 0, 0), (0, 0.25, 0), "ground"),
+    ]
+    x = propose_trail(merge(parts), walk(6.0, swing=0.0)).spawn.position[0]
+    assert -0.04 + 0.25 < x < 0.6
+
+
 def test_who_walks_over_the_course_and_then_once_around_it_gets_the_way_over_it():
     over = walk(5.0)
     turn = np.linspace(0.0, 2.0 * math.pi, 24)

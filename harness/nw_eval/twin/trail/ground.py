@@ -20,6 +20,8 @@ _KNOWN = 0.5
 """Least share of a way that has ground below it."""
 _STAND = 0.6
 """Of a way without a hole on which a robot can stand, metres."""
+_WHOLE = 0.98
+"""Share of that ground that is there where it is whole, but for cracks."""
 _MEDIAN = 5
 """Samples of which the middle one counts: scans have spikes."""
 
@@ -69,7 +71,7 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
     there = np.isfinite(heights)
     seen = there.sum(axis=1) >= 3
-    first, last = _firm(seen, run)
+    first, last = _firm(seen, there.mean(axis=1), run)
     way, heights, seen = way[first:last], heights[first:last], seen[first:last]
     known = float(seen.mean()) if len(seen) else 0.0
     if known < _KNOWN:
@@ -88,18 +90,27 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     )
 
 
-def _firm(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
-    """Return the first place of a way that has ground for a robot about it, and one past the last.
+def _firm(seen: NDArray[np.bool_], share: Values, run: int) -> tuple[int, int]:
+    """Return the first place of a way where a robot can stand, and one past the last with ground.
 
-    Not before the place `run`; without any, the whole way from there on.
+    Not before the place `run`; without any, the whole way from there on. A robot that is set down
+    needs ground under every foot: a place whose ground is whole is preferred to an earlier one.
+
+    Args:
+        seen: (S,) whether most lines have ground.
+        share: (S,) of the lines that have.
+        run: places that were put before the way.
     """
     half = round(_STAND / STEP / 2)
-    about = np.pad(seen, half, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(about, 2 * half + 1)
-    places = np.flatnonzero(windows[run:].all(axis=1)) + run
+    about = np.lib.stride_tricks.sliding_window_view(
+        np.pad(np.stack([seen, share]), ((0, 0), (half, half)), mode="edge"), 2 * half + 1, axis=1
+    )[:, run:]
+    firm = about[0].all(axis=1)
+    places = np.flatnonzero(firm) + run
     if not len(places):
         return run, len(seen)
-    return int(places[0]), int(places[-1]) + 1
+    whole = np.flatnonzero(firm & (about[1].mean(axis=1) >= _WHOLE)) + run
+    return int((whole if len(whole) else places)[0]), int(places[-1]) + 1
 
 
 def _lean(heights: Values) -> Values:
