@@ -84,19 +84,18 @@ def plan_of(
 
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
-    # Processes of their own look at policy and bank, which takes as long as the scenes do.
-    with ThreadPoolExecutor() as beside:
-        if bundle is None:
-            vetted = beside.submit(open_policy, draft, faults, request, card=card)
-        else:
-            vetted = beside.submit(vet_policy, draft, faults, request, bundle)
+    # A process of its own reads the bank, for no longer than an interrupt can wait.
+    with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
         if suite is not None and against is None:
             read = beside.submit(wanted_bank, request, suite)
         found = open_scenes(draft, faults, request.collision)
         for place in found:
-            _ = place.scene.digest  # Kept.
-        bundle = vetted.result()
+            _ = place.scene.digest  # Kept; what looks at the policy is still starting.
+        if bundle is None:
+            bundle = open_policy(draft, faults, request, card=card)
+        else:
+            bundle = vet_policy(draft, faults, request, bundle)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
