@@ -65,13 +65,16 @@ def looks(original, twin, mesh, T_twin_original, cameras):
     there = CpuRenderer(open_store(original.splat_store()))
     here = CpuRenderer(open_store(twin.splat_store()))
     T_splat_original = np.linalg.inv(twin.T_world_splat) @ T_twin_original
+    T_splat_world = np.linalg.inv(original.T_world_splat)  # Gaps' splats lie a platform lower.
     drawn = MeshRenderer(mesh)
     found = []
     for camera in cameras:
         moved = replace(camera, T_world_camera=T_splat_original @ camera.T_world_camera)
         found.append(
             Look(
-                original=there.render(camera).rgb,
+                original=there.render(
+                    replace(camera, T_world_camera=T_splat_world @ camera.T_world_camera)
+                ).rgb,
                 splat=here.render(moved).rgb,
                 mesh=drawn.render(moved),
             )

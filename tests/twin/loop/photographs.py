@@ -29,6 +29,7 @@ class Phone:
 
     def __init__(self, scene, tag=None, seed=0):
         self._renderer = CpuRenderer(open_store(scene.splat_store()), threads=2)
+        self._T_splat_world = np.linalg.inv(scene.T_world_splat)
         self._tag, self._paper = tag, _paper()
         self._seed = seed
 
@@ -49,7 +50,8 @@ class Phone:
 
     def sharp(self, camera):
         """Return (H, W, 3) float32 without any of that."""
-        image = self._renderer.render(camera)
+        pose = self._T_splat_world @ camera.T_world_camera
+        image = self._renderer.render(replace(camera, T_world_camera=pose))
         if self._tag is None:
             return image.rgb
         return composite(image, *_drawn(self._paper, self._tag, camera)).rgb
