@@ -90,7 +90,8 @@ def test_a_raylet_that_is_killed_costs_its_trials_one_retry(cluster, nw_eval, un
     attempts = Counter(row.attempt for row in rows)
     assert set(attempts) <= {1, 2}
     # A trial of the node's says it at once; the node itself is missed at the next look.
-    assert f"{socket.gethostname()} " in printed and "was lost; it will run again" in printed
+    assert f"node {socket.gethostname()} " in printed
+    assert "was lost; it will run again" in printed
     assert printed.count("it will run again in a fresh process") == attempts[2]
 
 

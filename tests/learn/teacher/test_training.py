@@ -42,7 +42,7 @@ training.train_teacher(Path(sys.argv[1]), Path(sys.argv[2]), say=print)
 def undrawn(whole, monkeypatch):
     """Draw no picture: it takes most of the time, and has tests of its own."""
     assert (whole / "run" / "curve.png").stat().st_size > 10_000
-    monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda *_: None)
+    monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda *_, **__: None)
 
 
 def quiet(_line):

@@ -29,6 +29,7 @@ class Curve:
         folder: where `curve.parquet`, `curve.png` and `tensorboard/` are.
         upto: after a resume, the step of the state: rows beyond it are dropped, since they will be
             measured again. None = a new curve.
+        counts: what steps are, for the picture.
         say: is told, once, where there will be no events for TensorBoard.
 
     Raises:
@@ -36,9 +37,15 @@ class Curve:
     """
 
     def __init__(
-        self, folder: Path, *, upto: int | None = None, say: Callable[[str], None] | None = None
+        self,
+        folder: Path,
+        *,
+        upto: int | None = None,
+        counts: str = "steps",
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self._folder = folder
+        self._counts = counts
         self._rows: list[tuple[int, dict[str, float]]] = []
         if upto is not None:
             self._rows = [row for row in read_curve(self.path) if row[0] <= upto]
@@ -77,7 +84,7 @@ class Curve:
             {_STEP: steps, **{n: pa.array(column, pa.float64()) for n, column in columns.items()}}
         )
         write_table(self.path, table, {})
-        draw(self._folder / "curve.png", steps.to_pylist(), columns)
+        draw(self._folder / "curve.png", steps.to_pylist(), columns, counts=self._counts)
         if self._events is not None:
             self._events.write(self._rows[self._unlogged :])
             self._unlogged = len(self._rows)

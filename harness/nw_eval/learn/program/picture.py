@@ -15,13 +15,20 @@ _NAMED = 10
 """Lines that get a name in a panel's legend."""
 
 
-def draw(path: Path, steps: Sequence[int], columns: Mapping[str, Sequence[float | None]]) -> None:
+def draw(
+    path: Path,
+    steps: Sequence[int],
+    columns: Mapping[str, Sequence[float | None]],
+    *,
+    counts: str = "steps",
+) -> None:
     """Draw columns over steps.
 
     Args:
         path: of the PNG; appears whole or not at all.
         steps: (N,).
         columns: (N,) each, by `group/name`; None is a hole that a line goes over.
+        counts: what steps are, for the axis.
 
     Raises:
         StoreError: the picture cannot be written.
@@ -38,10 +45,10 @@ def draw(path: Path, steps: Sequence[int], columns: Mapping[str, Sequence[float 
     panels = figure.subplots(down, across, squeeze=False).flatten()
     # Margins for what stands around a panel; a layout that looks for them takes a second.
     figure.subplots_adjust(
-        left=0.6 / width, right=1 - 0.2 / width, bottom=0.5 / height, top=1 - 0.4 / height,
-        wspace=0.18, hspace=0.34,
+        left=0.8 / width, right=1 - 0.2 / width, bottom=0.5 / height, top=1 - 0.4 / height,
+        wspace=0.22, hspace=0.34,
     )  # fmt: skip
-    unit, word = (1e6, "million steps") if steps[-1] >= 1e6 else (1.0, "steps")
+    unit, word = (1e6, f"million {counts}") if steps[-1] >= 1e6 else (1.0, counts)
     for axes, (group, names) in zip(panels, groups.items(), strict=False):
         for name in names:
             points = [

@@ -118,7 +118,12 @@ class StudentTraining:
             self._restore(state)
         untrained = load_bundle(self.policy(0))
         make_ready(self._scenes, vet_bundle(untrained, untrained.card.robot).card, say)
-        self._curve = Curve(folder.path, upto=None if state is None else self._samples, say=say)
+        self._curve = Curve(
+            folder.path,
+            upto=None if state is None else self._samples,
+            counts="samples",
+            say=say,
+        )
 
     def _start(self) -> Path:
         """Return the file of the network to begin with.
