@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+import time
 
 import pytest
 
@@ -46,6 +47,24 @@ def test_a_process_started_deaf_does_not_hear_ctrl_c():
     with interrupts_blocked():
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_another_thread_lets_in_waits_until_the_child_is_started(number):
+    started = threading.Event()
+    thread = threading.Thread(target=started.wait)
+    thread.start()
+    steps = []
+    try:
+        with Interrupts() as interrupts:
+            with interrupts_blocked():
+                os.kill(os.getpid(), number)
+                time.sleep(0.01)
+                steps.append(interrupts.requested)
+            assert (steps, interrupts.requested) == ([None], number)
+    finally:
+        started.set()
+        thread.join()
 
 
 def test_workers_get_one_thread_and_the_parent_keeps_its_own_setting(monkeypatch):

@@ -78,14 +78,36 @@ def interrupts_blocked() -> Generator[None]:
 
     A terminal sends Ctrl-C to every process of its group. Masks pass to new threads and over
     `exec` to new processes, so workers, and those that replace them later, are deaf to it from
-    their first instruction, and print no tracebacks while they import.
+    their first instruction, and print no tracebacks while they import. What this process hears
+    meanwhile it hears at the end: a child would wait in vain for what it was to be handed.
     """
     resource_tracker.ensure_running()  # Starting later, it would lift the block.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield
+        with _signals_heard_later():
+            yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _signals_heard_later() -> Generator[None]:
+    """Keep the handlers of signals waiting, which a mask does not: other threads have none."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python's handlers run in the main thread only.
+        return
+    heard: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    held = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in held:
+        signal.signal(number, lambda number, _: heard.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in held.items():
+            signal.signal(number, handler)
+        for number in heard:
+            signal.raise_signal(number)
 
 
 @contextmanager
