@@ -29,6 +29,18 @@ def floor(is_known):
     return mesh.keep(np.ones(len(mesh.faces), bool))
 
 
+def over(mesh, left, right):
+    """A mesh over one more floor, 0.4 m lower, from one x to another."""
+    lower = floor(lambda x, y: (x < 1.0) & (y < 1.0))
+    x, y, z = lower.vertices.T
+    moved = np.stack([left + x * (right - left), y, z - 0.4], axis=1)
+    return ColourMesh(
+        vertices=np.concatenate([mesh.vertices, moved]),
+        faces=np.concatenate([mesh.faces, lower.faces + len(mesh.vertices)]),
+        colours=np.concatenate([mesh.colours, lower.colours]),
+    )
+
+
 def look_down(depth, count=3):
     """Maps of cameras 2 m over the floor's middle that look straight down at (80, 90, 200)."""
     T = np.array([[1, 0, 0, -1.0], [0, -1, 0, 1.0], [0, 0, -1, 2.0], [0, 0, 0, 1]])
@@ -60,15 +72,36 @@ def test_a_hole_that_nobody_knows_the_depth_of_is_filled_in_the_colour_that_is_s
 
 
 @pytest.mark.parametrize(("depth", "views"), [(2.4, 3), (1.5, 3), (0.0, 1)])
-def test_a_hole_that_is_looked_through_or_hidden_or_seen_once_stays(depth, views):
-    before = floor(round_hole)
+def test_a_hole_of_a_deck_that_is_looked_through_or_hidden_or_seen_once_stays(depth, views):
+    before = over(floor(round_hole), 2.1, 3.1)
     mesh, area = complete(before, [FLOOR], look_down(depth, views), CELL)
     assert area == 0.0
     assert len(mesh.faces) == len(before.faces)
 
 
-def test_a_gap_right_across_is_no_hole():
-    gap = floor(lambda x, _: np.abs(x - 1.0) > 0.3)
+def test_a_floor_goes_on_where_it_is_hidden():
+    before = floor(round_hole)
+    mesh, area = complete(before, [FLOOR], look_down(1.5), CELL)
+    assert np.pi * 0.3**2 < area < np.pi * 0.4**2
+    middle = np.argmin(np.linalg.norm(mesh.vertices - (1.0, 1.0, 0.0), axis=1))
+    assert mesh.colours[middle].tolist() == [90, 90, 90], "as the floor that was seen"
+    assert complete(before, [FLOOR], look_down(2.4), CELL)[1] == 0.0, (
+        "but not if it is seen through"
+    )
+
+
+def test_a_trench_in_a_floor_stays_open_where_its_bottom_shows():
+    trench = floor(lambda x, _: np.abs(x - 1.0) > 0.3)
+    shows = over(trench, 0.95, 1.05)
+    shows = shows.keep(np.arange(len(shows.faces)) < len(trench.faces) + 60)
+    mesh, _ = complete(shows, [FLOOR], look_down(0.0), CELL)
+    lid = (np.abs(mesh.vertices[:, 0] - 1.0) < 0.05) & (np.abs(mesh.vertices[:, 2]) < 0.01)
+    assert lid.any(), "where nothing shows, it is closed as a floor is"
+    assert mesh.vertices[lid, 1].min() > 0.005
+
+
+def test_a_gap_right_across_a_deck_is_no_hole():
+    gap = over(floor(lambda x, _: np.abs(x - 1.0) > 0.3), 2.1, 3.1)
     mesh, area = complete(gap, [FLOOR], look_down(0.0), CELL)
     inner = np.abs(mesh.vertices[:, 0] - 1.0) < 0.2
     assert not (inner & (np.abs(mesh.vertices[:, 1] - 1.0) < 0.8)).any()

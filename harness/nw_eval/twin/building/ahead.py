@@ -11,6 +11,8 @@ from nw_eval.twin.capture import Capture, read_capture
 
 _SWEEP_S = 6.0 / (640 * 360 * 128 * 5)
 """Seconds of one core for a pixel, a plane and a neighbour of the sweep, matching included."""
+_PLANES_S = 3.0 / (640 * 360 * 5)
+"""Seconds of one core for a pixel and a neighbour, of giving each pixel its plane."""
 _SWEEP_BYTES = 14
 """Of a pixel and a plane: costs, their sums over four directions, and the best so far."""
 _STEP_S = (0.02, 0.7e-6, 0.9e-6)
@@ -51,8 +53,9 @@ def say_ahead(
 def _sweep(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
     depth = settings.reconstruct.depth
     pixels = _pixels(capture, depth.side)
-    work = len(capture.shots) * pixels * depth.planes * depth.neighbours
-    return work * _SWEEP_S, 0.4e9 + pixels * depth.planes * _SWEEP_BYTES * settings.threads
+    work = len(capture.shots) * pixels * depth.neighbours
+    each = depth.planes * _SWEEP_S + (_PLANES_S if settings.reconstruct.planes else 0.0)
+    return work * each, 0.4e9 + pixels * depth.planes * _SWEEP_BYTES * settings.threads
 
 
 def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:

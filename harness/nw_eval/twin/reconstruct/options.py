@@ -70,6 +70,7 @@ class ReconstructOptions:
         voxel: edge of a voxel in the capture's unit; None for about two pixels of a typical depth.
         least_weight: sum of confidences below which a voxel is not known.
         least_part: share of the largest part's area that a part must have to be kept.
+        planes: whether what is plain is measured by planes, which end at edges; of `sweep` alone.
         flatten: whether planes are made flat where the evidence agrees.
         faces: that the mesh has at most.
         blocks: of 8 x 8 x 8 voxels that there may be; each takes 12 kB.
@@ -80,6 +81,7 @@ class ReconstructOptions:
     voxel: float | None = None
     least_weight: float = 0.5
     least_part: float = 0.05
+    planes: bool = True
     flatten: bool = True
     faces: int = 200_000
     blocks: int = 120_000

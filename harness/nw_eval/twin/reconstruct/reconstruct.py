@@ -14,10 +14,12 @@ from nw_eval.twin.reconstruct.clean.flatten import flatten
 from nw_eval.twin.reconstruct.clean.holes import holes
 from nw_eval.twin.reconstruct.clean.parts import large_parts
 from nw_eval.twin.reconstruct.clean.simplify import simplify
-from nw_eval.twin.reconstruct.depth.maps import DepthMap, depth_maps, write_map
+from nw_eval.twin.reconstruct.depth.maps import DepthMap, depth_maps, near_of, write_map
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh, write_mesh
 from nw_eval.twin.reconstruct.openmvs import openmvs_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis, hypotheses
+from nw_eval.twin.reconstruct.planes.maps import planar_maps
 from nw_eval.twin.reconstruct.report import ReconstructReport, write_report
 from nw_eval.twin.reconstruct.surface.extract import extract
 from nw_eval.twin.reconstruct.surface.shown import coloured, maps_of
@@ -60,11 +62,17 @@ def reconstruct(
     capture = read_capture(capture_folder)
     if options.engine == "openmvs":
         maps, surface, voxel = _by_openmvs(capture, capture_folder, out, options, say, threads)
+        supposed: list[Hypothesis] = []
     else:
-        maps, surface, voxel = _by_sweep(capture, capture_folder, out, options, say, threads)
+        maps, supposed, voxel = _by_sweep(capture, capture_folder, out, options, say, threads)
+        surface = extract(fuse(maps, voxel, options.blocks, say, threads), options.least_weight)
+    for each in maps:
+        write_map(capture, each, out)
     say(f"cleans {len(surface.faces)} faces")
     flat, planes = flatten(surface, voxel) if options.flatten else (surface, [])
-    kept, parts = large_parts(flat, options.least_part, on_planes(flat, planes, voxel))
+    both = [turned for plane in supposed for turned in (plane, plane.turned())]
+    islands = on_planes(flat, [*planes, *both], voxel)
+    kept, parts = large_parts(flat, options.least_part, islands)
     whole, filled = complete(kept, planes, maps, voxel)
     if filled > 0.0:
         say(f"holes of an area of {filled:.4g} are filled where planes go on through them")
@@ -97,11 +105,17 @@ def reconstruct(
 
 def _by_sweep(
     capture: Capture, folder: Path, out: Path, options: ReconstructOptions, say: Say, threads: int
-) -> tuple[list[DepthMap], ColourMesh, float]:
+) -> tuple[list[DepthMap], list[Hypothesis], float]:
+    """Return the depth maps, the planes that they may show, and the edge of a voxel."""
     maps = depth_maps(capture, folder, out, options.depth, say, threads)
     voxel = options.voxel or voxel_of(maps)
-    volume = fuse(maps, voxel, options.blocks, say, threads)
-    return maps, extract(volume, options.least_weight), voxel
+    if not options.planes:
+        return maps, [], voxel
+    first = extract(fuse(maps, voxel, options.blocks, say, threads), options.least_weight)
+    planes = hypotheses(first, maps, voxel)
+    say(f"{len(planes)} planes may be there")
+    near = near_of(capture, maps, options.depth)
+    return planar_maps(maps, near, planes, options.depth, say, threads), planes, voxel
 
 
 def _by_openmvs(
@@ -109,8 +123,6 @@ def _by_openmvs(
 ) -> tuple[list[DepthMap], ColourMesh, float]:
     mesh = openmvs_mesh(capture, folder, out / "openmvs", say, threads)
     maps = maps_of(mesh, capture, folder, options.depth.side, say)
-    for each in maps:
-        write_map(capture, each, out)
     if not any((each.depth > 0).any() for each in maps):
         raise SceneError("no shot shows the mesh of OpenMVS", fix="read the logs in its folder")
     edges = mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)]

@@ -2,7 +2,8 @@
 
 What has no texture has no depth: carpets and plain walls come out in patches. Where a plane lies
 around a hole in all eight directions, and nothing was seen behind it, it goes on through the hole.
-A gap between two platforms has them at two sides alone, and stays one.
+A gap between two platforms has them at two sides alone, and stays one. A plane that bounds the
+place, as a floor does, goes on as well under what stands on it and hides it.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.twin.reconstruct.clean.bounds import behind, bounds, in_hull
 from nw_eval.twin.reconstruct.clean.flatten import FlatPlane
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh
+from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
 
 F64 = NDArray[np.float64]
 Cells = NDArray[np.bool_]
+Counts = NDArray[np.int64]
 
 _BAND = 1.5
 """Voxels from a plane within which a vertex covers it."""
@@ -58,7 +62,7 @@ def complete(
     return _joined(added), area
 
 
-def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane], voxel: float) -> Cells:
+def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane | Hypothesis], voxel: float) -> Cells:
     """Return whether each vertex (V,) lies on one of the planes and faces as it does."""
     normals, found = _vertex_normals(mesh), np.zeros(len(mesh.vertices), dtype=bool)
     for plane in planes:
@@ -66,7 +70,7 @@ def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane], voxel: float) -> Ce
     return found
 
 
-def _near(mesh: ColourMesh, normals: F64, plane: FlatPlane, band: float) -> Cells:
+def _near(mesh: ColourMesh, normals: F64, plane: FlatPlane | Hypothesis, band: float) -> Cells:
     normal = np.array(plane.normal)
     return (np.abs(mesh.vertices @ normal - plane.offset) < band) & (normals @ normal > _COSINE)
 
@@ -100,9 +104,22 @@ def _patch(
     # At the rim of a platform lie cells that faces cover in part: they are no holes.
     cracks = covered & ~whole & _enclosed(whole, _CRACK)
     holes = (_enclosed(covered, _REACH) & ~covered) | cracks
+    outer = bounds(mesh, plane, band)
+    if outer:
+        off = mesh.vertices[behind(mesh, plane, band)] - low[0] * along - low[1] * across
+        places = (np.column_stack([off @ along, off @ across]) / cell).astype(np.int64)
+        places = places[((places >= 0) & (places < shape)).all(axis=1)]
+        lower = np.zeros_like(covered)
+        lower[tuple(places.T)] = True
+        for _ in range(_CRACK):
+            lower = _grown(lower)
+        holes |= in_hull(covered) & ~covered & ~lower
     cells = np.argwhere(holes)
     centres = _points(low + (cells + 0.5) * cell, plane, along, across)
-    open_cells, colours = _seen(centres, maps)
+    views, through, colours = _seen(centres, maps)
+    colours[views == 0] = mesh.colours[near].mean(axis=0)
+    # One wrong depth among many is none.
+    open_cells = (through <= views // 8) & (outer | (views >= _LEAST_VIEWS))
     holes[tuple(cells[~open_cells].T)] = False
     if not holes.any():
         return None
@@ -144,8 +161,8 @@ def _grown(cells: Cells) -> Cells:
     return out
 
 
-def _seen(points: F64, maps: Sequence[DepthMap]) -> tuple[Cells, F64]:
-    """Return which points two photographs look at and none looks through, and their colours."""
+def _seen(points: F64, maps: Sequence[DepthMap]) -> tuple[Counts, Counts, F64]:
+    """Return how many maps look at points, how many of these through them, and their colours."""
     views, through = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     total = np.zeros((len(points), 3))
     for each in maps:
@@ -165,9 +182,7 @@ def _seen(points: F64, maps: Sequence[DepthMap]) -> tuple[Cells, F64]:
         rows, x, y = rows[~hidden], x[~hidden], y[~hidden]
         views[rows] += 1
         total[rows] += view.rgb[y, x]
-    colours = total / np.maximum(views, 1)[:, None]
-    # One wrong depth among many is none.
-    return (views >= _LEAST_VIEWS) & (through <= views // 8), colours
+    return views, through, total / np.maximum(views, 1)[:, None]
 
 
 def _quads(

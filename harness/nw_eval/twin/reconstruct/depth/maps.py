@@ -56,7 +56,7 @@ def depth_maps(
     say: Callable[[str], None],
     threads: int = 2,
 ) -> list[DepthMap]:
-    """Measure the depth of each shot, and write `out/depth/<shot>.npz`.
+    """Measure the depth of each shot.
 
     A sweep is kept in `out/sweep/`; a second call with the same capture and options goes on.
 
@@ -94,9 +94,18 @@ def depth_maps(
             swept[place] = found
             say(f"depth of {views[place].name}: {len(swept)} of {len(places)}")
         kept = pool.map(lambda place: _agreed(views, swept, pairs[place], place, options), places)
-        maps = list(kept)
-        list(pool.map(lambda found: write_map(capture, found, out), maps))
-    return maps
+        return list(kept)
+
+
+def near_of(capture: Capture, maps: list[DepthMap], options: DepthOptions) -> list[list[int]]:
+    """Return for each map the numbers of those that it is compared with."""
+    numbers = {each.view.name: number for number, each in enumerate(maps)}
+    names = [shot.name for shot in capture.shots]
+    pairs = dict(zip(names, neighbours_of(capture, options.neighbours), strict=True))
+    return [
+        [numbers[names[other]] for other in pairs[name] if names[other] in numbers]
+        for name in numbers
+    ]
 
 
 def depth_of(

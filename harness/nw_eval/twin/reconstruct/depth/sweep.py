@@ -20,7 +20,7 @@ from nw_eval.twin.reconstruct.packages import package
 _AT_ONCE = 16
 """Planes whose scores are held before they go to the volume, whose last axis is depth."""
 
-_HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 """From OpenCV's pixels, where the first one's centre is (0, 0), to ours."""
 
 
@@ -69,7 +69,7 @@ def _costs(
 ) -> np.ndarray[tuple[int, int, int], np.dtype[np.uint16]]:
     """Return the costs of all planes, (H, W, D)."""
     height, width = view.size
-    own, window = view.grey, _Window(options.window)
+    own, window = view.grey, Window(options.window)
     mean = window.mean(own)
     spread = np.maximum(window.mean(own * own) - mean * mean, 0.0)
     scale = (1.0 / np.sqrt(spread + NOISE)).astype(np.float32)
@@ -101,13 +101,13 @@ def _costs(
 def _pixels(view: WorkingView, other: WorkingView) -> tuple[F64, F64]:
     """Return the two parts of the homography as OpenCV counts pixels."""
     move, shift = view.to(other)
-    back = np.linalg.inv(_HALF)
+    back = np.linalg.inv(HALF_PIXEL)
     # n' K^-1 is (0, 0, 1): the plane's part of the homography goes to the last column, which the
     # half pixels of this side do not reach.
-    return back @ move @ _HALF, back @ shift
+    return back @ move @ HALF_PIXEL, back @ shift
 
 
-class _Window:
+class Window:
     """OpenCV's warps and means of windows, into arrays that are there already."""
 
     def __init__(self, side: int) -> None:

@@ -1,0 +1,104 @@
+"""What is plain is measured by the planes that edges around it show."""
+
+import numpy as np
+import pytest
+
+from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.twin.reconstruct.depth.maps import DepthMap
+from nw_eval.twin.reconstruct.depth.view import WorkingView
+from nw_eval.twin.reconstruct.options import DepthOptions
+from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
+from nw_eval.twin.reconstruct.planes.maps import planar_maps
+
+DECK, LOW, HIGH = 0.3, np.array([-0.5, -0.5]), np.array([0.5, 0.5])
+"""A platform, metres: the height of its top, and two of its corners."""
+
+FLOOR = Hypothesis(normal=np.array([0.0, 0.0, 1.0]), offset=0.0, prior=0.0, one_sided=True)
+TOP = Hypothesis(normal=np.array([0.0, 0.0, 1.0]), offset=DECK, prior=0.0, one_sided=True)
+SIDES = [
+    Hypothesis(normal=sign * np.eye(3)[axis], offset=0.5, prior=0.05, one_sided=True)
+    for axis in (0, 1)
+    for sign in (-1.0, 1.0)
+]
+PLANES = [FLOOR, TOP, *SIDES]
+
+
+def photographed(eye):
+    """A plain brown box on a plain blue floor by exact rays: colours, and true depths."""
+    T = look_at(np.array(eye), np.array([0.0, 0.0, 0.15]))
+    camera = Camera.from_fovy(width=160, height=90, fovy=np.radians(50.0), T_world_camera=T)
+    x, y = np.meshgrid(np.arange(160) + 0.5, np.arange(90) + 0.5)
+    local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 0 * x + 1], -1)
+    rays = local @ T[:3, :3].T
+    box_low, box_high = np.array([*LOW, 0.0]), np.array([*HIGH, DECK])
+    to_low, to_high = (box_low - eye) / rays, (box_high - eye) / rays
+    enter = np.minimum(to_low, to_high)
+    first, face = enter.max(axis=-1), enter.argmax(axis=-1)
+    hit = (first > 0) & (first < np.maximum(to_low, to_high).min(axis=-1))
+    depth = np.where(hit, first, -eye[2] / rays[..., 2])
+    colours = np.array([[96, 70, 40], [110, 82, 50], [140, 104, 64], [50, 70, 130]])
+    rgb = colours[np.where(hit, face, 3)].astype(np.uint8)
+    K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    view = WorkingView(name=f"{eye}", rgb=rgb, mask=None, K=K, T_camera_world=camera.T_camera_world)
+    return view, depth.astype(np.float32)
+
+
+def near_an_edge(view):
+    grey = view.grey
+    change = np.abs(np.gradient(grey)[0]) + np.abs(np.gradient(grey)[1])
+    return change > 2.0
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Views from around the box; depth is known at edges of the picture alone, as it is."""
+    eyes = [(1.9 * np.cos(a), 1.9 * np.sin(a), 1.5) for a in np.radians(np.arange(0, 360, 30))]
+    maps, truth = [], []
+    for eye in eyes:
+        view, depth = photographed(eye)
+        known = np.where(near_an_edge(view), depth, 0.0).astype(np.float32)
+        sure = (known > 0).astype(np.float32)
+        maps.append(DepthMap(view=view, depth=known, confidence=sure))
+        truth.append(depth)
+    count = len(eyes)
+    near = [[(n + step) % count for step in (1, count - 1, 2, count - 2)] for n in range(count)]
+    return maps, near, truth
+
+
+def whole(walk, planes):
+    maps, near, truth = walk
+    found = planar_maps(maps, near, planes, DepthOptions(), lambda _: None, threads=1)
+    known = np.concatenate([each.depth.ravel() > 0 for each in found])
+    depth = np.concatenate([each.depth.ravel() for each in found])
+    right = np.abs(depth / np.concatenate([each.ravel() for each in truth]) - 1.0) < 0.02
+    return found, float(known.mean()), float(right[known].mean())
+
+
+def test_plain_faces_get_the_depth_of_their_planes(walk):
+    before = np.mean([(each.depth > 0).mean() for each in walk[0]])
+    _, known, right = whole(walk, PLANES)
+    assert before < 0.05
+    assert known > 0.5
+    assert right > 0.93
+
+
+def test_a_plane_that_is_not_there_is_shown_by_nobody(walk):
+    lid = Hypothesis(normal=TOP.normal, offset=0.6, prior=0.0, one_sided=True)
+    _, known, right = whole(walk, [*PLANES, lid])
+    assert known > 0.5
+    assert right > 0.93
+
+
+def test_nothing_is_invented_without_planes(walk):
+    maps, near, _ = walk
+    found = planar_maps(maps, near, [], DepthOptions(), lambda _: None)
+    assert all((a.depth == b.depth).all() for a, b in zip(maps, found, strict=True))
+
+
+def test_any_number_of_threads_gives_the_same_bits(walk):
+    maps, near, _ = walk
+    one = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=1)
+    two = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=2)
+    for a, b in zip(one, two, strict=True):
+        assert a.depth.tobytes() == b.depth.tobytes()
+        assert a.confidence.tobytes() == b.confidence.tobytes()
