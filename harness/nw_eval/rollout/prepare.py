@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from nw_eval.cards import JointControl, actuator_values, physics_steps
-from nw_eval.errors import PolicyError, UsageError, nearest
+from nw_eval.cards import Card, JointControl, actuator_values, physics_steps
+from nw_eval.errors import PolicyError, UsageError
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
 from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
 from nw_eval.rollout.fault import is_interrupt, policy_at_fault
+from nw_eval.rollout.perturbed import (
+    Cell,
+    air_of,
+    cell_of,
+    perturbed_card,
+    perturbed_motors,
+    perturbed_robot,
+    pushes_of,
+    standing_cones,
+)
 from nw_eval.rollout.spawn import draw_start
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
@@ -28,9 +38,6 @@ if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.library import Library
     from nw_eval.splat.render import Renderer
-
-PERTURBATIONS = ("friction",)
-"""Axes that a trial can be perturbed along."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +69,12 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         PolicyFailedError: the policy raised as it was opened or reset.
     """
     trial = job.trial
-    robot = get_robot(job.robot)
+    cell = cell_of(trial)
+    robot = perturbed_robot(get_robot(job.robot), cell)
     scene = library.scene(job.scene, job.collision)
     bundle = library.bundle(job.policy, job.checkpoint)
     _check_same(job, scene, bundle)
+    card = perturbed_card(bundle.card, cell)
     renderer = cache(lambda: _open_renderer(scene, job.render))
     protocol = protocol_named(job.protocol)
     start = draw_start(
@@ -77,7 +86,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         waypoint_noise=scene.waypoint_noise,
     )
     with ExitStack() as cleanup:
-        world = cleanup.enter_context(_open_world(job, robot, scene, bundle, protocol))
+        world = cleanup.enter_context(_open_world(robot, scene, card, protocol, cell))
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -88,11 +97,12 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         height = scene.spawn.position[2] + robot.spawn_height
         world.reset(position=(start.x, start.y, height), yaw=start.yaw)
         sensors = build_sensors(
-            bundle.card,
+            card,
             world,
             rays=lambda: library.rays(job.scene, job.collision),
             renderer=lambda _scene: renderer(),
             code_from=bundle.folder if job.allow_code else None,
+            air=air_of(cell),
         )
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
@@ -116,6 +126,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
                 contact_termination=job.contact_termination,
             ),
             clock=clock,
+            pushes=pushes_of(trial, cell),
+            cones=standing_cones(trial, cell, start.trail),
         )
         return OpenTrial(
             job=job,
@@ -170,22 +182,19 @@ def _close(policy: Policy) -> None:
 
 
 def _open_world(
-    job: TrialJob, robot: RobotSpec, scene: Scene, bundle: Bundle, protocol: EvaluationProtocol
+    robot: RobotSpec, scene: Scene, card: Card, protocol: EvaluationProtocol, cell: Cell
 ) -> World:
-    cell = dict(job.trial.perturbation)
-    for axis in cell:
-        if axis not in PERTURBATIONS:
-            raise UsageError(f"unknown perturbation {axis!r}", fix=nearest(axis, PERTURBATIONS))
-    motors = actuator_values(bundle.card, robot)
-    follow = "torque" if bundle.card.control.action == "joint_torque" else "position"
-    actuators = None if motors is None else Actuators(follow=follow, **motors)
-    timestep, substeps = physics_steps(bundle.card, protocol)
+    values = actuator_values(card, robot)
+    follow = "torque" if card.control.action == "joint_torque" else "position"
+    own = None if values is None else replace(Actuators.of(robot), follow=follow, **values)
+    timestep, substeps = physics_steps(card, protocol)
     return World(
         robot,
         scene,
         protocol=protocol,
-        actuators=actuators,
+        actuators=perturbed_motors(robot, own, cell),
         friction=cell.get("friction"),
+        payload=cell.get("payload", 0.0),
         timestep=timestep,
         substeps=substeps,
     )

@@ -11,7 +11,7 @@ from nw_eval.cards import Card
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.pipeline import Maker
-from nw_eval.sensors.place import TrialPlace
+from nw_eval.sensors.place import CLEAR, Air, TrialPlace
 from nw_eval.sensors.sampled import Sampled
 from nw_eval.sensors.sensor import Sensor
 from nw_eval.sim import World
@@ -27,6 +27,7 @@ def build_sensors(
     rays: RayScene | Callable[[], RayScene] | None = None,
     renderer: Callable[[Scene], Renderer] | None = None,
     code_from: Path | None = None,
+    air: Air = CLEAR,
 ) -> dict[str, Sensor]:
     """Return the sensors of a card by name, in its order.
 
@@ -39,6 +40,7 @@ def build_sensors(
             at most once, and only if a sensor needs images of the splat.
         code_from: the card's folder, if its `module:Class` plug-ins may be imported from there;
             None = a card that names one is an error.
+        air: through which cameras see the place.
 
     Raises:
         PolicyError: an observation does not fit the robot, or a plug-in cannot be used.
@@ -56,6 +58,7 @@ def build_sensors(
         world=world,
         rays=shared_rays,
         renderer=cache(lambda: (renderer or _cpu_renderer)(scene)),
+        air=air,
     )
     maker = Maker(
         card=card,

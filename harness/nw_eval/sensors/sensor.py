@@ -36,6 +36,8 @@ class Moment:
     """(12,) what the policy returned last, before any delay; zeros first."""
     earlier_outputs: tuple[Action, ...] = ()
     """What it returned before that, (12,) each, the newest first; zeros where there is no more."""
+    standing_cones: Array | None = None
+    """(K, 3) waypoints that have a cone, m; None = all of the trail's."""
     position: Array = field(init=False)
     """Trunk origin in the world, (3,) m."""
     roll_pitch_yaw: tuple[float, float, float] = field(init=False)
@@ -51,6 +53,11 @@ class Moment:
             math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
             math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
         )
+
+    @property
+    def cones(self) -> Array:
+        """Where cones stand, (K, 3) m, world."""
+        return self.progress.waypoints if self.standing_cones is None else self.standing_cones
 
     @property
     def rotation(self) -> Array:

@@ -23,6 +23,7 @@ class Actuators:
     torque_limits: Array  # N m, symmetric
     armature: Array  # kg m^2
     friction_loss: Array  # N m
+    strength: float = 1.0  # of gain and largest torque, the share that is left
     follow: Literal["position", "torque"] = "position"  # what they are told; torques ignore kp
 
     @classmethod

@@ -85,9 +85,10 @@ def _set_joints(
         joint.frictionloss = actuators.friction_loss[index]
         servo = spec.actuator(name)
         follows_position = actuators.follow == "position"
-        servo.gainprm[0] = actuators.kp[index] if follows_position else 1.0
-        servo.biasprm[1] = -actuators.kp[index] if follows_position else 0.0
-        limit = actuators.torque_limits[index]
+        gain = actuators.strength * (actuators.kp[index] if follows_position else 1.0)
+        servo.gainprm[0] = gain
+        servo.biasprm[1] = -gain if follows_position else 0.0
+        limit = actuators.strength * actuators.torque_limits[index]
         servo.forcerange = [-limit, limit]
     if protocol.joint_defaults_act_on_trunk:
         root = spec.joint("root")

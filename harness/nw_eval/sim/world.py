@@ -156,6 +156,12 @@ class World(Body):
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         health.check(data, self.time)
 
+    def push(self, velocity: Sequence[float] | Array) -> None:
+        """Add a velocity to the trunk's, (2,) m/s in the world's x and y, before a step."""
+        self._require_open()
+        self.data.qvel[:2] += velocity
+        mujoco.mj_step1(self.model, self.data)
+
     def step(self, targets: Sequence[float] | Array) -> None:
         """Run one control step.
 

@@ -21,6 +21,7 @@ from pydantic import (
 
 from nw_eval.errors import Problem
 from nw_eval.suite.digest import digest_of
+from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.words import Protocol, Record, Robot, Tier
 
 MAX_CELLS = 10_000
@@ -57,17 +58,9 @@ class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def _each_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    for index, value in enumerate(values):
-        if value in values[:index]:
-            raise ValueError(f"{value!r} is given twice; remove one")
-    return values
-
-
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Pattern = Annotated[str, Field(min_length=1, max_length=1024)]
-Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(_each_once)]
-Friction = Annotated[float, Field(gt=0.0, le=5.0)]
+Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(each_once)]
 
 
 class EpisodeRules(_Strict):
@@ -81,27 +74,6 @@ class EpisodeRules(_Strict):
         description="Whether a blow to head or trunk (10 N) ends a trial as collided; false only "
         "counts its seconds.",
     )
-
-
-class Perturb(_Strict):
-    """Axes of the perturbation grid. An axis that is left out is not touched.
-
-    A trial runs once in every cell of the grid, and the cell is part of the trial's identity.
-    """
-
-    friction: Annotated[tuple[Friction, ...], AfterValidator(_each_once)] = Field(
-        (), description="Sliding friction of ground and obstacles (1.25 as built)."
-    )
-
-    @property
-    def cells(self) -> tuple[tuple[tuple[str, float], ...], ...]:
-        """The cells of the grid, axes in alphabetical order; one empty cell without axes."""
-        cells: list[tuple[tuple[str, float], ...]] = [()]
-        for axis in sorted(type(self).model_fields):
-            values: tuple[float, ...] = getattr(self, axis)
-            if values:
-                cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
-        return tuple(cells)
 
 
 class Validity(_Strict):

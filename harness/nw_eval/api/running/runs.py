@@ -124,12 +124,15 @@ def roll_out(
     from nw_eval.api.running.against.contest import Contest
     from nw_eval.engine import session
     from nw_eval.engine.listener import Silence
+    from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
     plan = replace(plan, is_baseline=plan.is_baseline and not all_rounds)
     contest = None
     if plan.shard is not None:
         ears.message(_part(plan, plan.shard))
+    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
+        ears.message(f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it")
     if plan.against is not None:
         contest = Contest(
             plan,

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from nw_eval.memory import Memory
     from nw_eval.policies import ActionFilter, Policy
     from nw_eval.rollout.clock import StageClock
+    from nw_eval.rollout.episode.pushes import Pushes
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import Termination, TrailProgress, World
     from nw_eval.words import Outcome
@@ -53,6 +54,8 @@ class Episode:
         progress: along the trial's own waypoints.
         termination: for the same waypoints.
         clock: where the time goes.
+        pushes: that the trunk gets; None = none.
+        cones: (K, 3) waypoints that have a cone, m; None = all.
     """
 
     def __init__(
@@ -68,6 +71,8 @@ class Episode:
         progress: TrailProgress,
         termination: Termination,
         clock: StageClock,
+        pushes: Pushes | None = None,
+        cones: Array | None = None,
     ) -> None:
         self.world = world
         self.sensors = sensors
@@ -81,6 +86,8 @@ class Episode:
         self._hold = hold
         self._termination = termination
         self._clock = clock
+        self._pushes = pushes
+        self._cones = cones
         self._actions = actions = Actions(
             control, world.robot.joints, delay_steps=delay_steps, action_filter=action_filter
         )
@@ -174,6 +181,9 @@ class Episode:
         """
         with self._clock("physics"):
             try:
+                push = None if self._pushes is None else self._pushes.at(self.step)
+                if push is not None:
+                    self.world.push(push)
                 self.world.step(decision.targets)
             except DivergedError as error:
                 raise PolicyFailedError(str(error), kind="diverged") from error
@@ -255,6 +265,7 @@ class Episode:
             applied_action=self._actions.applied.array,
             last_output=self._actions.output.array,
             earlier_outputs=self._actions.earlier.arrays,
+            standing_cones=self._cones,
         )
 
     def _sense(self, moment: Moment) -> dict[str, NDArray[Any]]:

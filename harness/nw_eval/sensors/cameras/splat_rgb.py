@@ -17,7 +17,7 @@ from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
 from nw_eval.sensors.measurement import Measurement
-from nw_eval.sensors.place import TrialPlace
+from nw_eval.sensors.place import CLEAR, TrialPlace
 from nw_eval.sensors.sensor import Moment
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.cameras.pixels import Pixels
@@ -75,6 +75,7 @@ class SplatRgb(Measurement):
         """
         self._renderer = place.renderer()
         self._rays = place.rays
+        self._air = place.air
         self._captures = place.world.scene.captures
         self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
 
@@ -90,7 +91,7 @@ class SplatRgb(Measurement):
         self.coverage = float(image.alpha.mean())
         if self._captures is not None:
             self.nearness = self._captures.nearest(T_world_camera)
-        trail = moment.progress.waypoints
+        trail = moment.cones
         if self._published and self._observation.cones:
             seen = cone_mask(
                 self._directions,
@@ -116,6 +117,8 @@ class SplatRgb(Measurement):
                 T_world_camera=T_world_camera,
                 static=self._rays(),
             )
+        if self._air is not CLEAR:
+            image = self._air.seen(image)
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
     def state(self) -> Arrays:

@@ -41,7 +41,7 @@ class Surroundings:
         starts = np.broadcast_to(origin, directions.shape)
         distance = self._rays().distance(starts, directions)
         if self._cones is not None:
-            cones = self._cones.on(moment.progress.waypoints)
+            cones = self._cones.on(moment.cones)
             distance = np.minimum(distance, cones.distance(origin, directions))
         if self._robot:
             hit = moment.world.ray_robot(origin, directions, exclude="trunk")
@@ -61,7 +61,7 @@ class Surroundings:
         met[seen] = FACE_CLASSES[kinds[face[seen]]]
         others: list[tuple[int, Array]] = []
         if self._cones is not None:
-            cones = self._cones.on(moment.progress.waypoints)
+            cones = self._cones.on(moment.cones)
             others.append((CONE, cones.distance(origin, directions)))
         if self._robot:
             hit = moment.world.ray_robot(origin, directions, exclude="trunk")

@@ -1,0 +1,178 @@
+"""What a cell of the perturbation grid changes, by walking and by looking."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from nw_eval.errors import UsageError
+from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.episode.pushes import EVERY, Pushes
+from nw_eval.rollout.perturbed import perturbed_robot, unfelt
+from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.trial import run_trial
+from nw_eval.sensors.place import FOG, Air
+from nw_eval.splat.image import Image
+from nw_eval.suite.perturb import NEUTRAL, Perturb
+
+PUBLISHED = "neverwhere-2026"
+"""Under it every cell has the same starts, so that bits can be compared."""
+
+FELT = {
+    "friction": 0.3,
+    "payload": 4.0,
+    "push": 1.0,
+    "strength": 0.6,
+    "latency": 0.08,
+    "noise": 0.2,
+    "exposure": 0.4,
+    "fog": 0.5,
+    "camera_pitch": 0.3,
+    "camera_height": 0.1,
+    "field_of_view": 0.7,
+    "missing_cones": 1.0,
+}
+SEES = ("exposure", "fog", "camera_pitch", "camera_height", "field_of_view", "missing_cones")
+
+
+def walked(library, make_job, axis=None, value=0.0, *, policy="go1-parkour", duration=1.0):
+    """Return the digests of states and actions of a short trial."""
+    job = make_job(policy=policy, duration=duration, protocol=PUBLISHED)
+    if axis is not None:
+        job = replace(job, trial=replace(job.trial, perturbation=((axis, value),)))
+    result = run_trial(job, library=library)
+    assert result.status == "ok", result
+    return result.state_digest, result.action_digest
+
+
+@pytest.fixture(scope="module")
+def blind(library, make_job):
+    return walked(library, make_job)
+
+
+@pytest.fixture(scope="module")
+def seeing(library, make_job):
+    return walked(library, make_job, policy="go1-act-rgb", duration=0.3)
+
+
+def test_every_axis_is_tried_here():
+    assert set(FELT) == set(NEUTRAL) == set(Perturb.model_fields)
+
+
+@pytest.mark.parametrize("axis", [axis for axis in FELT if axis not in SEES])
+def test_an_axis_of_body_and_ground_moves_the_robot(library, make_job, blind, axis):
+    duration = 3.0 if axis == "push" else 1.0  # Within which one push falls at least.
+    plain = walked(library, make_job, duration=duration) if axis == "push" else blind
+    assert walked(library, make_job, axis, FELT[axis], duration=duration)[0] != plain[0]
+
+
+@pytest.mark.parametrize("axis", SEES)
+def test_an_axis_of_pictures_moves_a_policy_that_sees(library, make_job, seeing, axis):
+    options = {"policy": "go1-act-rgb", "duration": 0.3}
+    assert walked(library, make_job, axis, FELT[axis], **options)[1] != seeing[1]
+
+
+@pytest.mark.parametrize("axis", [axis for axis in NEUTRAL if axis not in {"friction", *SEES}])
+def test_a_neutral_value_changes_no_bit(library, make_job, blind, axis):
+    assert walked(library, make_job, axis, NEUTRAL[axis]) == blind
+
+
+@pytest.mark.parametrize("axis", SEES)
+def test_a_neutral_value_changes_no_picture(library, make_job, seeing, axis):
+    options = {"policy": "go1-act-rgb", "duration": 0.3}
+    assert walked(library, make_job, axis, NEUTRAL[axis], **options) == seeing
+
+
+def test_a_load_is_carried_and_weak_motors_give_less(library, make_job):
+    def opened(axis, value):
+        job = make_job()
+        trial = replace(job.trial, perturbation=((axis, value),))
+        return open_trial(replace(job, trial=trial), library, StageClock())
+
+    with opened("payload", 4.0) as loaded, opened("payload", 0.0) as bare:
+        mass = [float(t.episode.world.model.body_mass.sum()) for t in (loaded, bare)]
+    assert mass[0] - mass[1] == pytest.approx(4.0)
+    with opened("strength", 0.5) as weak, opened("strength", 1.0) as whole:
+        models = [t.episode.world.model for t in (weak, whole)]
+        np.testing.assert_array_equal(
+            models[0].actuator_forcerange, 0.5 * models[1].actuator_forcerange
+        )
+        np.testing.assert_array_equal(models[0].actuator_gainprm, 0.5 * models[1].actuator_gainprm)
+
+
+def test_a_push_is_felt_in_the_step_that_it_is_due(library, make_job):
+    job = make_job(protocol=PUBLISHED, duration=4.0)
+    trial = replace(job.trial, perturbation=(("push", 2.0),))
+    pushes = Pushes(2.0, trial.generator("pushes"))
+    due = next(step for step in range(200) if pushes.at(step) is not None)
+    with open_trial(replace(job, trial=trial), library, StageClock()) as opened:
+        episode = opened.episode
+        while episode.step < due:
+            episode.advance(episode.decide())
+        saved, before = episode.state(), episode.world.data.qvel[:2].copy()
+        episode.advance(episode.decide())
+        after = episode.world.data.qvel[:2].copy()
+        assert np.linalg.norm(after - before - pushes.at(due)) < 1.0
+        assert np.linalg.norm(after - before) > 1.0
+        episode.restore(saved)
+        episode.advance(episode.decide())
+        np.testing.assert_array_equal(episode.world.data.qvel[:2], after)
+
+
+def test_pushes_come_every_three_seconds_at_their_speed():
+    pushes = Pushes(0.7, np.random.default_rng(1))
+    steps = [step for step in range(30_000) if pushes.at(step) is not None]
+    assert set(np.diff(steps).tolist()) == {EVERY}
+    assert 50 <= steps[0] < EVERY
+    speeds = [np.linalg.norm(pushes.at(step)) for step in steps]
+    np.testing.assert_allclose(speeds, 0.7)
+    angles = [np.arctan2(*pushes.at(step)) for step in steps]
+    assert np.std(angles) > 1.0, "in all directions"
+
+
+def test_a_camera_looks_down_by_its_pitch_and_sits_higher():
+    from nw_eval.robots import get_robot
+
+    robot = get_robot("go1")
+    moved = perturbed_robot(
+        robot, {"camera_pitch": 0.3, "camera_height": 0.1, "field_of_view": 0.5}
+    )
+    for name, mount in robot.cameras.items():
+        other = moved.cameras[name]
+        axis, turned = (m.T_trunk_camera[:3, 2] for m in (mount, other))
+        assert np.arccos(axis @ turned) == pytest.approx(0.3)
+        assert turned[2] < axis[2], "down"
+        assert other.position[2] - mount.position[2] == pytest.approx(0.1)
+        assert other.fovy == pytest.approx(0.5 * mount.fovy)
+        np.testing.assert_allclose(mount.T_trunk_camera[:3, 0], other.T_trunk_camera[:3, 0])
+
+
+def test_fog_hides_by_distance_and_exposure_scales():
+    image = Image(
+        rgb=np.full((1, 3, 3), 0.2, np.float32),
+        depth=np.array([[1.0, 4.0, 0.0]], np.float32),
+        alpha=np.ones((1, 3), np.float32),
+    )
+    near, far, nothing = Air(fog=0.5).seen(image).rgb[0, :, 0]
+    assert near == pytest.approx(0.2 * np.exp(-0.5) + FOG * (1 - np.exp(-0.5)))
+    assert far == pytest.approx(0.2 * np.exp(-2.0) + FOG * (1 - np.exp(-2.0)))
+    assert nothing == pytest.approx(FOG), "where nothing was drawn, there is fog alone"
+    np.testing.assert_allclose(Air(exposure=2.0).seen(image).rgb, 0.4)
+
+
+def test_what_a_policy_cannot_feel_is_known(library):
+    blind, seeing = (library.bundle(name, None).card for name in ("go1-parkour", "go1-act-rgb"))
+    assert unfelt(blind, FELT) == [axis for axis in FELT if axis in SEES]
+    assert unfelt(seeing, FELT) == []
+
+
+def test_values_out_of_range_and_unknown_axes_are_refused(library, make_job):
+    with pytest.raises(ValidationError, match="is no whole number of control steps"):
+        Perturb(latency=(0.03,))
+    with pytest.raises(ValidationError, match="less than or equal to 20"):
+        Perturb(payload=(25.0,))
+    job = make_job()
+    wrong = replace(job, trial=replace(job.trial, perturbation=(("frictoin", 1.0),)))
+    with pytest.raises(UsageError, match="unknown perturbation 'frictoin'"):
+        open_trial(wrong, library, StageClock())
