@@ -30,6 +30,9 @@ REDUCED = MappingProxyType(
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
         "nw-eval run my-place.yaml --out my-run": "--record none",
         "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
+        "nw-eval sweep smoke --axis friction=0.2,1.25 --trials 2 --out my-sweep": (
+            "--trials 1 --scenes hurdles/one_low_carpet"
+        ),
     }
 )
 """Options that make a command cheap and leave it what it is."""
@@ -49,6 +52,11 @@ NOT_RUN = MappingProxyType(
         "nw-eval run hurdles --engine ray": "starts a cluster; tests/engine/ray runs on some",
         "nw-eval run hurdles --policy ./my-policy --engine ray --address auto": (
             "on a cluster; tests/engine/ray does"
+        ),
+        "nw-eval sweep hurdles-state --axis friction=0.1..1.2:6 --axis payload=0..10:6 "
+        "--axis latency=0..0.12:7 --against go1-act-depth --trials 12 "
+        "--scenes hurdles/one_low_carpet hurdles/two_brick_dusk": (
+            "minutes; the page runs a smaller one"
         ),
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",

@@ -70,6 +70,7 @@ from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
+from nw_eval.api.sweeping import SweptSuite, sweep
 from nw_eval.api.verifying.result import VerifiedRun
 from nw_eval.api.verifying.verify import verify
 from nw_eval.request import Request
@@ -101,6 +102,7 @@ __all__ = [
     "ShownBaseline",
     "ShownSuite",
     "Surfaces",
+    "SweptSuite",
     "TrialPlan",
     "VerifiedRun",
     "WarmUp",
@@ -157,6 +159,7 @@ __all__ = [
     "splat_convert",
     "splat_info",
     "splat_render",
+    "sweep",
     "take_over",
     "verify",
     "verify_cache",

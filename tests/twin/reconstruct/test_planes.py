@@ -7,16 +7,16 @@ from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.depth.view import WorkingView
 from nw_eval.twin.reconstruct.options import DepthOptions
-from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 from nw_eval.twin.reconstruct.planes.maps import planar_maps
 
 DECK, LOW, HIGH = 0.3, np.array([-0.5, -0.5]), np.array([0.5, 0.5])
 """A platform, metres: the height of its top, and two of its corners."""
 
-FLOOR = Hypothesis(normal=np.array([0.0, 0.0, 1.0]), offset=0.0, prior=0.0, one_sided=True)
-TOP = Hypothesis(normal=np.array([0.0, 0.0, 1.0]), offset=DECK, prior=0.0, one_sided=True)
+FLOOR = SupposedPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0, prior=0.0, one_sided=True)
+TOP = SupposedPlane(normal=np.array([0.0, 0.0, 1.0]), offset=DECK, prior=0.0, one_sided=True)
 SIDES = [
-    Hypothesis(normal=sign * np.eye(3)[axis], offset=0.5, prior=0.05, one_sided=True)
+    SupposedPlane(normal=sign * np.eye(3)[axis], offset=0.5, prior=0.05, one_sided=True)
     for axis in (0, 1)
     for sign in (-1.0, 1.0)
 ]
@@ -83,7 +83,7 @@ def test_plain_faces_get_the_depth_of_their_planes(walk):
 
 
 def test_a_plane_that_is_not_there_is_shown_by_nobody(walk):
-    lid = Hypothesis(normal=TOP.normal, offset=0.6, prior=0.0, one_sided=True)
+    lid = SupposedPlane(normal=TOP.normal, offset=0.6, prior=0.0, one_sided=True)
     _, known, right = whole(walk, [*PLANES, lid])
     assert known > 0.5
     assert right > 0.93

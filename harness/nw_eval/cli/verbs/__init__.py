@@ -25,6 +25,7 @@ _VERBS = MappingProxyType(
         "bisect": "judging.bisect:BisectSeries",
         "report": "report:Report",
         "compare": "judging.compare:Compare",
+        "sweep": "judging.sweep:SweepAxes",
         "agree": "judging.agree:Agree",
         "replay": "replay:Replay",
         "verify": "verify:Verify",

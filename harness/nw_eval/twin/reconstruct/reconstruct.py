@@ -18,7 +18,7 @@ from nw_eval.twin.reconstruct.depth.maps import DepthMap, depth_maps, near_of, w
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh, write_mesh
 from nw_eval.twin.reconstruct.openmvs import openmvs_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
-from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis, hypotheses
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane, hypotheses
 from nw_eval.twin.reconstruct.planes.maps import planar_maps
 from nw_eval.twin.reconstruct.report import ReconstructReport, write_report
 from nw_eval.twin.reconstruct.surface.extract import extract
@@ -62,7 +62,7 @@ def reconstruct(
     capture = read_capture(capture_folder)
     if options.engine == "openmvs":
         maps, surface, voxel = _by_openmvs(capture, capture_folder, out, options, say, threads)
-        supposed: list[Hypothesis] = []
+        supposed: list[SupposedPlane] = []
     else:
         maps, supposed, voxel = _by_sweep(capture, capture_folder, out, options, say, threads)
         surface = extract(fuse(maps, voxel, options.blocks, say, threads), options.least_weight)
@@ -105,7 +105,7 @@ def reconstruct(
 
 def _by_sweep(
     capture: Capture, folder: Path, out: Path, options: ReconstructOptions, say: Say, threads: int
-) -> tuple[list[DepthMap], list[Hypothesis], float]:
+) -> tuple[list[DepthMap], list[SupposedPlane], float]:
     """Return the depth maps, the planes that they may show, and the edge of a voxel."""
     maps = depth_maps(capture, folder, out, options.depth, say, threads)
     voxel = options.voxel or voxel_of(maps)

@@ -17,7 +17,7 @@ from nw_eval.twin.reconstruct.clean.bounds import behind, bounds, in_hull
 from nw_eval.twin.reconstruct.clean.flatten import FlatPlane
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh
-from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 
 F64 = NDArray[np.float64]
 Cells = NDArray[np.bool_]
@@ -62,7 +62,7 @@ def complete(
     return _joined(added), area
 
 
-def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane | Hypothesis], voxel: float) -> Cells:
+def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane | SupposedPlane], voxel: float) -> Cells:
     """Return whether each vertex (V,) lies on one of the planes and faces as it does."""
     normals, found = _vertex_normals(mesh), np.zeros(len(mesh.vertices), dtype=bool)
     for plane in planes:
@@ -70,7 +70,7 @@ def on_planes(mesh: ColourMesh, planes: Sequence[FlatPlane | Hypothesis], voxel:
     return found
 
 
-def _near(mesh: ColourMesh, normals: F64, plane: FlatPlane | Hypothesis, band: float) -> Cells:
+def _near(mesh: ColourMesh, normals: F64, plane: FlatPlane | SupposedPlane, band: float) -> Cells:
     normal = np.array(plane.normal)
     return (np.abs(mesh.vertices @ normal - plane.offset) < band) & (normals @ normal > _COSINE)
 

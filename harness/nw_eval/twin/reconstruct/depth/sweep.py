@@ -69,7 +69,7 @@ def _costs(
 ) -> np.ndarray[tuple[int, int, int], np.dtype[np.uint16]]:
     """Return the costs of all planes, (H, W, D)."""
     height, width = view.size
-    own, window = view.grey, Window(options.window)
+    own, window = view.grey, PixelWindow(options.window)
     mean = window.mean(own)
     spread = np.maximum(window.mean(own * own) - mean * mean, 0.0)
     scale = (1.0 / np.sqrt(spread + NOISE)).astype(np.float32)
@@ -107,7 +107,7 @@ def _pixels(view: WorkingView, other: WorkingView) -> tuple[F64, F64]:
     return back @ move @ HALF_PIXEL, back @ shift
 
 
-class Window:
+class PixelWindow:
     """OpenCV's warps and means of windows, into arrays that are there already."""
 
     def __init__(self, side: int) -> None:

@@ -48,7 +48,7 @@ _SQUARE_SHARE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Hypothesis:
+class SupposedPlane:
     """A plane n . x = offset in the capture's frame.
 
     Attributes:
@@ -63,14 +63,14 @@ class Hypothesis:
     prior: float
     one_sided: bool
 
-    def turned(self) -> Hypothesis:
+    def turned(self) -> SupposedPlane:
         """Return the same plane with its normal on the other side."""
-        return Hypothesis(
+        return SupposedPlane(
             normal=-self.normal, offset=-self.offset, prior=self.prior, one_sided=self.one_sided
         )
 
 
-def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> list[Hypothesis]:
+def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> list[SupposedPlane]:
     """Return the planes of a place, those of its surface first; none where nothing is flat.
 
     Args:
@@ -81,7 +81,7 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
     found = _of_surface(surface, voxel)
     axes = _axes([normal for normal, _, _ in found])
     planes = [
-        Hypothesis(
+        SupposedPlane(
             normal=normal,
             offset=offset,
             prior=_prior(squares) * (_SQUARE_SHARE if _is_square(normal, axes) else 1.0),
@@ -98,7 +98,9 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
             if not any(_is_same(axis, offset, *one, _SAME * voxel) for one in known):
                 known.append((axis, offset))
                 prior = _SQUARE_SHARE * _prior(_SUPPOSED)
-                planes.append(Hypothesis(normal=axis, offset=offset, prior=prior, one_sided=False))
+                planes.append(
+                    SupposedPlane(normal=axis, offset=offset, prior=prior, one_sided=False)
+                )
     return planes
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
-from nw_eval.twin.reconstruct.depth.sweep import HALF_PIXEL, Window
+from nw_eval.twin.reconstruct.depth.sweep import HALF_PIXEL, PixelWindow
 from nw_eval.twin.reconstruct.depth.view import F32, F64, WorkingView
 from nw_eval.twin.reconstruct.kernels.likeness import COST, NOISE, keep_best
 from nw_eval.twin.reconstruct.kernels.planar import agree, count_seen, keep_least
 from nw_eval.twin.reconstruct.packages import package
-from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 
 _WINDOW, _PATCH = 5, 3
 """Sides of the squares whose likeness and whose colours are compared, pixels."""
@@ -54,7 +54,7 @@ class Labels:
 
 
 def labelled(
-    own: DepthMap, others: Sequence[DepthMap], planes: Sequence[Hypothesis], farthest: float
+    own: DepthMap, others: Sequence[DepthMap], planes: Sequence[SupposedPlane], farthest: float
 ) -> Labels:
     """Return which plane each pixel of a view shows.
 
@@ -88,8 +88,8 @@ def labelled(
 
 
 def _shown(
-    own: DepthMap, others: Sequence[DepthMap], planes: Sequence[Hypothesis], farthest: float
-) -> list[tuple[Hypothesis, F32, F64]]:
+    own: DepthMap, others: Sequence[DepthMap], planes: Sequence[SupposedPlane], farthest: float
+) -> list[tuple[SupposedPlane, F32, F64]]:
     """Return the planes that a view may show, their depths (H, W) and rows of homographies (3,)."""
     found = []
     for plane in planes:
@@ -104,7 +104,7 @@ def _shown(
     return found
 
 
-def _depth_on(view: WorkingView, plane: Hypothesis) -> tuple[F32, F64, bool]:
+def _depth_on(view: WorkingView, plane: SupposedPlane) -> tuple[F32, F64, bool]:
     """Return a plane's depth (H, W), 0 behind, the row n' K^-1 / d, and whether it faces us."""
     T = view.T_camera_world
     normal = T[:3, :3] @ plane.normal
@@ -125,7 +125,7 @@ class _Likeness:
     """How alike a view and its neighbours are on a plane."""
 
     def __init__(self, own: DepthMap, others: Sequence[DepthMap]) -> None:
-        self._cv2, self._window, view = package("cv2"), Window(_WINDOW), own.view
+        self._cv2, self._window, view = package("cv2"), PixelWindow(_WINDOW), own.view
         self._view, self._grey = view, view.grey
         self._mean = self._window.mean(self._grey)
         spread = self._window.mean(self._grey * self._grey) - self._mean * self._mean

@@ -11,7 +11,7 @@ from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.kernels.agree import count_agreeing
 from nw_eval.twin.reconstruct.kernels.planar import count_seen
 from nw_eval.twin.reconstruct.options import DepthOptions
-from nw_eval.twin.reconstruct.planes.hypotheses import Hypothesis
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 from nw_eval.twin.reconstruct.planes.labels import Labels, labelled
 
 _FARTHEST = 3.0
@@ -25,7 +25,7 @@ _CARVED = 1.0 / 3.0
 def planar_maps(
     maps: Sequence[DepthMap],
     near: Sequence[Sequence[int]],
-    planes: Sequence[Hypothesis],
+    planes: Sequence[SupposedPlane],
     options: DepthOptions,
     say: Callable[[str], None],
     threads: int = 2,

@@ -1,0 +1,172 @@
+"""Sweeping: a suite again and again, along axes of perturbation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.api.running.plans import check_workers, plan
+from nw_eval.api.running.reports import judge
+from nw_eval.api.running.runs import roll_out
+from nw_eval.errors import StoreError, UsageError
+from nw_eval.request import Request
+from nw_eval.rollout.confined.start import prepare
+
+if TYPE_CHECKING:
+    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.plan import Plan
+    from nw_eval.gate.sweep.curve import AxisCurve
+    from nw_eval.suite.swept import SweptAxis
+
+_MOST_FOLDERS = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweptSuite:
+    """What a sweep found.
+
+    Attributes:
+        out: folder of `sweep.md`, `sweep.png`, `sweep.parquet`, and of a run for each axis and
+            policy.
+        suite: its name.
+        axes: for each axis the curves of all policies.
+        interrupted: whether trials are missing since somebody stopped it.
+    """
+
+    out: Path
+    suite: str
+    axes: tuple[tuple[AxisCurve, ...], ...]
+    interrupted: bool
+
+
+def sweep(
+    request: Request,
+    axes: Sequence[str],
+    *,
+    out: Path | None = None,
+    against: str | None = None,
+    workers: int | None = None,
+    cache: bool = True,
+    confidence: float = 0.95,
+    listener: Listener | None = None,
+) -> SweptSuite:
+    """Run a suite at values of one axis after another, and find where its policy breaks off.
+
+    What the suite itself perturbs, its bar and its baseline are left out. Trials that an earlier
+    sweep had with the same values of an axis are taken over from the cache.
+
+    Args:
+        request: suite, policy, trials, scenes and seed as for `run`; neither shard nor baseline.
+        axes: such as `friction=0.3..1.2` (7 values), `payload=0..6:4`, `push=0,0.5,1`.
+        out: a new or empty folder; `reports/<suite>-sweep-<number>` if None.
+        against: another policy, which meets the same trials.
+        workers: processes; one for each core if None.
+        cache: as for `run`.
+        confidence: of each interval alone, and of all comparisons along a curve together.
+        listener: hears of progress.
+
+    Raises:
+        UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
+        StoreError: results cannot be written.
+    """
+    from nw_eval.api.running.comparisons import check_share
+    from nw_eval.gate.sweep.curve import curve_of
+    from nw_eval.reporting.sweep.pages import write_sweep
+
+    check_workers(workers)
+    check_share(confidence)
+    swept = _axes(axes)
+    if not request.allow_code:
+        prepare()
+    own = replace(request, baseline="none", record="none")
+    rivals = [own] if against is None else [own, replace(own, policy=against, checkpoint=None)]
+    bases = [plan(each) for each in rivals]
+    labels = _labels([base.bundle.name for base in bases])
+    plans = [
+        (axis.name, number + 1, _along(axis, bases[number], rival))
+        for axis in swept
+        for number, rival in enumerate(rivals)
+    ]
+    suite, folder = bases[0].suite.name, _folder(out, bases[0].suite.name)
+    found: dict[str, list[AxisCurve]] = {}
+    interrupted = False
+    for name, number, planned in plans:
+        done = roll_out(
+            planned,
+            workers=workers,
+            out=folder / name / f"{number}",
+            resume=None,
+            in_process=False,
+            listener=listener,
+            cache=cache,
+        )
+        run = judge(done.path, baseline="none")
+        if run.rows:
+            curve = curve_of(name, labels[number - 1], run.rows, confidence)
+            found.setdefault(name, []).append(curve)
+        interrupted = run.interrupted
+        if interrupted:
+            break
+    curves = tuple(tuple(of_axis) for of_axis in found.values())
+    if curves:
+        write_sweep(curves, suite, folder)
+    return SweptSuite(out=folder, suite=suite, axes=curves, interrupted=interrupted)
+
+
+def _axes(words: Sequence[str]) -> list[SweptAxis]:
+    from nw_eval.suite.swept import SweptAxis
+
+    swept = [SweptAxis.of(each) for each in words]
+    if not swept:
+        raise UsageError("no axis to sweep", fix="add --axis friction=0.3..1.2")
+    if len({axis.name for axis in swept}) < len(swept):
+        raise UsageError("an axis is given twice", fix="give all of its values at once")
+    return swept
+
+
+def _along(axis: SweptAxis, base: Plan, request: Request) -> Plan:
+    """Return the plan of a policy along an axis: what its suite perturbs and judges is left out."""
+    from nw_eval.suite.model import Gate
+    from nw_eval.suite.perturb import Perturb
+
+    perturb = Perturb.model_validate({axis.name: axis.values})
+    suite = base.suite.model_copy(update={"perturb": perturb, "gate": Gate.model_validate({})})
+    changes = {field.name: getattr(request, field.name) for field in fields(request)}
+    return plan(suite, **{**changes, "suite": None})
+
+
+def _labels(names: Sequence[str]) -> list[str]:
+    """Return names that tell policies apart."""
+    return [f"{name} ({n + 1})" if names.count(name) > 1 else name for n, name in enumerate(names)]
+
+
+def _folder(out: Path | None, suite: str) -> Path:
+    """Make the folder of a sweep.
+
+    Raises:
+        StoreError: it cannot be made, or holds something.
+    """
+    try:
+        if out is not None:
+            if out.is_dir() and any(out.iterdir()):
+                raise StoreError(f"{out} is not empty", fix="give a new folder with --out")
+            out.mkdir(parents=True, exist_ok=True)
+            return out
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "-", suite)
+        for number in range(1, _MOST_FOLDERS):
+            path = Path("reports") / f"{name}-sweep-{number:03d}"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                path.mkdir()
+            except FileExistsError:
+                continue
+            return path
+    except OSError as error:
+        raise StoreError(
+            f"cannot make {error.filename}: {error.strerror}",
+            fix="choose another folder with --out",
+        ) from error
+    raise StoreError(f"{_MOST_FOLDERS} sweeps of {suite} exist", fix="choose a folder with --out")

@@ -1,0 +1,1 @@
+"""How success changes along an axis of perturbation, and where it breaks off."""
