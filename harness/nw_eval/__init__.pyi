@@ -30,6 +30,7 @@ from nw_eval.api import (
     TrialPlan,
     VerifiedRun,
     WarmUp,
+    WrittenSite,
     WrittenSplat,
     agree,
     bisect,
@@ -88,6 +89,7 @@ from nw_eval.api import (
     verify,
     verify_cache,
     warmup,
+    write_site,
 )
 from nw_eval.cards.card import Card
 from nw_eval.cards.file.listing import ListedPolicy
@@ -192,6 +194,7 @@ __all__ = [
     "VerifiedRun",
     "WarmUp",
     "WrittenRecording",
+    "WrittenSite",
     "WrittenSplat",
     "__version__",
     "agree",
@@ -251,4 +254,5 @@ __all__ = [
     "verify",
     "verify_cache",
     "warmup",
+    "write_site",
 ]

@@ -30,6 +30,8 @@ REDUCED = MappingProxyType(
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
         "nw-eval run my-place.yaml --out my-run": "--record none",
         "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
+        "nw-eval run smoke --policy go1-parkour --out board/parkour": _ONE_TRIAL,
+        "nw-eval run smoke --policy stand --baseline none --out board/stand": _ONE_TRIAL,
         "nw-eval sweep smoke --axis friction=0.2,1.25 --trials 2 --out my-sweep": (
             "--trials 1 --scenes hurdles/one_low_carpet"
         ),
@@ -58,6 +60,7 @@ NOT_RUN = MappingProxyType(
         "--scenes hurdles/one_low_carpet hurdles/two_brick_dusk": (
             "minutes; the page runs a smaller one"
         ),
+        "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",

@@ -68,6 +68,7 @@ from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
+from nw_eval.api.site import WrittenSite, write_site
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
 from nw_eval.api.sweeping import SweptSuite, sweep
@@ -106,6 +107,7 @@ __all__ = [
     "TrialPlan",
     "VerifiedRun",
     "WarmUp",
+    "WrittenSite",
     "WrittenSplat",
     "agree",
     "bisect",
@@ -164,4 +166,5 @@ __all__ = [
     "verify",
     "verify_cache",
     "warmup",
+    "write_site",
 ]

@@ -32,8 +32,13 @@ class Report(Publishing):
     in the folder that all of them lie in."""
     open: bool = False
     """Show the page in HTML in a browser."""
+    site: Path | None = None
+    """Write a leaderboard over the runs into this folder, to be published as it is: policies by
+    suites and tasks, scenes with pictures, the runs' reports. A site that is there is replaced."""
 
     def __call__(self) -> int:
+        if self.site is not None:
+            return self._site(self.site)
         if len(self.runs) != 1:
             return self._index()
         return self.publishing(str(self.runs[0]), self._judge)
@@ -48,6 +53,25 @@ class Report(Publishing):
         if self.open and outcome.html is not None:
             show(outcome.html)
         return outcome, outcome.exit_code
+
+    def _site(self, folder: Path) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.browser import show
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.errors import UsageError
+        from nw_eval.plural import plural
+
+        if self.out is not None or self.junit or self.comment or self.github or self.track:
+            raise UsageError(
+                "--out, --junit, --github, --comment and --track with --site", fix="drop them"
+            )
+        found = api.write_site(self.runs, folder)
+        for sentence in found.left_out:
+            tell(f"warning: left out: {sentence}")
+        print(f"leaderboard of {plural(found.runs, 'run')}: {found.page}")
+        if self.open:
+            show(found.page)
+        return found.exit_code
 
     def _index(self) -> int:
         from nw_eval import api

@@ -54,6 +54,15 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
     """
     if len(entrants) < 2:
         raise UsageError("one policy has nothing to compare with", fix="name two runs or more")
+    return compared(entrants, confidence)
+
+
+def compared(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyComparison:
+    """Return as `side_by_side` what one policy or more show; of one there is no other rank than 1.
+
+    Raises:
+        IncomparableError: as `side_by_side`.
+    """
     check_alike(entrants)
     shared = _shared(entrants)
     met = [shared] * len(entrants) if shared else _own(entrants)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
@@ -70,26 +71,38 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
     Raises:
         StoreError: the picture cannot be written.
     """
-    height = width * 9 // 16
-    cells: list[Cell] = []
-    robot = get_robot(_ROBOT)
-    for scene in scenes:
-        splat = None
-        if scene.splat is not None:
-            splat = open_renderer(open_store(scene.splat_store()), "cpu")
-        spectator = Spectator(scene, splat)
-        with World(robot, scene) as world:
-            for _ in range(_SETTLING):
-                world.step(robot.default_pose)
-            views = [
-                spectator.beside(world, scene.trail, width=width, height=height),
-                spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
-            ]
-        caption = f"{scene.title}{_as_drawn(scene)}"
-        cells.append(Cell(name=scene.name, caption=caption, images=views))
+    cells = [
+        Cell(
+            name=scene.name,
+            caption=f"{scene.title}{_as_drawn(scene)}",
+            images=scene_views(scene, width=width),
+        )
+        for scene in scenes
+    ]
     picture = draw_sheet(cells, across=max(1, round(len(cells) ** 0.5)))
     with atomic_path(path) as temporary:
         temporary.write_bytes(picture)
+
+
+def scene_views(scene: Scene, *, width: int) -> list[NDArray[np.uint8]]:
+    """Return a scene from outside, and through the camera of a Go1 at its start.
+
+    Args:
+        scene: its splat, or its mesh if it has none.
+        width: of each view (H, W, 3), pixels; 16 to 9.
+    """
+    height = width * 9 // 16
+    splat = None
+    if scene.splat is not None:
+        splat = open_renderer(open_store(scene.splat_store()), "cpu")
+    spectator, robot = Spectator(scene, splat), get_robot(_ROBOT)
+    with World(robot, scene) as world:
+        for _ in range(_SETTLING):
+            world.step(robot.default_pose)
+        return [
+            spectator.beside(world, scene.trail, width=width, height=height),
+            spectator.aboard(world, scene.trail, _EGO, width=width, height=height),
+        ]
 
 
 def _as_drawn(scene: Scene) -> str:

@@ -1,0 +1,251 @@
+"""A leaderboard over runs, as a folder that any host of static pages can show."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.api.running.reports import RunReport
+    from nw_eval.gate.side_by_side.entrant import Entrant
+    from nw_eval.reporting.site.board import BoardSection
+
+PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
+_WIDTH = 320
+"""Of a view of a scene, pixels."""
+_QUALITY = 72
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenSite:
+    """A leaderboard.
+
+    Attributes:
+        page: to open, or to publish with the folder that it lies in.
+        runs: that it shows.
+        left_out: a sentence for each run that it does not.
+    """
+
+    page: Path
+    runs: int
+    left_out: tuple[str, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """4 if a run was left out, else 0: the verdicts are those of the runs."""
+        return StoreError.exit_code if self.left_out else 0
+
+
+def write_site(
+    runs: Sequence[str | Path],
+    out: str | Path,
+    *,
+    title: str = "Leaderboard",
+    confidence: float = 0.95,
+    pictures: bool = True,
+) -> WrittenSite:
+    """Write a leaderboard: policies by suites and tasks, scenes with pictures, and all reports.
+
+    The same runs give the same bytes. A site that is there already is replaced; nothing else is.
+
+    Args:
+        runs: their folders, in any order.
+        out: a folder: new, empty, or a site of ours.
+        title: of the page.
+        confidence: of each interval alone; of all ranks of a suite together.
+        pictures: whether built-in scenes are drawn, by their splats.
+
+    Raises:
+        UsageError: one is no run's folder, there is none, or the folder holds something else.
+        StoreError: the site cannot be written.
+    """
+    from nw_eval.api.running.comparisons import check_share
+    from nw_eval.api.running.reports import as_begun
+    from nw_eval.reporting.markdown import write_report
+    from nw_eval.reporting.site.board import render_board
+    from nw_eval.results.run_folder import open_run_folder
+
+    check_share(confidence)
+    if not runs:
+        raise UsageError("no run to show", fix="name the folders of some")
+    folders = list(dict.fromkeys(open_run_folder(Path(run)).path.resolve() for run in runs))
+    folder = _emptied(Path(out))
+    judged: list[RunReport] = []
+    left_out: list[str] = []
+    for each in folders:
+        try:
+            run = as_begun(each)
+        except StoreError as error:
+            left_out.append(f"{each.name}: {error}")
+            continue
+        if run.info.shard is not None:
+            left_out.append(f"{each.name}: a part of a run; `nw-eval merge` makes it whole")
+        elif run.info.finished is None:
+            left_out.append(f"{each.name}: the run has not ended; --resume it")
+        else:
+            judged.append(run)
+    judged.sort(
+        key=lambda run: (str(run.info.suite.get("name", "")), run.info.policy.name, run.info.id)
+    )
+    hrefs = {run.folder: _copied(run, folder, number) for number, run in enumerate(judged, 1)}
+    sections = _sections(judged, hrefs, left_out, confidence)
+    if pictures:
+        drawn: dict[tuple[str, str], bytes | None] = {}
+        sections = [replace(each, pictures=_pictures(each, drawn)) for each in sections]
+    write_report(folder / PAGE, render_board(title, sections, left_out))
+    shown = sum(len(each.runs) for each in sections)
+    return WrittenSite(page=folder / PAGE, runs=shown, left_out=tuple(left_out))
+
+
+def _emptied(out: Path) -> Path:
+    """Return the folder without what an earlier site wrote there; it is marked as ours.
+
+    Raises:
+        UsageError: it holds something else.
+        StoreError: it cannot be written.
+    """
+    mark = out / MARK
+    try:
+        if out.is_dir() and any(out.iterdir()):
+            ours = False
+            with suppress(ValueError, UnicodeDecodeError, FileNotFoundError):
+                ours = json.loads(mark.read_text(encoding="utf-8")) == {"nw-site": 1}
+            if not ours:
+                raise UsageError(
+                    f"{out} holds something that is no site of nw-eval", fix="give a new folder"
+                )
+            shutil.rmtree(out / REPORTS, ignore_errors=True)
+            (out / PAGE).unlink(missing_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
+        mark.write_text('{"nw-site": 1}\n', encoding="utf-8")
+        (out / REPORTS).mkdir()
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {error.filename}: {error.strerror}", fix="choose another folder"
+        ) from error
+    return out
+
+
+def _suite_of(run: RunReport) -> str:
+    return str(run.info.suite.get("name", "suite"))
+
+
+def _copied(run: RunReport, site: Path, number: int) -> str:
+    """Copy a run's report, or write it, and return its address from the page."""
+    from nw_eval.api.running.reports import report
+    from nw_eval.results.run_folder import RunFolder
+
+    words = f"{_suite_of(run)}-{run.info.policy.name}"
+    slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
+    target = site / REPORTS / slug
+    own = RunFolder(path=run.folder).report_html
+    try:
+        target.mkdir()
+        if own.is_file():
+            shutil.copyfile(own, target / "report.html")
+            return f"{REPORTS}/{slug}/report.html"
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {error.filename}: {error.strerror}", fix="choose another folder"
+        ) from error
+    report(run.folder, out=target / "report.md")
+    return f"{REPORTS}/{slug}/report.html"
+
+
+def _sections(
+    judged: Sequence[RunReport],
+    hrefs: Mapping[Path, str],
+    left_out: list[str],
+    confidence: float,
+) -> list[BoardSection]:
+    """Return runs that compare with one another, each in a section; some may be left out."""
+    from nw_eval.gate.side_by_side.compare import compared
+    from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
+    from nw_eval.reporting.site.board import BoardRun, BoardSection
+
+    groups: list[list[tuple[RunReport, Entrant]]] = []
+    notes: list[str] = []
+    for run in judged:
+        entrant = entrant_of_run(run.folder.name, run.info, run.rows)
+        met = {name[0] for name in entrant.results}
+        if lacking := sorted(set(entrant.key.scenes) - met):
+            left_out.append(f"{run.folder.name}: it has no result from scene {lacking[0]}")
+            continue
+        note = ""
+        for group in groups:
+            if group[0][1].suite != entrant.suite:
+                continue
+            try:
+                check_alike([group[0][1], entrant])
+            except IncomparableError as error:
+                note = error.message
+                continue
+            group.append((run, entrant))
+            break
+        else:
+            groups.append([(run, entrant)])
+            notes.append(note)
+    suites = [group[0][1].suite for group in groups]
+    return [
+        BoardSection(
+            title=f"{suites[place]} ({suites[: place + 1].count(suites[place])})"
+            if suites.count(suites[place]) > 1
+            else suites[place],
+            note=notes[place],
+            comparison=compared([entrant for _, entrant in group], confidence),
+            runs=tuple(
+                BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
+                for run, _ in group
+            ),
+            pictures={},
+        )
+        for place, group in enumerate(groups)
+    ]
+
+
+def _pictures(
+    section: BoardSection, drawn: dict[tuple[str, str], bytes | None]
+) -> dict[str, bytes]:
+    """Return a JPEG of each scene that is the one of these runs and can be drawn here."""
+    digests = {name: scene.digest for name, scene in section.runs[0].info.scenes.items()}
+    found: dict[str, bytes] = {}
+    for scene in section.comparison.scenes:
+        key = (scene.scene, digests.get(scene.scene, ""))
+        if key not in drawn:
+            drawn[key] = _picture(*key)
+        picture = drawn[key]
+        if picture is not None:
+            found[scene.scene] = picture
+    return found
+
+
+def _picture(name: str, digest: str) -> bytes | None:
+    from io import BytesIO
+
+    import numpy as np
+    from PIL import Image
+
+    from nw_eval.catalogue import get_scene
+    from nw_eval.catalogue.find import is_built_in
+    from nw_eval.rollout.replaying.contact_sheet import scene_views
+
+    if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.
+        return None
+    try:
+        scene = get_scene(name)
+        if scene.digest != digest:
+            return None
+        views = scene_views(scene, width=_WIDTH)
+    except NwEvalError:  # Not of this machine; the page does without.
+        return None
+    content = BytesIO()
+    Image.fromarray(np.hstack(views)).save(content, format="JPEG", quality=_QUALITY)
+    return content.getvalue()

@@ -1,0 +1,164 @@
+"""What a leaderboard shows: policies by suites and tasks, and every suite scene by scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from nw_eval.gate.side_by_side.result import PolicyComparison
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.html.environment import render
+from nw_eval.reporting.side_by_side.tables import ranks_text
+from nw_eval.reporting.tables.table import Bar
+from nw_eval.results.provenance import RunInfo
+from nw_eval.stats import Interval
+
+_LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
+"""Shares of success lost over which a cell is drawn one step stronger."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardRun:
+    """A run of the board.
+
+    Attributes:
+        info: its run.json.
+        verdict: as it was begun.
+        href: of its own report, relative to the page.
+    """
+
+    info: RunInfo
+    verdict: Verdict
+    href: str
+
+    @property
+    def identity(self) -> tuple[str, str]:
+        """The policy: its name, and the digest of its checkpoint."""
+        return self.info.policy.name, self.info.policy.checkpoint_digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardSection:
+    """Runs of one suite that compare with one another.
+
+    Attributes:
+        title: the suite's name, with a number where its runs do not all compare.
+        note: why they do not; empty where they do.
+        comparison: of their policies, in the order of `runs`.
+        runs: one for each.
+        pictures: JPEGs by scene, as far as there are any.
+    """
+
+    title: str
+    note: str
+    comparison: PolicyComparison
+    runs: tuple[BoardRun, ...]
+    pictures: Mapping[str, bytes]
+
+    @property
+    def order(self) -> list[int]:
+        """Places of the policies, the best first."""
+        policies = self.comparison.policies
+        return sorted(range(len(policies)), key=lambda i: (-policies[i].mean, policies[i].label))
+
+    def level(self, mean: float) -> int:
+        """Return how strongly a cell is drawn: 0 where all was reached, to 5."""
+        return sum(1.0 - mean > least for least in _LEVELS)
+
+    def bar(self, place: int) -> Bar:
+        """Return the drawing of a policy's success."""
+        policy = self.comparison.policies[place]
+        return Bar(value=policy.mean, interval=policy.interval)
+
+    def rank(self, place: int) -> str:
+        """Return the ranks that a policy may have; nothing where it is alone."""
+        policies = self.comparison.policies
+        return ranks_text(policies[place]) if len(policies) > 1 else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardStanding:
+    """A policy in one column: success, its interval, its ranks (of a task none), and its report."""
+
+    mean: float
+    interval: Interval
+    rank: str
+    href: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardLine:
+    """A policy over all columns.
+
+    Attributes:
+        name: of the policy.
+        checkpoint: the beginning of its checkpoint's digest; empty where names tell all apart.
+        standings: by column, None where it has no run.
+    """
+
+    name: str
+    checkpoint: str
+    standings: tuple[BoardStanding | None, ...]
+
+
+def render_board(title: str, sections: Sequence[BoardSection], left_out: Sequence[str]) -> str:
+    """Return the page.
+
+    Args:
+        title: above it.
+        sections: in their order.
+        left_out: a sentence for each run that the page does not have.
+    """
+    columns, lines = _lines(sections)
+    return render(
+        "site.html.j2",
+        title=title,
+        sections=tuple(sections),
+        columns=columns,
+        lines=lines,
+        left_out=tuple(left_out),
+        suites=len({section.comparison.suite for section in sections}),
+        percent=f"{100 * sections[0].comparison.confidence:.4g} %" if sections else "",
+    )
+
+
+def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]]:
+    """Return the names of the columns, and a line for each policy, the best of the first on top."""
+    columns: list[str] = []
+    standings: dict[tuple[str, str], dict[int, BoardStanding]] = {}
+    for section in sections:
+        tasks = section.comparison.tasks
+        shown = [None, *tasks] if len(tasks) > 1 else [None]
+        for task in shown:
+            for place, (policy, run) in enumerate(
+                zip(section.comparison.policies, section.runs, strict=True)
+            ):
+                found = policy if task is None else task.estimates[place]
+                own = standings.setdefault(run.identity, {})
+                # Of two runs of one policy in one suite, the first is the board's.
+                own.setdefault(
+                    len(columns),
+                    BoardStanding(
+                        mean=found.mean,
+                        interval=found.interval,
+                        rank=section.rank(place) if task is None else "",
+                        href=run.href,
+                    ),
+                )
+            columns.append(section.title if task is None else f"{section.title}: {task.task}")
+    names = [name for name, _ in standings]
+    order = sorted(
+        standings,
+        key=lambda key: (
+            [-standings[key][c].mean if c in standings[key] else 1.0 for c in range(len(columns))],
+            key,
+        ),
+    )
+    return columns, [
+        BoardLine(
+            name=name,
+            checkpoint=digest[:8] if names.count(name) > 1 else "",
+            standings=tuple(standings[name, digest].get(c) for c in range(len(columns))),
+        )
+        for name, digest in order
+    ]

@@ -1,0 +1,217 @@
+"""A leaderboard over saved runs: policies, ties, links, and nothing that a stranger's run names."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+import nw_eval
+from nw_eval.api.running.saved_run import saved_trials
+from nw_eval.cli import main
+from nw_eval.engine.shards import shard_of
+from nw_eval.errors import UsageError
+from nw_eval.request import Shard
+from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.provenance import (
+    CodeInfo,
+    MachineInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    write_run_info,
+)
+from nw_eval.results.row import Row
+from nw_eval.suite import new_suite
+
+DIGEST, STARTS = "dd" * 32, 12
+
+
+def save_run(
+    path, policy, reached, *, suite="tiny", seed=7, scene="flat/room", part=None, **changes
+):
+    """Save a run of which this many of twelve trials reached all of four waypoints."""
+    settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": [scene]}
+    planned = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
+    checkpoint = policy.encode().hex().ljust(64, "0")[:64]
+    info = RunInfo(
+        id=path.name,
+        started="2026-11-21T11:00:05Z",
+        **{"finished": "2026-11-21T11:01:05Z", **changes},
+        suite_file="tiny.yaml",
+        suite=planned.model_dump(by_alias=True, mode="json"),
+        suite_digest=planned.digest,
+        policy=PolicyInfo(name=policy, checkpoint_digest=checkpoint),
+        scenes={scene: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)},
+        code=CodeInfo(version="0.1.0", digest="ee" * 32),
+        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
+        engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
+    )
+    if part is not None:
+        share, shard = shard_of(saved_trials(info, planned), part)
+        scenes = {scene: SceneInfo(digest=DIGEST, task="flat", trials=len(share))}
+        info = info.model_copy(update={"shard": shard, "scenes": scenes})
+    path.mkdir(parents=True)
+    write_run_info(path / "run.json", info)
+    header = JournalHeader(
+        suite_digest=planned.digest, policy_digest="p", scene_digests={scene: DIGEST}
+    )
+    with Journal.create(path / "journal.jsonl", header) as journal:
+        for number, trial in enumerate(saved_trials(info, planned)):
+            journal.append(row_of(trial, policy, checkpoint, done=number < reached))
+    return path
+
+
+def row_of(trial, policy, checkpoint, *, done):
+    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
+    return Row(
+        trial_id=trial.id,
+        suite=trial.suite,
+        scene=trial.scene,
+        task=trial.task,
+        seed_index=trial.index,
+        seed=trial.seed,
+        policy=policy,
+        status="ok",
+        outcome="completed" if done else "timeout",
+        end_reason="all waypoints" if done else "time",
+        completed=done,
+        success=1.0 if done else 0.0,
+        waypoints_reached=4 if done else 0,
+        waypoints_total=4,
+        steps=50,
+        checkpoint_digest=checkpoint,
+        scene_digest=trial.scene_digest,
+        robot="go1",
+        **times,
+    )
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    return [
+        save_run(folder / "one", "good", 12),
+        save_run(folder / "two", "also-good", 11),
+        save_run(folder / "three", "bad", 0),
+        save_run(folder / "four", "good", 6, suite="other"),
+    ]
+
+
+class Reader(HTMLParser):
+    """The words of a page's rows, and where its links lead."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.rows, self.links, self._open = [], [], False
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "tr":
+            self.rows.append([])
+        if tag == "a":
+            self.links.append(dict(attrs)["href"])
+        self._open = tag not in {"style", "script"}
+
+    def handle_data(self, data):
+        if self._open and self.rows and data.strip():
+            self.rows[-1].append(data.strip())
+
+
+def test_policies_stand_by_suite_with_intervals_and_ties(runs, tmp_path):
+    site = nw_eval.write_site(runs, tmp_path / "site")
+    assert (site.runs, site.left_out, site.exit_code) == (4, (), 0)
+    page = Reader(site.page)
+    board = page.rows[:4]
+    assert board[0][0] == "policy"
+    assert board[1][0] == "good"
+    by_name = {row[0]: row for row in board[1:]}
+    assert by_name["good"][1] == "0.500", "of the suite that comes first in the alphabet"
+    assert "1.000" in by_name["good"]
+    assert "rank 1 to 2" in by_name["good"]
+    assert "rank 1 to 2" in by_name["also-good"], "eleven of twelve and twelve decide nothing"
+    assert "rank 3" in by_name["bad"]
+
+
+def test_every_number_leads_to_a_report_that_is_there(runs, tmp_path):
+    site = nw_eval.write_site(runs, tmp_path / "site")
+    links = [link for link in Reader(site.page).links if not link.startswith("#")]
+    assert len(links) > 8
+    for link in links:
+        assert (site.page.parent / link).is_file(), link
+    assert len(set(links)) == len(runs)
+
+
+def test_the_same_runs_give_the_same_bytes_in_any_order_and_replace_a_site(runs, tmp_path):
+    first = nw_eval.write_site(runs, tmp_path / "a")
+    nw_eval.write_site(runs[:2], tmp_path / "b")
+    second = nw_eval.write_site(runs[::-1], tmp_path / "b")
+    assert first.page.read_bytes() == second.page.read_bytes()
+    names = [
+        sorted(str(path.relative_to(site.page.parent)) for path in site.page.parent.rglob("*"))
+        for site in (first, second)
+    ]
+    assert names[0] == names[1]
+
+
+def test_runs_that_do_not_compare_stand_apart_with_the_reason(runs, tmp_path):
+    other = save_run(tmp_path / "runs" / "five", "good", 12, seed=8)
+    site = nw_eval.write_site([*runs, other], tmp_path / "site")
+    text = site.page.read_text()
+    assert "tiny (1)" in text
+    assert "tiny (2)" in text
+    assert "its seed is 8, there 7" in text
+
+
+def test_runs_that_have_not_ended_or_are_damaged_are_left_out_and_named(runs, tmp_path):
+    torn = save_run(tmp_path / "runs" / "torn", "good", 12)
+    (torn / "run.json").write_text((torn / "run.json").read_text().replace("good", "best"))
+    going = save_run(tmp_path / "runs" / "going", "good", 12, finished=None)
+    site = nw_eval.write_site([*runs, torn, going], tmp_path / "site")
+    assert (site.runs, site.exit_code) == (4, 4)
+    assert [sentence.partition(":")[0] for sentence in site.left_out] == ["torn", "going"]
+    assert "the run has not ended; --resume it" in site.page.read_text()
+
+
+def test_a_part_of_a_run_is_left_out(runs, tmp_path):
+    part = save_run(tmp_path / "runs" / "part", "good", 12, part=Shard(index=1, count=2))
+    site = nw_eval.write_site([*runs, part], tmp_path / "site")
+    assert site.left_out == ("part: a part of a run; `nw-eval merge` makes it whole",)
+
+
+def test_a_folder_of_something_else_stays_as_it_is(runs, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "index.html").write_text("mine")
+    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+        nw_eval.write_site(runs, tmp_path / "mine")
+    assert (tmp_path / "mine" / "index.html").read_text() == "mine"
+    with pytest.raises(UsageError, match="no run to show"):
+        nw_eval.write_site([], tmp_path / "site")
+    with pytest.raises(UsageError):
+        nw_eval.write_site([tmp_path], tmp_path / "site")
+    assert not (tmp_path / "site").exists()
+
+
+def test_what_a_strangers_run_says_is_text_and_opens_nothing(tmp_path):
+    hostile = "<script>alert(1)</script>"
+    run = save_run(tmp_path / "runs" / "x", hostile, 3, scene="hub:some/where/../../etc")
+    site = nw_eval.write_site([run], tmp_path / "site")
+    text = site.page.read_text()
+    assert hostile not in text
+    assert "&lt;script&gt;" in text
+    assert "<img" not in text
+    inside = {path.relative_to(site.page.parent).parts[0] for path in site.page.parent.rglob("*")}
+    assert inside == {"index.html", "site.json", "runs"}
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", path.name) for path in site.page.parent.rglob("*"))
+    assert "src=" not in text.replace("data:", "")
+
+
+def test_the_verb_says_where_the_page_is_and_what_it_lacks(runs, tmp_path, capsys):
+    going = save_run(tmp_path / "runs" / "going", "good", 12, finished=None)
+    with pytest.raises(SystemExit) as end:
+        main(["report", "--site", str(tmp_path / "site"), str(runs[0]), str(going)])
+    printed = capsys.readouterr()
+    assert end.value.code == 4
+    assert printed.out == f"leaderboard of 1 run: {tmp_path / 'site' / 'index.html'}\n"
+    assert "left out: going: the run has not ended" in printed.err
