@@ -31,6 +31,7 @@ REDUCED = MappingProxyType(
         "nw-eval run my-place.yaml --out my-run": "--record none",
         "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
         "nw-eval run smoke --policy go1-parkour --out board/parkour": _ONE_TRIAL,
+        "nw-eval run smoke --out looked-at": _ONE_TRIAL,
         "nw-eval run smoke --policy stand --baseline none --out board/stand": _ONE_TRIAL,
         "nw-eval sweep smoke --axis friction=0.2,1.25 --trials 2 --out my-sweep": (
             "--trials 1 --scenes hurdles/one_low_carpet"
@@ -98,6 +99,17 @@ NOT_RUN = MappingProxyType(
         ),
         "nw-eval scenes check ./corridor": "of that place",
         "nw-eval twin label corridor": "till Ctrl-C; tests/twin/label does, and uses its page",
+        **dict.fromkeys(
+            [
+                "nw-eval view looked-at",
+                (
+                    "nw-eval view my-run --against baseline-run "
+                    "--trial hurdles-one_low_carpet-000 --at 1.5"
+                ),
+                "nw-eval view my-run/mcap/hurdles/one_low_carpet/hurdles-one_low_carpet-000.mcap",
+            ],
+            "till Ctrl-C; tests/view does, and uses its page",
+        ),
         "nw-eval run corridor/suite.yaml": "of that place; test_label_browser.py runs one by night",
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student --resume runs/student-rgb": "hours",

@@ -8,7 +8,8 @@ import pytest
 from label_places import opened
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.twin.label.page import LabelPage, guard, viser_library
+from nw_eval.twin.label.page import LabelPage
+from nw_eval.viewing.browser import guard, library
 
 viser = pytest.importorskip("viser")
 websockets = pytest.importorskip("websockets.asyncio.client")
@@ -100,7 +101,7 @@ def test_a_server_that_cannot_be_guarded_is_not_kept(monkeypatch):
 
     monkeypatch.setattr(viser, "ViserServer", Otherwise)
     with pytest.raises(PrerequisiteError, match="could not be kept out"):
-        viser_library.viser_server(0)
+        library.viser_server(0, "a page")
     assert len(stopped) == 1
 
 

@@ -16,7 +16,7 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.page import LabelPage
 from nw_eval.twin.label.page.chart import profile_svg
 from nw_eval.twin.label.page.cutaway import let_through
-from nw_eval.twin.label.page.splat_points import splat_points
+from nw_eval.viewing.browser.splat_points import splat_points
 
 pytest.importorskip("viser")
 
@@ -299,7 +299,7 @@ def test_the_largest_gaussians_are_sent_with_covariances_in_the_world():
 
 def test_without_viser_it_says_what_to_install(labelling, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(PrerequisiteError, match=r"nw-eval\[twin\]"):
+    with pytest.raises(PrerequisiteError, match=r"nw-eval\[view\]"):
         LabelPage(labelling)
 
 

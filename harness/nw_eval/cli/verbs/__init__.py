@@ -28,6 +28,7 @@ _VERBS = MappingProxyType(
         "sweep": "judging.sweep:SweepAxes",
         "agree": "judging.agree:Agree",
         "replay": "replay:Replay",
+        "view": "view:ViewTrials",
         "verify": "verify:Verify",
         "blame": "blame:Blame",
         "train": "training.train:Train",

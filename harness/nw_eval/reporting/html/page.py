@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
+from shlex import quote
 
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.certainty import how_sure
@@ -62,11 +63,12 @@ def render_html(
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
         outcomes=_outcomes(rows),
-        worst=worst_cards(judged(rows, verdict), clips, folder),
+        worst=worst_cards(judged(rows, verdict), clips, run, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows, run),
-        trials=trial_lines(rows, folder),
+        trials=trial_lines(rows, run, folder),
         scenes=sorted({row.scene for row in rows}),
+        view=f"nw-eval view {quote(str(folder))}",
     )
 
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.tables.table import WORST
-from nw_eval.reporting.tables.trials import how_ended, replay_command, worst_trials
+from nw_eval.reporting.tables.trials import how_ended, replay_command, view_link, worst_trials
+from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
 
@@ -22,6 +23,8 @@ class WorstTrial:
     clip: Clip | None
     command: str
     """That replays it; empty without a log."""
+    link: str
+    """To its last second; empty without a log."""
 
 
 class TrialLine(NamedTuple):
@@ -37,10 +40,11 @@ class TrialLine(NamedTuple):
     at: str
     wall: str
     command: str
+    link: str
 
 
 def worst_cards(
-    rows: Sequence[Row], clips: Mapping[str, Clip], folder: Path
+    rows: Sequence[Row], clips: Mapping[str, Clip], run: RunInfo, folder: Path
 ) -> tuple[WorstTrial, ...]:
     """Return the trials that went worst, and the others of which there is a clip.
 
@@ -55,12 +59,13 @@ def worst_cards(
             ended=how_ended(row),
             clip=clips.get(row.trial_id),
             command=replay_command(row, folder),
+            link=view_link(row, run.id),
         )
         for row in named
     )
 
 
-def trial_lines(rows: Sequence[Row], folder: Path) -> tuple[TrialLine, ...]:
+def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialLine, ...]:
     """Return every trial, in the order of `rows`."""
     return tuple(
         TrialLine(
@@ -73,6 +78,7 @@ def trial_lines(rows: Sequence[Row], folder: Path) -> tuple[TrialLine, ...]:
             at=f"{row.sim_s:.2f}",
             wall=f"{row.wall_s:.1f}",
             command=replay_command(row, folder),
+            link=view_link(row, run.id),
         )
         for row in rows
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
@@ -9,11 +10,15 @@ from shlex import quote
 from nw_eval.files.inside import OutsideError, checked
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
+from nw_eval.results.moment_link import MomentLink
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
+BEFORE_END = 1.0
+"""Seconds before a trial's end at which a link to it begins."""
 COVERED = 0.5
 """Mean alpha of a frame below which the camera looked mostly at what was never captured."""
+_NAME = re.compile(r"[A-Za-z0-9_.+~=-]+")
 
 
 def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
@@ -112,6 +117,16 @@ def replay_command(row: Row, folder: Path) -> str:
     except OutsideError:
         return ""
     return f"nw-eval replay {quote(str(folder / row.mcap_path))}"
+
+
+def view_link(row: Row, run: str) -> str:
+    """Return where `nw-eval view` shows a trial shortly before its end.
+
+    Empty without a log, and for names that no run of ours gives: they are text, and no address.
+    """
+    if not row.mcap_path or not (_NAME.fullmatch(run) and _NAME.fullmatch(row.trial_id)):
+        return ""
+    return MomentLink(run=run, trial=row.trial_id, time=max(0.0, row.sim_s - BEFORE_END)).url
 
 
 def left_table(rows: Sequence[Row], verdict: Verdict) -> Table:

@@ -16,9 +16,9 @@ from nw_eval.twin.label.page.chart import profile_svg
 from nw_eval.twin.label.page.controls import CLICKS, Controls
 from nw_eval.twin.label.page.cutaway import first_level
 from nw_eval.twin.label.page.drawing import Drawing
-from nw_eval.twin.label.page.splat_points import splat_points
-from nw_eval.twin.label.page.viser_library import HOST, stop, viser_server
 from nw_eval.twin.label.placement import Point, as_point
+from nw_eval.viewing.browser.library import HOST, stop, viser_server
+from nw_eval.viewing.browser.splat_points import splat_points
 
 PUBLISHED = "published"
 """The folder, in the scene's, in which the published XML pair appears."""
@@ -59,7 +59,7 @@ class LabelPage:
         points = None
         if splat is not None:
             points = splat_points(splat, labelling.place.T_world_splat)
-        self.server: Any = viser_server(port)
+        self.server: Any = viser_server(port, "nw-eval label")
         self._is_open = True
         try:
             self._drawing = Drawing(self.server, labelling, points)

@@ -19,6 +19,8 @@ _HERE = re.compile(r"(localhost|127\.0\.0\.1)(:\d+)?")
 
 Answer = Callable[[Any, Any], Any]
 """Of websockets' `process_request`: connection and request to a response, or None to go on."""
+Opened = Callable[[str], None]
+"""Is called with the path and query of every request of the page itself, and returns at once."""
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str]) -> str | None:
@@ -35,7 +37,7 @@ def refusal(hosts: Sequence[str], origins: Sequence[str]) -> str | None:
     return None
 
 
-def guarded(answer: Answer) -> Answer:
+def guarded(answer: Answer, opened: Opened | None = None) -> Answer:
     """Return a `process_request` that answers whom `refusal` lets in, and nobody inside a frame."""
 
     def process_request(connection: Any, request: Any) -> Any:
@@ -46,14 +48,21 @@ def guarded(answer: Answer) -> Answer:
         response = answer(connection, request)
         if response is not None:
             response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+            # Another page could ask for it as a picture, but nobody would see what that does.
+            fetched_as = request.headers.get("Sec-Fetch-Dest", "document")
+            if opened is not None and fetched_as == "document":
+                opened(request.path)
         return response
 
     return process_request
 
 
 @contextmanager
-def servers_are_guarded() -> Generator[list[Answer]]:
+def servers_are_guarded(opened: Opened | None = None) -> Generator[list[Answer]]:
     """Guard the websocket servers that a library starts meanwhile, which has no option for it.
+
+    Args:
+        opened: is called when somebody opens a page.
 
     Yields:
         What was guarded: it stays empty where the library starts them in another way.
@@ -63,7 +72,7 @@ def servers_are_guarded() -> Generator[list[Answer]]:
     serve = server.serve
 
     def guarded_serve(*arguments: Any, process_request: Answer, **options: Any) -> Any:
-        found.append(guarded(process_request))
+        found.append(guarded(process_request, opened))
         return serve(*arguments, process_request=found[-1], **options)
 
     server.serve = guarded_serve

@@ -9,7 +9,7 @@ from io import StringIO
 from typing import Any
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.twin.label.page.guard import servers_are_guarded
+from nw_eval.viewing.browser.guard import Opened, servers_are_guarded
 
 HOST = "127.0.0.1"
 """The page listens at this machine's own address only."""
@@ -27,9 +27,7 @@ def check_server(port: int) -> None:
     """
     _viser()
     try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((HOST, port))
+        _bind(port)
     except (OSError, OverflowError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error).rstrip(".")
         raise UsageError(
@@ -37,11 +35,22 @@ def check_server(port: int) -> None:
         ) from None
 
 
-def viser_server(port: int) -> Any:
+def free_port(wanted: int) -> int:
+    """Return a port if nothing listens there, and otherwise 0: any that is free."""
+    try:
+        _bind(wanted)
+    except OSError:
+        return 0
+    return wanted
+
+
+def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
     """Return a running `viser.ViserServer` that prints nothing, shares nothing, and is guarded.
 
     Args:
         port: 0 = one that is free.
+        label: what the browser's tab is called.
+        opened: is called when somebody opens the page.
 
     Raises:
         PrerequisiteError: viser is not installed, does not start, or cannot be guarded.
@@ -50,12 +59,12 @@ def viser_server(port: int) -> Any:
     check_server(port)  # viser would try a thousand other ports.
     viser = _viser()
     # It draws a box round its address, whatever it is told.
-    with servers_are_guarded() as guarded, redirect_stdout(StringIO()):
+    with servers_are_guarded(opened) as guarded, redirect_stdout(StringIO()):
         try:
-            server = viser.ViserServer(host=HOST, port=port, label="nw-eval label", verbose=False)
+            server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
         except (OSError, RuntimeError, AssertionError) as error:
             raise PrerequisiteError(
-                f"viser does not start: {error}", fix="pip install --upgrade nw-eval[twin]"
+                f"viser does not start: {error}", fix="pip install --upgrade nw-eval[view]"
             ) from error
     if not guarded:
         stop(server)
@@ -72,6 +81,12 @@ def viser_server(port: int) -> Any:
     return server
 
 
+def _bind(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((HOST, port))
+
+
 def stop(server: Any) -> None:
     """Stop a server; viser would say so on standard output."""
     with redirect_stdout(StringIO()):
@@ -83,5 +98,5 @@ def _viser() -> Any:
         return import_module("viser")
     except ImportError as error:
         raise PrerequisiteError(
-            f"the label page needs the package viser: {error}", fix="pip install nw-eval[twin]"
+            f"the page needs the package viser: {error}", fix="pip install nw-eval[view]"
         ) from error

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.splat.gaussians import SH0, Gaussians
-from nw_eval.twin.label.placement import mapped
 
 MOST = 200_000
 """More take a browser without a graphics card longer than a second a picture."""
@@ -59,9 +58,10 @@ def splat_points(
     order = np.argsort(np.where(whole, -weight, np.inf), kind="stable")
     kept = np.sort(order[: min(most, int(whole.sum()))])
     axes = T_world_splat[:3, :3] @ _rotations(gaussians.quats[kept].astype(np.float64))
+    means = gaussians.means[kept].astype(np.float64)
     spread = axes * deviations[kept][:, None, :]
     return SplatPoints(
-        centers=mapped(gaussians.means[kept].astype(np.float64), T_world_splat).astype(np.float32),
+        centers=(means @ T_world_splat[:3, :3].T + T_world_splat[:3, 3]).astype(np.float32),
         covariances=(spread @ spread.transpose(0, 2, 1)).astype(np.float32),
         rgbs=np.clip(0.5 + SH0 * gaussians.sh[kept, 0], 0, 1).astype(np.float32),
         opacities=opacity[kept, None].astype(np.float32),

@@ -1,0 +1,142 @@
+"""Trials in viser's scene: geometry is sent once, then only where bodies are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from nw_eval.view.shapes import triangles_of
+from nw_eval.view.trace import Trace, parting
+from nw_eval.viewing.browser.splat_points import SplatPoints
+
+COLOURS = ((25, 115, 240), (232, 89, 12), (43, 138, 62), (134, 65, 196))
+"""Of the ways that the trials walked, the first being the one that is looked at."""
+_WAYPOINT = (43, 138, 62)
+_PARTED = (214, 51, 132)
+_GHOST = 0.35
+_BESIDE = 0.3
+"""Of the course's length, by which it lies left of the middle of the picture."""
+_LIFT = 0.02  # m, so that lines are not in the ground
+
+
+class TrialDrawing:
+    """Draws trials of one place, and moves their robots.
+
+    Args:
+        server: viser's.
+        traces: the one that is looked at, then its ghosts.
+        splat: of the place, in the world; None = its mesh is shown.
+    """
+
+    def __init__(self, server: Any, traces: Sequence[Trace], splat: SplatPoints | None) -> None:
+        self._server, self._scene, self._traces = server, server.scene, traces
+        self._bodies: list[dict[str, Any]] = []
+        self._mesh: list[Any] = []
+        self._scene.reset()
+        self._scene.set_up_direction("+z")
+        self._draw_place(traces[0], splat)
+        self._draw_course(traces)
+        for number, trace in enumerate(traces):
+            self._bodies.append(self._draw_robot(trace, number))
+        self.show(0.0)
+
+    @property
+    def shows_mesh(self) -> bool:
+        """Whether the mesh of the place is shown."""
+        return bool(self._mesh) and bool(self._mesh[0].visible)
+
+    @shows_mesh.setter
+    def shows_mesh(self, wanted: bool) -> None:
+        for handle in self._mesh:
+            handle.visible = wanted
+
+    def show(self, time: float) -> None:
+        """Put every robot where it was at a time, s, or at its own end."""
+        with self._server.atomic():
+            for trace, handles in zip(self._traces, self._bodies, strict=True):
+                place = trace.at(time)
+                for name, handle in handles.items():
+                    positions, quats = trace.bodies[name]
+                    handle.position, handle.wxyz = positions[place], quats[place]
+
+    def aim(self, camera: Any) -> None:
+        """Let the first camera of a browser look along the course, from behind and beside it."""
+        stops = np.vstack([self._traces[0].trunk[:1], self._traces[0].waypoints])
+        ahead = stops[-1] - stops[0]
+        length = max(float(np.linalg.norm(ahead[:2])), 2.0)
+        ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
+        aside = np.array([-ahead[1], ahead[0], 0.0])
+        # The panel covers the right of the page: the course is to be seen beside it.
+        middle = stops.mean(axis=0) - _BESIDE * length * aside
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position = (
+            middle - 0.55 * length * ahead - 0.5 * length * aside + (0, 0, 0.45 * length)
+        )
+        camera.look_at = middle
+
+    def _draw_place(self, trace: Trace, splat: SplatPoints | None) -> None:
+        if splat is not None:
+            self._scene.add_gaussian_splats(
+                "/splat", splat.centers, splat.covariances, splat.rgbs, splat.opacities
+            )
+        for entity in trace.entities:
+            if entity.id.startswith("place/"):
+                for number, (vertices, faces, colour) in enumerate(triangles_of(entity)):
+                    handle = self._scene.add_mesh_simple(
+                        f"/{entity.id}/{number}",
+                        vertices,
+                        faces,
+                        color=colour,
+                        flat_shading=True,
+                        side="double",
+                        visible=splat is None,
+                    )
+                    self._mesh.append(handle)
+
+    def _draw_course(self, traces: Sequence[Trace]) -> None:
+        for number, point in enumerate(traces[0].waypoints):
+            self._scene.add_icosphere(
+                f"/waypoint/{number}", radius=0.06, color=_WAYPOINT, position=point
+            )
+            x, y, z = point
+            self._scene.add_label(
+                f"/waypoint_name/{number}", str(number + 1), position=(x, y, z + 0.15)
+            )
+        for number, trace in enumerate(traces):
+            way = trace.trunk + np.array([0.0, 0.0, _LIFT])
+            self._scene.add_line_segments(
+                f"/way/{number}",
+                np.stack([way[:-1], way[1:]], axis=1),
+                colors=COLOURS[number % len(COLOURS)],
+                thickness=0.015,
+            )
+            apart = parting(traces[0], trace) if number else None
+            if apart is not None:
+                self._scene.add_icosphere(
+                    f"/parted/{number}",
+                    radius=0.05,
+                    color=_PARTED,
+                    position=trace.trunk[trace.at(apart)],
+                )
+
+    def _draw_robot(self, trace: Trace, number: int) -> dict[str, Any]:
+        handles: dict[str, Any] = {}
+        for entity in trace.entities:
+            body = entity.frame_id
+            if not entity.id.startswith("robot/") or body not in trace.bodies:
+                continue
+            if body not in handles:
+                name = f"/robot/{number}/{body}"
+                handles[body] = self._scene.add_frame(name, show_axes=False)
+            for part, (vertices, faces, colour) in enumerate(triangles_of(entity)):
+                self._scene.add_mesh_simple(
+                    f"/robot/{number}/{body}/{entity.id.replace('/', '_')}_{part}",
+                    vertices,
+                    faces,
+                    color=COLOURS[number % len(COLOURS)] if number else colour,
+                    opacity=_GHOST if number else None,
+                    flat_shading=True,
+                )
+        return handles

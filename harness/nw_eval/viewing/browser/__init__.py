@@ -1,0 +1,1 @@
+"""Pages in a browser by viser: who may speak to them, and what they draw splats by."""

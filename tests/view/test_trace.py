@@ -1,0 +1,127 @@
+"""What a page shows of a log is what the log says."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nw_eval.errors import StoreError, UsageError
+from nw_eval.results.moment_link import PORT, MomentLink, read_link
+from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.view.loading import open_shelf
+from nw_eval.view.trace import APART, parting, read_trace
+
+FIRST, SECOND = "hurdles-one_low_carpet-000", "hurdles-one_low_carpet-001"
+
+
+@pytest.fixture(scope="module")
+def trace(log):
+    return read_trace(log)
+
+
+def test_poses_are_those_of_the_log(trace, log):
+    for place, (time, poses) in enumerate(LogReader(log).poses()):
+        assert trace.times[place] == pytest.approx(time)
+        for name in ("trunk", "FL_foot"):
+            if name in poses:
+                np.testing.assert_array_equal(trace.bodies[name][0][place], poses[name][0])
+    assert trace.end == pytest.approx(1.6)
+    np.testing.assert_array_equal(trace.trunk, trace.bodies["trunk"][0])
+
+
+def test_a_moment_is_shown_as_the_newest_pose_before_it(trace):
+    assert trace.at(0.5) == trace.at(0.519) == trace.at(0.52) - 1
+    assert trace.at(-1.0) == 0
+    assert trace.at(99.0) == len(trace.times) - 1
+
+
+def test_plots_have_a_value_for_each_joint_and_step(trace):
+    titles = {series.title: series for series in trace.series}
+    joints = titles["Joint angles, rad"]
+    assert joints.values.shape == (len(joints.times), 12)
+    assert joints.names[0] == "FR_hip"
+    assert np.ptp(joints.values) > 0.5
+    assert titles["Command, m/s and rad"].names == ("forward", "heading error")
+
+
+def test_events_are_told_with_their_times_and_the_first_line_is_none(trace):
+    assert trace.events
+    assert all(0.0 < time <= trace.end for time, _ in trace.events)
+    assert any(words.startswith("timeout") for _, words in trace.events)
+
+
+def test_trials_part_where_their_trunks_are_first_apart(trace, runs):
+    standing = read_trace(next(runs[1].rglob(f"{FIRST}.mcap")))
+    apart = parting(trace, standing)
+    assert 0.0 < apart < 1.6
+    place = trace.at(apart)
+    distance = np.linalg.norm(trace.trunk - standing.trunk, axis=1)
+    assert distance[place] > APART
+    assert (distance[:place] <= APART).all()
+    assert parting(trace, trace) is None
+
+
+def test_a_shelf_has_a_runs_trials_and_their_rivals(runs):
+    shelf = open_shelf(runs[0], runs[1])
+    assert list(shelf.logs) == [FIRST, SECOND]
+    traces, splat = shelf.load(FIRST)
+    assert [each.logged.job.policy_name for each in traces] == ["go1-parkour", "stand"]
+    assert len(splat.centers) > 100_000
+    (_, _, other), _ = shelf.load(FIRST, others=1)
+    assert other.name == SECOND
+    assert shelf.beside(SECOND) == [FIRST]
+
+
+def test_two_logs_go_together_whatever_they_are_called(log, runs, tmp_path):
+    renamed = shutil.copy(next(runs[1].rglob(f"{SECOND}.mcap")), tmp_path / "b.mcap")
+    traces, _ = open_shelf(log, renamed).load(log.stem)
+    assert [each.name for each in traces] == [FIRST, SECOND]
+
+
+def test_a_ghost_of_another_place_is_left_out(log, monkeypatch):
+    shelf = open_shelf(log, log)
+    elsewhere = read_trace(log)
+    job = elsewhere.logged.job
+    job = replace(job, trial=replace(job.trial, scene_digest="0" * 64))
+    elsewhere = replace(elsewhere, logged=replace(elsewhere.logged, job=job))
+    found = iter([read_trace(log), elsewhere])
+    monkeypatch.setattr("nw_eval.view.loading.read_trace", lambda _: next(found))
+    assert len(shelf.load(log.stem)[0]) == 1
+
+
+def test_what_cannot_be_shown_is_said(runs, log, tmp_path):
+    with pytest.raises(UsageError, match="nothing at"):
+        open_shelf(tmp_path / "nowhere")
+    with pytest.raises(UsageError, match=r"no run\.json"):
+        open_shelf(tmp_path)
+    renamed = shutil.copy(log, tmp_path / "other.mcap")
+    with pytest.raises(UsageError, match="no trial of the same name"):
+        open_shelf(runs[0], renamed)
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(log.read_bytes()[:5000])
+    with pytest.raises(StoreError):
+        read_trace(torn)
+
+
+@given(
+    run=st.text(st.characters(codec="utf-8"), max_size=20),
+    trial=st.text(st.characters(codec="utf-8"), min_size=1, max_size=20),
+    time=st.integers(0, 100_000).map(lambda number: number / 100),
+)
+def test_a_link_is_read_as_it_was_written(run, trial, time):
+    link = MomentLink(run=run, trial=trial, time=time)
+    assert link.url.startswith(f"http://localhost:{PORT}/?")
+    assert read_link(link.url.removeprefix(f"http://localhost:{PORT}")) == link
+
+
+@pytest.mark.parametrize("path", ["/", "/?", "/assets/x.js", "/?websocket=ws://x", "/?run=a"])
+def test_a_request_without_a_moment_is_no_link(path):
+    assert read_link(path) is None
+
+
+@pytest.mark.parametrize("time", ["nan", "inf", "soon", "", "1e999"])
+def test_a_time_that_is_none_is_the_beginning(time):
+    assert read_link(f"/?trial=a&t={time}").time == 0.0
