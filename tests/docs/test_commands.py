@@ -102,6 +102,9 @@ NOT_RUN = MappingProxyType(
         **dict.fromkeys(
             [
                 "nw-eval view looked-at",
+                "nw-eval view hurdles/one_low_carpet",
+                "nw-eval view go1-act-rgb",
+                "nw-eval view --policy go1-act-rgb --scene hurdles/two_logs_park",
                 (
                     "nw-eval view my-run --against baseline-run "
                     "--trial hurdles-one_low_carpet-000 --at 1.5"

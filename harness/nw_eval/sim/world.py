@@ -220,6 +220,18 @@ class World(Body):
             previous_contacts=numbers["previous_contacts"] > 0.0,
         )
 
+    def adopt(self, other: World) -> None:
+        """Go on from where another world of the same robot stands, whatever its scene and loads."""
+        self._require_open()
+        data, there = self.data, other.data
+        mujoco.mj_resetData(self.model, data)
+        data.time = there.time
+        for name in ("qpos", "qvel", "qacc_warmstart", "ctrl"):
+            getattr(data, name)[:] = getattr(there, name)
+        self._derive()
+        self.steps, self.start_yaw = other.steps, other.start_yaw
+        self._forces = other._forces
+
     # What there is to know.
 
     @property

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nw_eval.scenes.cone import HEIGHT, cone_mesh
 from nw_eval.view.shapes import triangles_of
 from nw_eval.view.trace import Trace, parting
 from nw_eval.viewing.browser.splat_points import SplatPoints
 
 COLOURS = ((25, 115, 240), (232, 89, 12), (43, 138, 62), (134, 65, 196))
 """Of the ways that the trials walked, the first being the one that is looked at."""
-_WAYPOINT = (43, 138, 62)
 _PARTED = (214, 51, 132)
 _GHOST = 0.35
 _BESIDE = 0.3
@@ -61,49 +62,14 @@ class TrialDrawing:
                     positions, quats = trace.bodies[name]
                     handle.position, handle.wxyz = positions[place], quats[place]
 
-    def aim(self, camera: Any) -> None:
-        """Let the first camera of a browser look along the course, from behind and beside it."""
-        stops = np.vstack([self._traces[0].trunk[:1], self._traces[0].waypoints])
-        ahead = stops[-1] - stops[0]
-        length = max(float(np.linalg.norm(ahead[:2])), 2.0)
-        ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
-        aside = np.array([-ahead[1], ahead[0], 0.0])
-        # The panel covers the right of the page: the course is to be seen beside it.
-        middle = stops.mean(axis=0) - _BESIDE * length * aside
-        camera.up_direction = (0.0, 0.0, 1.0)
-        camera.position = (
-            middle - 0.55 * length * ahead - 0.5 * length * aside + (0, 0, 0.45 * length)
-        )
-        camera.look_at = middle
-
     def _draw_place(self, trace: Trace, splat: SplatPoints | None) -> None:
         if splat is not None:
-            self._scene.add_gaussian_splats(
-                "/splat", splat.centers, splat.covariances, splat.rgbs, splat.opacities
-            )
-        for entity in trace.entities:
-            if entity.id.startswith("place/"):
-                for number, (vertices, faces, colour) in enumerate(triangles_of(entity)):
-                    handle = self._scene.add_mesh_simple(
-                        f"/{entity.id}/{number}",
-                        vertices,
-                        faces,
-                        color=colour,
-                        flat_shading=True,
-                        side="double",
-                        visible=splat is None,
-                    )
-                    self._mesh.append(handle)
+            draw_splat(self._scene, splat)
+        place = [entity for entity in trace.entities if entity.id.startswith("place/")]
+        self._mesh = draw_mesh(self._scene, place, visible=splat is None)
 
     def _draw_course(self, traces: Sequence[Trace]) -> None:
-        for number, point in enumerate(traces[0].waypoints):
-            self._scene.add_icosphere(
-                f"/waypoint/{number}", radius=0.06, color=_WAYPOINT, position=point
-            )
-            x, y, z = point
-            self._scene.add_label(
-                f"/waypoint_name/{number}", str(number + 1), position=(x, y, z + 0.15)
-            )
+        draw_waypoints(self._scene, traces[0].waypoints)
         for number, trace in enumerate(traces):
             way = trace.trunk + np.array([0.0, 0.0, _LIFT])
             self._scene.add_line_segments(
@@ -122,21 +88,93 @@ class TrialDrawing:
                 )
 
     def _draw_robot(self, trace: Trace, number: int) -> dict[str, Any]:
-        handles: dict[str, Any] = {}
-        for entity in trace.entities:
-            body = entity.frame_id
-            if not entity.id.startswith("robot/") or body not in trace.bodies:
-                continue
-            if body not in handles:
-                name = f"/robot/{number}/{body}"
-                handles[body] = self._scene.add_frame(name, show_axes=False)
-            for part, (vertices, faces, colour) in enumerate(triangles_of(entity)):
-                self._scene.add_mesh_simple(
-                    f"/robot/{number}/{body}/{entity.id.replace('/', '_')}_{part}",
-                    vertices,
-                    faces,
-                    color=COLOURS[number % len(COLOURS)] if number else colour,
-                    opacity=_GHOST if number else None,
-                    flat_shading=True,
-                )
-        return handles
+        parts = [entity for entity in trace.entities if entity.frame_id in trace.bodies]
+        tint = COLOURS[number % len(COLOURS)] if number else None
+        return draw_robot(self._scene, parts, f"/robot/{number}", tint)
+
+
+def draw_splat(scene: Any, splat: SplatPoints) -> Any:
+    """Draw Gaussians, and return their handle."""
+    return scene.add_gaussian_splats(
+        "/splat", splat.centers, splat.covariances, splat.rgbs, splat.opacities
+    )
+
+
+def draw_mesh(scene: Any, entities: Iterable[Any], *, visible: bool) -> list[Any]:
+    """Draw what rays meet of a place, and return the handles."""
+    return [
+        scene.add_mesh_simple(
+            f"/{entity.id}/{number}",
+            vertices,
+            faces,
+            color=colour,
+            flat_shading=True,
+            side="double",
+            visible=visible,
+        )
+        for entity in entities
+        for number, (vertices, faces, colour) in enumerate(triangles_of(entity))
+    ]
+
+
+def draw_waypoints(scene: Any, waypoints: NDArray[np.float64]) -> None:
+    """Draw waypoints (K, 3) as numbered cones, as policies see them."""
+    cone = cone_mesh()
+    colours, own = np.unique(cone.colors, axis=0, return_inverse=True)
+    for number, (x, y, z) in enumerate(waypoints):
+        for part, colour in enumerate(colours):
+            scene.add_mesh_simple(
+                f"/waypoint/{number}/{part}",
+                cone.mesh.vertices.astype(np.float32),
+                cone.mesh.faces[own == part].astype(np.uint32),
+                color=tuple(np.rint(255.0 * colour).astype(int).tolist()),
+                flat_shading=True,
+                position=(x, y, z),
+            )
+        scene.add_label(
+            f"/waypoint_name/{number}", str(number + 1), position=(x, y, z + HEIGHT + 0.05)
+        )
+
+
+def draw_robot(
+    scene: Any, entities: Iterable[Any], root: str, tint: tuple[int, int, int] | None = None
+) -> dict[str, Any]:
+    """Draw the bodies of a robot, at the origin.
+
+    Args:
+        scene: viser's.
+        entities: one for each body or more, in its frame.
+        root: the robot's name in the scene.
+        tint: of a ghost, which one looks through; None = its own colours.
+
+    Returns:
+        Handles of the bodies by name, to be moved.
+    """
+    handles: dict[str, Any] = {}
+    for entity in entities:
+        body = entity.frame_id
+        if body not in handles:
+            handles[body] = scene.add_frame(f"{root}/{body}", show_axes=False)
+        for part, (vertices, faces, colour) in enumerate(triangles_of(entity)):
+            scene.add_mesh_simple(
+                f"{root}/{body}/{entity.id.replace('/', '_')}_{part}",
+                vertices,
+                faces,
+                color=colour if tint is None else tint,
+                opacity=None if tint is None else _GHOST,
+                flat_shading=True,
+            )
+    return handles
+
+
+def aim_along(camera: Any, stops: NDArray[np.float64]) -> None:
+    """Let the first camera of a browser look along stops (K, 3), from behind and beside them."""
+    ahead = stops[-1] - stops[0]
+    length = max(float(np.linalg.norm(ahead[:2])), 2.0)
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    # The panel covers the right of the page: the course is to be seen beside it.
+    middle = stops.mean(axis=0) - _BESIDE * length * aside
+    camera.up_direction = (0.0, 0.0, 1.0)
+    camera.position = middle - 0.55 * length * ahead - 0.5 * length * aside + (0, 0, 0.45 * length)
+    camera.look_at = middle

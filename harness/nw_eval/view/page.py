@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import threading
 import time as clock
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
+
+import numpy as np
 
 from nw_eval.errors import NwEvalError
 from nw_eval.results.moment_link import read_link
-from nw_eval.view.drawing import TrialDrawing
+from nw_eval.view.drawing import TrialDrawing, aim_along
 from nw_eval.view.loading import Shelf
 from nw_eval.view.panel import STEP, PanelContent, TrialPanel
-from nw_eval.viewing.browser.library import HOST, stop, viser_server
+from nw_eval.view.served import ServedPage
 
 _TICK = 0.04
 """Seconds between two poses that are sent while it plays."""
 
 
-class ViewPage:
-    """Serves trials to browsers until it is closed; a context manager.
-
-    It listens at this machine's own address only, and other web pages are turned away. All browsers
-    that show it show the same moment.
+class ViewPage(ServedPage):
+    """Serves logged trials to browsers.
 
     Args:
         shelf: the trials.
@@ -31,13 +29,12 @@ class ViewPage:
         port: to listen at; 0 = one that is free.
 
     Attributes:
-        server: viser's.
         time: of the timeline, s.
         name: of the trial that is shown.
         sent: how often poses were sent.
 
     Raises:
-        PrerequisiteError, UsageError: as `viser_server`.
+        PrerequisiteError, UsageError: as `ServedPage`.
         NwEvalError: the first trial cannot be loaded.
     """
 
@@ -45,47 +42,22 @@ class ViewPage:
         self._shelf = shelf
         self._lock = threading.RLock()  # Callbacks come from a pool of threads.
         self._plays = threading.Event()
-        self._closed = threading.Event()
         self.time, self.sent, self._shown_at = 0.0, 0, 0.0
         self.name = trial or next(iter(shelf.logs))
         loaded = shelf.load(self.name)
-        self.server: Any = viser_server(port, "nw-eval view", self.opened)
+        super().__init__(port, self.opened)
         try:
             self._build(loaded, 0)
             self.seek(start)
         except BaseException:
-            stop(self.server)
+            self.close()
             raise
-        self._player = threading.Thread(target=self._play, name="view player", daemon=True)
-        self._player.start()
-
-    @property
-    def url(self) -> str:
-        """Where browsers find it."""
-        return f"http://{HOST}:{self.server.get_port()}"
+        self.start(self._move, _TICK)
 
     @property
     def end(self) -> float:
         """Where the timeline ends, s."""
         return max(trace.end for trace in self._traces)
-
-    def close(self) -> None:
-        """Stop serving; a second time does nothing."""
-        if not self._closed.is_set():
-            self._closed.set()
-            self._player.join(timeout=2.0)
-            stop(self.server)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def choose(self, name: str, others: int = 0) -> None:
         """Show another trial, at its start; what cannot be loaded is said on the page.
@@ -152,22 +124,22 @@ class ViewPage:
                 self.play(wanted=False)
                 self.seek(link.time)
 
-    def _play(self) -> None:
-        while not self._closed.wait(_TICK):
-            with self._lock:
-                if self.plays:
-                    now = clock.monotonic()
-                    passed, self._shown_at = now - self._shown_at, now
-                    self.seek(self.time + passed * self._panel.speed)
-                    if self.time >= self.end:
-                        self.play(wanted=False)
+    def _move(self) -> None:
+        with self._lock:
+            if self.plays:
+                now = clock.monotonic()
+                passed, self._shown_at = now - self._shown_at, now
+                self.seek(self.time + passed * self._panel.speed)
+                if self.time >= self.end:
+                    self.play(wanted=False)
 
     def _build(self, loaded: Any, others: int) -> None:
         traces, splat = loaded
         self._traces, self._loaded, self._others = tuple(traces), loaded, others
         self.server.gui.reset()
         self._drawing = TrialDrawing(self.server, self._traces, splat)
-        self._drawing.aim(self.server.initial_camera)
+        first = self._traces[0]
+        aim_along(self.server.initial_camera, np.vstack([first.trunk[:1], first.waypoints]))
         self._draw_panel("")
 
     def _note(self, words: str) -> None:

@@ -1,33 +1,48 @@
-"""`nw-eval view`: look at trials in the browser."""
+"""`nw-eval view`: look at trials in the browser, or play with a policy in a place."""
 
 from __future__ import annotations
 
 import signal
 import threading
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.errors import UsageError, nearest
+if TYPE_CHECKING:
+    from nw_eval.view.served import ServedPage
+
+_POLICY = "go1-parkour"
+_PLACE = "hurdles/one_low_carpet"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewTrials:
-    """Show a trial in the browser from its log, till Ctrl-C: place, robot, pictures, plots.
+    """Show a trial, or a policy live, in the browser, till Ctrl-C.
 
-    Play, step and scrub; jump to waypoints and to where two trials part. Nothing runs: what is
-    shown is what was logged.
+    A log or a run is shown as it was logged: play, step and scrub, jump to waypoints and to where
+    two trials part. A place or a policy is played with: push the robot, load it, change friction,
+    latency and light, move its goal, drop a box in its way, and save that as a suite.
     """
 
-    source: tyro.conf.Positional[Path]
-    """A trial's log, or a run's folder, whose trials can be chosen on the page."""
+    source: tyro.conf.Positional[str | None] = None
+    """A trial's log, a run's folder, a place or a policy. Without it, --policy and --scene."""
     against: Path | None = None
     """Another log, or another run's folder: its trials of the same names walk along as ghosts."""
     trial: str = ""
     """Trial of a run that is shown first, by its name in the report."""
     at: float = 0.0
     """Second of the trial that is shown first."""
+    policy: str | None = None
+    """Policy that is played with; go1-parkour if only a place is named."""
+    scene: str | None = None
+    """Place in which it runs; hurdles/one_low_carpet if only a policy is named."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the policy's card names."""
+    allow_code: bool = False
+    """Let the policy run Python code of its own."""
     port: int | None = None
     """Port to listen at, on this machine's own address only; 0 chooses a free one. Without it:
     8720, where the links of reports lead, or a free one if that is in use."""
@@ -36,24 +51,44 @@ class ViewTrials:
 
     def __call__(self) -> int:
         from nw_eval.results.moment_link import PORT
-        from nw_eval.view.loading import open_shelf
-        from nw_eval.view.page import ViewPage
+        from nw_eval.view.sources import kind_of
         from nw_eval.viewing.browser.library import check_server, free_port
 
         port = free_port(PORT) if self.port is None else self.port
         check_server(port)
-        shelf = open_shelf(self.source, self.against)
+        kind = kind_of(self.source, policy=self.policy, scene=self.scene)
+        if kind == "log":
+            return self._serve(self._logged(port), str(self.source))
+        policy = self.policy or (self.source if kind == "policy" else None) or _POLICY
+        scene = self.scene or (self.source if kind == "scene" else None) or _PLACE
+        from nw_eval.view.live.open import open_live
+
+        page = open_live(
+            policy, scene, checkpoint=self.checkpoint, allow_code=self.allow_code, port=port
+        )
+        return self._serve(page, f"{policy} in {scene}")
+
+    def _logged(self, port: int) -> AbstractContextManager[ServedPage]:
+        from nw_eval.errors import UsageError, nearest
+        from nw_eval.view.loading import open_shelf
+        from nw_eval.view.page import ViewPage
+
+        assert self.source is not None, "it was found to be a log"
+        shelf = open_shelf(Path(self.source), self.against)
         if self.trial not in {"", *shelf.logs}:
             raise UsageError(
                 f"there is no log of trial {self.trial!r} at {self.source}",
                 fix=nearest(self.trial, list(shelf.logs)),
             )
-        with ViewPage(shelf, self.trial, start=self.at, port=port) as page:
+        return ViewPage(shelf, self.trial, start=self.at, port=port)
+
+    def _serve(self, opened: AbstractContextManager[ServedPage], what: str) -> int:
+        with opened as page:
             stop = threading.Event()
             for number in (signal.SIGINT, signal.SIGTERM):
                 # Said outright: a shell starts its background jobs with SIGINT ignored.
                 signal.signal(number, lambda *_: stop.set())
-            print(f"view: {self.source} is at {page.url}; Ctrl-C ends it", flush=True)
+            print(f"view: {what} is at {page.url}; Ctrl-C ends it", flush=True)
             if self.open:
                 from nw_eval.cli.terminal.browser import show_address
 

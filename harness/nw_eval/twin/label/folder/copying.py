@@ -84,7 +84,7 @@ def copy_place(reference: str, out: Path) -> None:
             staged = Path(temporary) / out.name
             staged.mkdir()
             if files is None or files.prefix:
-                _write(open_scene(here), staged)
+                write_place(open_scene(here), staged)
             else:
                 for name, path in files.files.items():
                     (staged / name).parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,12 @@ def copy_place(reference: str, out: Path) -> None:
         ) from error
 
 
-def _write(scene: Scene, folder: Path) -> None:
+def write_place(scene: Scene, folder: Path) -> None:
+    """Write the files of a scene folder: Gaussians, and boxes or the mesh where not all are boxes.
+
+    Raises:
+        OSError, StoreError: they cannot be written.
+    """
     boxes = [solid for solid in scene.solids if isinstance(solid, Box)]
     is_boxes = len(boxes) == len(scene.solids)
     if is_boxes:

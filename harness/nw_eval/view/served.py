@@ -1,0 +1,66 @@
+"""A page that is served until it is closed, with one thread of its own that moves things."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from nw_eval.viewing.browser.library import HOST, stop, viser_server
+
+
+class ServedPage:
+    """Listens at this machine's own address only, and turns other web pages away.
+
+    A context manager. All browsers that show it show the same.
+
+    Args:
+        port: to listen at; 0 = one that is free.
+        opened: is called with path and query when somebody opens it.
+
+    Attributes:
+        server: viser's.
+
+    Raises:
+        PrerequisiteError, UsageError: as `viser_server`.
+    """
+
+    def __init__(self, port: int, opened: Callable[[str], None] | None = None) -> None:
+        self.server: Any = viser_server(port, "nw-eval view", opened)
+        self._closed = threading.Event()
+        self._mover: threading.Thread | None = None
+
+    @property
+    def url(self) -> str:
+        """Where browsers find it."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def start(self, move: Callable[[], None], tick: float) -> None:
+        """Call something every `tick` seconds until the page is closed."""
+
+        def moves() -> None:
+            while not self._closed.wait(tick):
+                move()
+
+        self._mover = threading.Thread(target=moves, name="view mover", daemon=True)
+        self._mover.start()
+
+    def close(self) -> None:
+        """Stop serving; a second time does nothing."""
+        if not self._closed.is_set():
+            self._closed.set()
+            if self._mover is not None:
+                self._mover.join(timeout=5.0)
+            stop(self.server)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

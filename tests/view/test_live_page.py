@@ -1,0 +1,114 @@
+"""The live page: its buttons, called as viser calls them, on a server that runs."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from nw_eval.errors import UsageError
+from nw_eval.view.live.open import open_live
+from nw_eval.view.sources import kind_of
+
+pytest.importorskip("viser")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    with open_live("go1-parkour", "hurdles/one_low_carpet", port=0) as page:
+        page.folder = tmp_path_factory.mktemp("played")
+        yield page
+
+
+def wait(holds, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def press(page, label, value=None):
+    """Do what a person does with a button, a slider or a field."""
+    handles = page.server.gui._gui_input_handle_from_uuid.values()
+    (handle,) = [each for each in handles if each.label == label]
+    if value is not None:
+        handle._impl.value = value
+    for callback in handle._impl.update_cb:
+        callback(SimpleNamespace(client=None, client_id=0, target=handle))
+
+
+def test_it_stands_still_until_it_is_told_to_go(page):
+    assert page.url.startswith("http://127.0.0.1:")
+    step = page._stage.trial.episode.step
+    time.sleep(0.3)
+    assert page._stage.trial.episode.step == step
+    press(page, "One step")
+    wait(lambda: page._stage.trial.episode.step == step + 1)
+
+
+def test_it_walks_in_real_time_and_the_robot_is_where_it_is(page):
+    press(page, "Start again")
+    wait(lambda: page._stage.trial.episode.step == 0)
+    press(page, "Play")
+    began = time.monotonic()
+    wait(lambda: page._stage.trial.episode.step >= 50)
+    assert 0.7 < time.monotonic() - began < 6.0
+    press(page, "Pause")
+    wait(lambda: not page.runs)
+    page.act(lambda _: None)
+    time.sleep(0.3)
+    np.testing.assert_allclose(
+        page._bodies["trunk"].position, page._stage.trial.episode.world.trunk_position
+    )
+
+
+def test_sliders_push_and_boxes_reach_the_stage(page):
+    press(page, "payload, kg", 1.0)
+    press(page, "payload, kg", 3.0)
+    wait(lambda: page._stage.cell.get("payload") == 3.0)
+    assert "payload 3" in page.words
+    press(page, "To", "left")
+    wait(lambda: page._stage.pushed == pytest.approx(0.5))
+    press(page, "Drop a box")
+    wait(lambda: len(page._boxes) == 1)
+    np.testing.assert_allclose(page._boxes[0].position, page._stage.place.boxes[0].center)
+    press(page, "No boxes")
+    wait(lambda: not page._boxes)
+
+
+def test_a_dragged_goal_is_where_it_was_dropped(page):
+    page._goal.position = (2.0, 1.0, 0.0)
+    for phase in ("start", "update", "end"):
+        for callback in page._goal._impl_aux.update_cb:
+            callback(SimpleNamespace(client=None, client_id=0, target=page._goal, phase=phase))
+    wait(lambda: page._stage.place.goal == (2.0, 1.0))
+    assert tuple(page._stage.trial.scene.trail[-1, :2]) == (2.0, 1.0)
+
+
+def test_what_was_done_is_saved_once_and_said(page):
+    folder = page.folder / "mine"
+    press(page, "Folder", str(folder))
+    press(page, "Save as a suite")
+    wait(lambda: f"nw-eval run {folder}" in page.words)
+    press(page, "Save as a suite")
+    wait(lambda: "is there already" in page.words)
+
+
+def test_what_a_word_names_is_found_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    nothing = {"policy": None, "scene": None}
+    assert kind_of("hurdles/one_low_carpet", **nothing) == "scene"
+    assert kind_of("hurdles/one_low_carpet~3", **nothing) == "scene"
+    assert kind_of("go1-act-rgb", **nothing) == "policy"
+    assert kind_of(None, policy="stand", scene=None) is None
+    (tmp_path / "run.json").touch()
+    assert kind_of(".", **nothing) == "log"
+    for source, words, others in (
+        (None, "nothing to look at", nothing),
+        ("no-such-thing", "no log, run, place or policy", nothing),
+        ("hub:org/name", "place or a policy", nothing),
+        (".", "what was logged", nothing | {"policy": "stand"}),
+        ("go1-act-rgb", "two of one kind", nothing | {"policy": "stand"}),
+    ):
+        with pytest.raises(UsageError, match=words):
+            kind_of(source, **others)
