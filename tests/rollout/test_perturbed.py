@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from nw_eval.cards import Card
 from nw_eval.errors import UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode.pushes import EVERY, Pushes
+from nw_eval.rollout.library import Library
 from nw_eval.rollout.perturbed import perturbed_robot, unfelt
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.trial import run_trial
@@ -54,6 +56,26 @@ def blind(library, make_job):
 @pytest.fixture(scope="module")
 def seeing(library, make_job):
     return walked(library, make_job, policy="go1-act-rgb", duration=0.3)
+
+
+def test_a_camera_that_its_card_says_is_tilted_sees_what_a_tilted_one_sees(library, make_job):
+    job = make_job(policy="go1-act-rgb", duration=0.3, protocol=PUBLISHED)
+    tilted = replace(job, trial=replace(job.trial, perturbation=(("camera_pitch", 0.26),)))
+    bundle = library.bundle("go1-act-rgb", None)
+    cameras = {"ego": {"pitch": 0.26}}
+    card = Card.model_validate({**bundle.card.model_dump(by_alias=True), "cameras": cameras})
+    own = Library(known=[replace(bundle, card=card)])
+    own.scene, own.rays = library.scene, library.rays
+    named = replace(job, policy=bundle.reference)
+
+    def seen(job, library):
+        with open_trial(job, library, StageClock()) as trial:
+            trial.episode.advance(trial.episode.decide())
+            return trial.episode.decide().observation["rgb"]
+
+    np.testing.assert_array_equal(seen(named, own), seen(tilted, library))
+    assert (seen(named, own) != seen(job, library)).any()
+    assert replace(bundle, card=card).digest != bundle.digest
 
 
 def test_every_axis_is_tried_here():

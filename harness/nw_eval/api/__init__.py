@@ -16,6 +16,7 @@ from nw_eval.api.baselines.listed import (
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
 from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
+from nw_eval.api.blaming.cause import FoundCause, find_cause
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.elsewhere import PushedScene, fetch_policy, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
@@ -88,6 +89,7 @@ __all__ = [
     "CheckedBaseline",
     "CheckedScene",
     "FoldedGraph",
+    "FoundCause",
     "ListedBaseline",
     "ListedScene",
     "ListedSensor",
@@ -124,6 +126,7 @@ __all__ = [
     "evaluate",
     "fetch_policy",
     "fetch_scene",
+    "find_cause",
     "fold_policy",
     "foxglove_layout",
     "index_runs",

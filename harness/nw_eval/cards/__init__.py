@@ -7,6 +7,7 @@ from nw_eval.cards.card import Card
 from nw_eval.cards.file.load import load_card
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action, JointControl, actuator_values, physics_steps
+from nw_eval.cards.mounting import mounted_robot
 
 __all__ = [
     "Action",
@@ -15,5 +16,6 @@ __all__ = [
     "JointControl",
     "actuator_values",
     "load_card",
+    "mounted_robot",
     "physics_steps",
 ]

@@ -15,6 +15,7 @@ from nw_eval.cards.checkpoint import Adapter, Checkpoint
 from nw_eval.cards.command import Command, WaypointCommand
 from nw_eval.cards.control import Control
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Line
+from nw_eval.cards.mounting import CameraMounting
 from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.cards.observations import Observation, ProprioObservation
 from nw_eval.cards.terms import AppliedAction, LastOutput
@@ -57,6 +58,10 @@ class Card(CardModel):
     networks: dict[str, Network] = Field(default_factory=dict[str, Network], max_length=16)
     """By name, files of their own that feed the checkpoint, or each other. What they give is named
     in `inputs` as an observation is."""
+    cameras: dict[str, CameraMounting] = Field(
+        default_factory=dict[str, CameraMounting], max_length=16
+    )
+    """By name, cameras of the robot that are mounted otherwise than they are here."""
     inputs: Inputs | None = None
     """For each input of the checkpoint, the observations and networks that are joined to make it;
     or just their list, for a checkpoint with one input.

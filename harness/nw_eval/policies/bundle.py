@@ -153,6 +153,8 @@ class Bundle:
             del network["checkpoint"]
         if not fields["networks"]:
             del fields["networks"]  # Cards have the digest that they had before there were any.
+        if not fields["cameras"]:
+            del fields["cameras"]  # Likewise.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()

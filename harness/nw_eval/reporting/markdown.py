@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
+from nw_eval.gate.cause.two_by_two import Cause
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.certainty import how_sure
 from nw_eval.reporting.headline import blind_spot, headline
@@ -18,7 +19,13 @@ from nw_eval.results.row import Row
 _LONGEST = 4000  # characters of a line or a cell
 
 
-def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path) -> str:
+def render_markdown(
+    run: RunInfo,
+    rows: Sequence[Row],
+    verdict: Verdict,
+    folder: Path,
+    cause: Cause | None = None,
+) -> str:
     """Return the report.
 
     Args:
@@ -26,8 +33,9 @@ def render_markdown(run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder:
         rows: one for each trial, in any order.
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
+        cause: what its drop is due to, where that was asked.
     """
-    return render_page(run, verdict, all_tables(run, rows, verdict, folder))
+    return render_page(run, verdict, all_tables(run, rows, verdict, folder, cause=cause))
 
 
 def render_page(

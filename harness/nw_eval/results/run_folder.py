@@ -53,6 +53,11 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def cause(self) -> Path:
+        """What its drop is due to, where that was asked; see `gate.cause`."""
+        return self.path / "cause.json"
+
+    @property
     def baseline(self) -> RunFolder:
         """The run of the bank's own policy, on a class of machine that the bank has not seen."""
         return RunFolder(path=self.path / "baseline")

@@ -23,7 +23,8 @@ from nw_eval.cards.observations.cameras import (
 )
 from nw_eval.cards.observations.wrappers import Noise
 from nw_eval.errors import UsageError, nearest
-from nw_eval.robots import CameraMount, RobotSpec
+from nw_eval.robots import RobotSpec
+from nw_eval.robots.mounting import remounted
 from nw_eval.rollout.episode.pushes import Pushes
 from nw_eval.sensors.place import CLEAR, Air
 from nw_eval.sim import Actuators
@@ -71,26 +72,11 @@ def perturbed_robot(robot: RobotSpec, cell: Cell) -> RobotSpec:
     """Return a robot with its cameras mounted as a cell says."""
     pitch, height = cell.get("camera_pitch", 0.0), cell.get("camera_height", 0.0)
     factor = cell.get("field_of_view", 1.0)
-    if (pitch, height, factor) == (0.0, 0.0, 1.0):
-        return robot
     cameras = {
-        name: _mounted(mount, pitch, height, factor) for name, mount in robot.cameras.items()
+        name: remounted(mount, pitch=pitch, height=height, factor=factor)
+        for name, mount in robot.cameras.items()
     }
     return replace(robot, cameras=cameras)
-
-
-def _mounted(mount: CameraMount, pitch: float, height: float, factor: float) -> CameraMount:
-    x, y, z = mount.position
-    cosine, sine = math.cos(pitch), math.sin(pitch)
-    # About the camera's x axis, to the right: its optical axis goes down.
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
-    rows = (np.array(mount.R_trunk_camera) @ turn).tolist()
-    return replace(
-        mount,
-        position=(x, y, z + height),
-        R_trunk_camera=tuple((a, b, c) for a, b, c in rows),
-        fovy=mount.fovy * factor,
-    )
 
 
 def perturbed_card(card: Card, cell: Cell) -> Card:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from nw_eval.cards import Card, JointControl, actuator_values, physics_steps
+from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot, physics_steps
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
 from nw_eval.protocol import EvaluationProtocol, protocol_named
@@ -70,10 +70,10 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     """
     trial = job.trial
     cell = cell_of(trial)
-    robot = perturbed_robot(get_robot(job.robot), cell)
     scene = library.scene(job.scene, job.collision)
     bundle = library.bundle(job.policy, job.checkpoint)
     _check_same(job, scene, bundle)
+    robot = perturbed_robot(mounted_robot(get_robot(job.robot), bundle.card), cell)
     card = perturbed_card(bundle.card, cell)
     renderer = cache(lambda: _open_renderer(scene, job.render))
     protocol = protocol_named(job.protocol)

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from nw_eval.cards import Card, JointControl, actuator_values
+from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot
 from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.protocol import STRICT
@@ -74,6 +74,10 @@ def check_card(
         actuator_values(card, own)
     except PolicyError as error:
         can_move = False
+        problems.append(str(error))
+    try:
+        mounted_robot(own, card)
+    except PolicyError as error:
         problems.append(str(error))
     # The form of what a policy sees is the same under every protocol.
     maker = Maker(card=card, robot=own, protocol=STRICT, rays=_no_rays, code_from=code_from)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card
+from nw_eval.cards import Card, mounted_robot
 from nw_eval.files.cache import atomic_path
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
@@ -185,7 +185,7 @@ def _observe(
     code_from: Path | None = None,
 ) -> tuple[dict[str, Sensor], dict[str, NDArray[Any]]]:
     """Let the robot stand before the first waypoint, and read all sensors there once."""
-    robot = get_robot(card.robot)
+    robot = mounted_robot(get_robot(card.robot), card)
     with World(robot, scene) as world:
         start = np.array(scene.spawn.position[:2])
         way = scene.trail[0, :2] - start

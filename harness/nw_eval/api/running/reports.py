@@ -237,14 +237,20 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
         StoreError: they cannot be written.
     """
     from nw_eval.api.running.evidence.gather import gather_evidence
+    from nw_eval.gate.cause.file import read_cause_file
     from nw_eval.reporting.html import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.run_folder import RunFolder
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    evidence = gather_evidence(RunFolder(path=judged.folder), judged.rows, kept)
-    texts = {html: render_html(*facts, evidence), page: render_markdown(*facts)}
+    folder = RunFolder(path=judged.folder)
+    evidence = gather_evidence(folder, judged.rows, kept)
+    cause = read_cause_file(folder.cause)
+    texts = {
+        html: render_html(*facts, evidence, cause),
+        page: render_markdown(*facts, cause),
+    }
     for path, text in texts.items():
         write_report(path, text)
     return replace(judged, page=page, html=html, evidence=evidence)

@@ -8,6 +8,7 @@ from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 
+from nw_eval.gate.cause.two_by_two import Cause
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.certainty import how_sure
 from nw_eval.reporting.headline import blind_spot, headline_parts
@@ -32,6 +33,7 @@ def render_html(
     verdict: Verdict,
     folder: Path,
     evidence: LogEvidence = NO_EVIDENCE,
+    cause: Cause | None = None,
 ) -> str:
     """Return the page; the same values give the same text.
 
@@ -41,6 +43,7 @@ def render_html(
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
         evidence: what the logs of its trials show.
+        cause: what its drop is due to, where that was asked.
     """
     rows = sorted(rows, key=attrgetter("trial_id"))
     clips, clips_left_out = clips_that_fit(evidence)
@@ -58,7 +61,7 @@ def render_html(
         reasons=verdict.reasons,
         gauges=gauges(verdict),
         how_sure=how_sure(verdict, run),
-        tables=named_tables(run, rows, verdict),
+        tables=named_tables(run, rows, verdict, cause),
         course=failing,
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 
+from nw_eval.gate.cause.two_by_two import Cause
 from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.cause.words import cause_table
 from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
@@ -27,7 +29,13 @@ __all__ = ["Table", "all_tables", "named_tables"]
 
 
 def all_tables(
-    run: RunInfo, rows: Sequence[Row], verdict: Verdict, folder: Path, *, brief: bool = False
+    run: RunInfo,
+    rows: Sequence[Row],
+    verdict: Verdict,
+    folder: Path,
+    *,
+    brief: bool = False,
+    cause: Cause | None = None,
 ) -> tuple[Table, ...]:
     """Return every table that has rows, in the order of a report.
 
@@ -37,10 +45,12 @@ def all_tables(
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
         brief: for a terminal: fewer of the worst trials, no perturbations and no provenance.
+        cause: what its drop is due to, where that was asked.
     """
     ordered = sorted(rows, key=attrgetter("trial_id"))
     tables = (
         baseline_table(verdict.against, brief=brief),
+        cause_table(cause),
         scenes_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
@@ -56,15 +66,19 @@ def all_tables(
     return tuple(table for table in tables if table.rows)
 
 
-def named_tables(run: RunInfo, rows: Sequence[Row], verdict: Verdict) -> dict[str, Table]:
+def named_tables(
+    run: RunInfo, rows: Sequence[Row], verdict: Verdict, cause: Cause | None = None
+) -> dict[str, Table]:
     """Return every table, with rows or without, by a name; for a page that puts each in its place.
 
     Args:
         run: the run's provenance.
         rows: one for each trial, in the order of their names.
         verdict: what the gate says of them.
+        cause: what its drop is due to, where that was asked.
     """
     return {
+        "cause": cause_table(cause),
         "tasks": tasks_table(rows, verdict),
         "against": baseline_table(verdict.against),
         "scenes": scenes_table(verdict),

@@ -1,0 +1,1 @@
+"""What a drop is due to, in words and as a table."""
