@@ -140,6 +140,22 @@ def test_rows_of_rounds_are_those_of_a_plain_run_and_end_when_it_is_settled(proj
     assert len(api.read_rows("run")) == 2 * rounds
 
 
+def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
+    judged = against(all_rounds=True)
+    found = api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", workers=1)
+    again = api.read_rows(found.out / "new-control-new-sight" / "run")
+    digests = {row.trial_id: row.state_digest for row in judged.rows}
+    assert dict(zip(again.trial_id, again.state_digest, strict=True)) == digests
+    assert len(digests) == 8
+    first = api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", trials=1)
+    round_ = {row.trial_id for row in judged.rows[:2]}
+    assert set(api.read_rows(first.out / "old-control-old-sight" / "run").trial_id) == round_
+    with pytest.raises(UsageError, match="drew its starts from the 4 of a bank"):
+        api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", trials=5)
+    with pytest.raises(IncomparableError, match="meets the starts of another run"):
+        api.run(resume=first.out / "old-control-old-sight" / "run")
+
+
 def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_at_the_same_round(
     project, tmp_path, monkeypatch
 ):

@@ -30,6 +30,19 @@ _SECONDS_MORE = 90.0
 
 
 @dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """The order in which another policy met the starts of a bank.
+
+    Attributes:
+        starts: of the bank, in each scene.
+        candidate: for whom it was drawn, by its `key`.
+    """
+
+    starts: int
+    candidate: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
@@ -43,6 +56,8 @@ class Plan:
     against: Against | None = None
     is_baseline: bool = False
     """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
+    drawn: Drawn | None = None
+    """Whose order the trials are in, if not in one of the policy's own."""
     arm: Arm = "candidate"
 
     @property
@@ -58,6 +73,8 @@ class Plan:
     @property
     def drawn_from(self) -> int | None:
         """Starts of the bank that drew the order of the trials; None if none did."""
+        if self.drawn is not None:
+            return self.drawn.starts
         if self.against is None or self.panel == "fresh":
             return None
         return self.against.bank.manifest.starts

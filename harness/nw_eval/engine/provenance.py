@@ -67,6 +67,7 @@ def run_info(
         scenes=_scene_infos(plan),
         panel=plan.panel,
         drawn_from=plan.drawn_from,
+        drawn_for=None if plan.drawn is None else plan.drawn.candidate,
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         stopped_after=0 if plan.is_baseline else None,

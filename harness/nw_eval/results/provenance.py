@@ -51,6 +51,11 @@ class PolicyInfo(_Saved):
     origin: str = ""  # What the digest is of where there are no weights: server, code.
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
+    @property
+    def key(self) -> str:
+        """What starts are drawn by: a checkpoint with its card."""
+        return f"{self.checkpoint_digest}/{self.card_digest}"
+
 
 class CodeInfo(_Saved):
     """The code that ran."""
@@ -160,6 +165,7 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    drawn_for: str | None = None  # The key of another policy, in whose order it meets them.
     shard: ShardInfo | None = None  # None: no part of another run.
     parts: tuple[PartInfo, ...] = ()  # Of which it was merged; none where it was run whole.
     baseline: BaselineInfo | None = None  # None: nothing to compare with.
@@ -176,6 +182,11 @@ class RunInfo(_Saved):
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
     merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
+
+    @property
+    def drawn_by(self) -> str:
+        """By what the order of its starts is drawn, where a bank draws it."""
+        return self.drawn_for or self.policy.key
 
     @property
     def planned(self) -> dict[str, int]:

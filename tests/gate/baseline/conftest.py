@@ -139,7 +139,7 @@ def drawn_rows() -> Callable[..., list[Row]]:
         assert run.drawn_from is not None
         strata = {stratum_of(name): values for name, values in scores.items()}
         order = draw_starts(
-            strata, run.drawn_from, candidate=run.policy, suite_digest=run.suite_digest
+            strata, run.drawn_from, candidate=run.drawn_by, suite_digest=run.suite_digest
         )
         return [
             _row(run, stratum, order[stratum][number], value)

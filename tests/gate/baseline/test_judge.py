@@ -37,7 +37,7 @@ def figures(make_run: Make, make_bank: Make) -> tuple[RunInfo, SavedBank]:
     names = [f"hurdles/{number:02d}" for number in range(16)]
     run = make_run(names, 20, drawn_from=60)
     order = draw_starts(
-        [(name, ()) for name in names], 60, candidate=run.policy, suite_digest=run.suite_digest
+        [(name, ()) for name in names], 60, candidate=run.drawn_by, suite_digest=run.suite_digest
     )
     scores = {}
     for name, mean in zip(names, MEANS, strict=True):
@@ -328,7 +328,7 @@ def test_the_first_starts_of_a_panel_speak_of_fresh_starts_only_and_say_so(
     assert (found.word, found.claim) == ("PASS", "fresh")
     assert "the order of the starts was not drawn for this candidate" in found.reasons[-1]
     # They are taken in the order of the draw, not as they are numbered.
-    order = draw_starts([("a", ())], 45, candidate=run.policy, suite_digest=run.suite_digest)
+    order = draw_starts([("a", ())], 45, candidate=run.drawn_by, suite_digest=run.suite_digest)
     first = next(start for start in order["a", ()] if start < 15)
     failed = {**perfect, "a": [0.0 if start == first else 1.0 for start in range(15)]}
     strict = GATE.model_copy(update={"false_alarm": 0.45})

@@ -103,6 +103,7 @@ def bank(**changes: object) -> BaselineInfo:
         {"scenes": {"hurdles/one": SceneInfo(digest="cd" * 32, task="hurdles", trials=10)}},
         {"panel": "fresh"},
         {"drawn_from": 60},
+        {"drawn_for": "ab/cd"},
         {"stopped_after": 3},
         {"baseline": bank()},
         {"engine": {"mujoco": "4.0.1"}},

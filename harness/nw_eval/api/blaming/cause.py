@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.gate.cause.two_by_two import Apart, Arm, Cause
     from nw_eval.policies import Bundle
+    from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.suite import Suite
 
@@ -55,7 +56,8 @@ def find_cause(
         baseline: a bank, whose policy is the old one; or a policy.
         policy: where the bank's policy lies, if not where the bank says.
         checkpoint: weights in place of those that its card names.
-        trials: in each scene; the run's own number if None.
+        trials: in each scene; the run's own number if None. More than it has are those that would
+            come next.
         workers: processes; one for each core if None.
         allow_code: whether Python code that cards name may be imported.
         cache: whether results of earlier runs are taken over.
@@ -69,7 +71,7 @@ def find_cause(
     from nw_eval.api.blaming.exchange import apart, write_crossed
     from nw_eval.api.blaming.policy import baseline_bundle
     from nw_eval.api.running.plans import check_workers
-    from nw_eval.api.running.saved_run import continued
+    from nw_eval.api.running.saved_run import check_whole, continued
     from nw_eval.gate.cause.file import write_cause_file
     from nw_eval.gate.cause.two_by_two import ARMS
     from nw_eval.reporting.cause.pages import write_cause
@@ -82,7 +84,7 @@ def find_cause(
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials}", fix="give at least 1")
     source = open_run_folder(run)
-    info = read_run_info(source.run_json)
+    info = check_whole(read_run_info(source.run_json))
     base = continued(run, Request(allow_code=allow_code, shard=None))
     new = base.bundle
     old = baseline_bundle(baseline, info, policy=policy, checkpoint=checkpoint)
@@ -90,7 +92,7 @@ def find_cause(
     if not allow_code:
         prepare()
     folder = _folder(source.path, out)
-    suite = _plain(base.suite, trials)
+    suite = _plain(base.suite, _rounds(info, base.suite, trials))
     bundles = {"old": old, "new": new}
     plans: dict[Arm, Plan] = {}
     for arm in ARMS:
@@ -135,18 +137,41 @@ def _caused(rows: Mapping[Arm, Sequence[Row]], apart: Apart, *, old: str, new: s
         raise UsageError(str(error), fix="read the reports of the four runs") from None
 
 
-def _plain(suite: Suite, trials: int | None) -> Suite:
-    """Return a suite that judges nothing, with so many trials in each scene."""
+def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
+    """Return in how many rounds the four policies run.
+
+    Raises:
+        UsageError: the run has none, or its bank has too few starts for as many.
+    """
+    rounds = trials or (suite.trials if info.stopped_after is None else info.stopped_after)
+    if not rounds:
+        raise UsageError(
+            f"run {info.id} ran nothing: its policy is the baseline's",
+            fix="name the run of another policy",
+        )
+    if info.drawn_from is not None and rounds > info.drawn_from:
+        raise UsageError(
+            f"--trials {rounds}: the run drew its starts from the {info.drawn_from} of a bank",
+            fix=f"give at most {info.drawn_from}",
+        )
+    return rounds
+
+
+def _plain(suite: Suite, rounds: int) -> Suite:
+    """Return a suite that judges nothing, with a trial in each scene for each round."""
     from nw_eval.suite.model import Gate
 
-    changes: dict[str, object] = {"gate": Gate.model_validate({}), "record": "none"}
-    if trials is not None:
-        changes["trials"] = trials
+    changes = {"gate": Gate.model_validate({}), "record": "none", "trials": rounds}
     return suite.model_copy(update=changes)
 
 
 def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
+    """Return the plan of one of the four: the starts of the run, in its order."""
     from nw_eval.api.running.plans import plan
+    from nw_eval.engine.plan import Drawn
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.gate.baseline.draw import draw_starts
+    from nw_eval.suite import expand
 
     own = {field.name: getattr(base.request, field.name) for field in fields(base.request)}
     changes = {
@@ -157,10 +182,22 @@ def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
         "baseline": "none",
         "record": "none",
         "shard": None,
+        "seed": None,  # The suite has it, also where the run's starts were its policy's own.
+        "panel": None,
         "trials": None,
         "scenes": tuple(escape(place.scene.name) for place in base.found),
     }
-    return plan(suite, **changes)
+    planned = plan(suite, **changes)
+    if base.drawn_from is None:
+        return planned
+    drawn = Drawn(starts=base.drawn_from, candidate=policy_info(base.bundle).key)
+    starts = draw_starts(
+        [(scene.name, cell) for scene in planned.scenes for cell in suite.perturb.cells],
+        drawn.starts,
+        candidate=drawn.candidate,
+        suite_digest=suite.digest,
+    )
+    return replace(planned, trials=expand(suite, planned.scenes, starts), drawn=drawn)
 
 
 def _rolled(

@@ -190,7 +190,7 @@ def _drawn(
     return draw_starts(
         [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells],
         against.bank.manifest.starts,
-        candidate=policy,
+        candidate=policy.key,
         suite_digest=suite.digest,
     )
 

@@ -55,6 +55,11 @@ def continued(run: Path, request: Request) -> Plan:
             f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
             fix="start a new run without --resume",
         )
+    if info.drawn_for is not None:
+        raise IncomparableError(
+            f"cannot resume {run}: it meets the starts of another run, as `nw-eval blame` chose",
+            fix="ask `nw-eval blame --cause` again; what has run is taken from the cache",
+        )
     if request.shard is not None and request.shard != info.request.shard:
         was = "all of its trials" if info.shard is None else str(info.shard)
         raise IncomparableError(
@@ -159,7 +164,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         if not suite.trials <= info.drawn_from <= MAX_TRIALS // max(1, len(strata)):
             raise _damaged(info, f"{suite.trials} rounds of {info.drawn_from} starts")
         starts = draw_starts(
-            strata, info.drawn_from, candidate=info.policy, suite_digest=suite.digest
+            strata, info.drawn_from, candidate=info.drawn_by, suite_digest=suite.digest
         )
     try:
         return expand(suite, scenes, starts)

@@ -12,21 +12,20 @@ from nw_eval.suite.model import Suite, new_suite
 
 
 def draw_starts(
-    strata: Iterable[Stratum], starts: int, *, candidate: PolicyInfo, suite_digest: str
+    strata: Iterable[Stratum], starts: int, *, candidate: str, suite_digest: str
 ) -> Mapping[Stratum, list[int]]:
     """Return for each scene, and what is changed there, its starts in the order of the rounds.
 
     Args:
         strata: of the bank.
         starts: M, in each.
-        candidate: who is judged; the order is one for each checkpoint with its card.
+        candidate: who is judged, by its `key`: the order is one for each checkpoint with its card.
         suite_digest: of the suite.
     """
-    who = _who(candidate)
     return {
         (scene, cell): order_of_starts(
             starts,
-            candidate_digest=who,
+            candidate_digest=candidate,
             suite_digest=suite_digest,
             scene=scene + "".join(f" {axis}={value!r}" for axis, value in cell),
         )
@@ -46,9 +45,5 @@ def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
         suite: what it is to meet, with any seed.
     """
     unseeded = new_suite({**suite.model_dump(by_alias=True), "seed": 0}).digest
-    text = f"fresh/{_who(candidate)}/{unseeded}"
+    text = f"fresh/{candidate.key}/{unseeded}"
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
-
-
-def _who(candidate: PolicyInfo) -> str:
-    return f"{candidate.checkpoint_digest}/{candidate.card_digest}"

@@ -80,7 +80,7 @@ def _more(
 def _drawn(judged: Sequence[Stratum], rounds: Rounds, panel: Panel, run: RunInfo) -> Floats:
     """Return b of all starts: of the rounds so far, then in the order of those to come, (M, S)."""
     starts = min(len(panel.by_stratum[stratum]) for stratum in judged)
-    order = draw_starts(judged, starts, candidate=run.policy, suite_digest=run.suite_digest)
+    order = draw_starts(judged, starts, candidate=run.drawn_by, suite_digest=run.suite_digest)
     columns: list[Floats] = []
     for stratum in judged:
         met = rounds.starts[stratum]

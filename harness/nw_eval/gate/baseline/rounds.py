@@ -117,7 +117,7 @@ def _order(run: RunInfo, strata: Sequence[Stratum], planned: int) -> Mapping[Str
     if run.panel == "fresh":
         return {stratum: list(range(planned)) for stratum in strata}
     starts = planned if run.drawn_from is None else run.drawn_from
-    order = draw_starts(strata, starts, candidate=run.policy, suite_digest=run.suite_digest)
+    order = draw_starts(strata, starts, candidate=run.drawn_by, suite_digest=run.suite_digest)
     return {stratum: drawn[:planned] for stratum, drawn in order.items()}
 
 

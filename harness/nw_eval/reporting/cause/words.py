@@ -63,8 +63,8 @@ def cause_table(cause: Cause | None) -> Table:
         numbers=numbers,
         note=f"{answer_words(cause)}. {differences_words(cause)} Sight is the sensors of the world "
         "around and where cameras sit, control is all the rest; each row is a policy that ran in "
-        f"the same trials. An effect that is none is named in fewer than {cause.error:.0%} of such "
-        "comparisons.",
+        "the same trials. An effect that is none is named in fewer than "
+        f"{cause.error * 100:.0f} % of such comparisons.",
     )
 
 

@@ -37,7 +37,7 @@ def run_leaf(info: RunInfo) -> str:
         "scenes": {
             name: [scene.digest, scene.task, scene.trials] for name, scene in info.scenes.items()
         },
-        "panel": [info.panel, info.drawn_from, info.stopped_after],
+        "panel": [info.panel, info.drawn_from, info.stopped_after, *filter(None, [info.drawn_for])],
         "bank": None if bank is None else [bank.name, bank.sha256, bank.checked, list(bank.moved)],
         "engine": info.engine,
     }

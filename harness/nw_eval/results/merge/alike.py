@@ -60,6 +60,7 @@ def _fields(source: MergeSource) -> Mapping[str, Any]:
         **info.engine,
         "panel": info.panel,
         "drawn_from": info.drawn_from,
+        "drawn_for": info.drawn_for,
         **{f"baseline.{key}": value for key, value in known.items()},
         "stopped_after": info.stopped_after,
         "number of parts": source.parts[0].shard.count,
