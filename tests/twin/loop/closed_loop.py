@@ -47,10 +47,10 @@ class Loop:
     trials: dict[str, dict[str, Outcome]]
 
 
-def photograph(name, folder, *, count=40, width=640, height=360, seed=0):
+def photograph(name, folder, *, walk=handheld, count=40, width=640, height=360, seed=0):
     """Write the photographs of a walk through a scene; return their cameras by file name."""
     scene = get_scene(name)
-    cameras = handheld(scene, count, width=width, height=height, seed=seed)
+    cameras = walk(scene, count, width=width, height=height, seed=seed)
     files = {f"IMG_{number:04d}.jpg": camera for number, camera in enumerate(cameras)}
     folder.mkdir(parents=True, exist_ok=True)
     if {path.name for path in folder.iterdir()} != set(files):
@@ -69,7 +69,7 @@ def build(photographs, out, options=()):
         raise RuntimeError(f"no scene came of {photographs}")
 
 
-def compare(name, cameras, twin, out, *, trials=20):
+def compare(name, cameras, twin, out, *, trials=20, policies=POLICIES):
     """Return what a twin is against its original, and write the sheet and `figures.json`."""
     scene, copy = get_scene(name), get_scene(twin)
     frame = frame_fit(twin / "build", cameras, np.array(scene.spawn.position))
@@ -91,7 +91,7 @@ def compare(name, cameras, twin, out, *, trials=20):
         "own trail": twin,
     }
     done = {}
-    for policy in POLICIES if trials else ():
+    for policy in policies if trials else ():
         run = out / "runs" / policy
         shutil.rmtree(run, ignore_errors=True)
         done[policy] = outcomes(places, policy, run, duration=DURATION[scene.task], trials=trials)

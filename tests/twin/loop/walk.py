@@ -20,6 +20,8 @@ _ROOM = 0.45
 """That is kept to walls and furniture, metres."""
 _DOWN, _LEVEL = np.radians(32.0), np.radians(8.0)
 """By turns a picture of the ground and one of what lies ahead; both look down a little."""
+_ROUND, _STEEP = 1.8, np.radians(38.0)
+"""How far from an obstacle one walks around it, metres, and how steeply one looks down at it."""
 
 
 def handheld(scene, count, *, width, height, seed=0):
@@ -35,7 +37,7 @@ def handheld(scene, count, *, width, height, seed=0):
         width, height: of each, pixels.
         seed: of the hands.
     """
-    rng, rays = np.random.default_rng(seed), RayScene(scene.mesh())
+    rays = RayScene(scene.mesh())
     line = _line(scene, rays)
     over = count // 3
     ways = [_over(line, share) for share in np.linspace(0.0, 1.0, over)]
@@ -43,10 +45,27 @@ def handheld(scene, count, *, width, height, seed=0):
         _around(line, rays, turn)
         for turn in np.linspace(0.0, 2.0 * np.pi, count - over, endpoint=False)
     ]
-    focal = FOCAL_35MM / 36.0 * width
-    found = []
-    for number, (place, forward) in enumerate(ways):
-        down = _DOWN if number % 2 == 0 else _LEVEL
+    downs = [_DOWN if number % 2 == 0 else _LEVEL for number in range(count)]
+    return _shaken(ways, downs, width=width, height=height, seed=seed)
+
+
+def round_the_first_obstacle(scene, count, *, width, height, seed=0):
+    """Return the cameras of a walk once around the first waypoint, looking at the ground there.
+
+    Args: as of `handheld`.
+    """
+    rays, eye = RayScene(scene.mesh()), scene.trail[0] * (1.0, 1.0, 0.0) + _UP
+    ways = []
+    for turn in np.linspace(0.0, 2.0 * np.pi, count, endpoint=False):
+        out = np.array([-np.cos(turn), -np.sin(turn), 0.0])
+        ways.append((eye + _clear(rays, eye, out, _ROUND), -out))
+    return _shaken(ways, [_STEEP] * count, width=width, height=height, seed=seed)
+
+
+def _shaken(ways, downs, *, width, height, seed):
+    """Return cameras at places with level directions, by so many radians down, in shaking hands."""
+    rng, focal, found = np.random.default_rng(seed), FOCAL_35MM / 36.0 * width, []
+    for (place, forward), down in zip(ways, downs, strict=True):
         gaze = np.cos(down) * forward - np.array([0.0, 0.0, np.sin(down)])
         eye = place + rng.normal(0.0, 0.03, 3)
         T = look_at(eye, eye + gaze).copy()
