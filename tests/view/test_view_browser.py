@@ -81,18 +81,17 @@ def test_a_link_of_the_report_opens_its_trial_which_is_scrubbed_and_played(runs,
         wait(lambda: page.name == name and page.time == pytest.approx(float(moment)))
         picture(view, "view-linked")
 
-        for share in (0.1, 0.5, 0.9):
+        for share in (0.9, 0.6, 0.2):
             before = page.time
             drag(view, "Time, s", share)
             wait(lambda before=before: page.time != before)
             wait(lambda share=share: page.time == pytest.approx(share * page.end, abs=0.15))
         picture(view, "view-scrubbed")
 
-        view.get_by_text("+10", exact=True).click()
-        view.get_by_text("-10", exact=True).click()
-        before = page.time
-        view.get_by_text("-10", exact=True).click()
-        wait(lambda: page.time == pytest.approx(before - 0.2))
+        for words, step in (("-10", -0.2), ("+1", 0.02)):
+            before = page.time
+            view.get_by_text(words, exact=True).click()
+            wait(lambda at=before + step: page.time == pytest.approx(at))
         sent = page.sent
         view.get_by_role("button", name="Play").click()
         wait(lambda: page.plays)

@@ -34,12 +34,12 @@ def names(found):
 
 
 def test_cameras_in_a_chain_hang_together_though_its_ends_share_nothing():
-    chain = solution(range(30), range(15, 45), range(30, 60))
+    chain = solution(range(60), range(30, 90), range(60, 120))
     assert tied(chain) is chain
 
 
-def test_a_group_that_fewer_than_fifteen_points_tie_to_the_others_is_left_out():
-    both = solution(range(40), range(20), range(26, 90), range(50, 90), range(60, 90))
+def test_a_group_that_fewer_than_twenty_five_points_tie_to_the_others_is_left_out():
+    both = solution(range(40), range(30), range(16, 90), range(50, 90), range(60, 90))
     assert names(tied(both)) == "cde"
 
 

@@ -15,7 +15,7 @@ Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 """In the order in which they run; each reads what those before it have left."""
 
-_FORMAT = 2
+_FORMAT = 3
 """Changes with what any stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000
 """Of a stamps.json that is read."""

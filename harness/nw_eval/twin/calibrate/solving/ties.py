@@ -10,8 +10,9 @@ import numpy as np
 
 from nw_eval.twin.calibrate.solution import Solution
 
-_SHARED = 15
-"""Points that two cameras must both see to be tied: COLMAP's own least number of matches."""
+_SHARED = 25
+"""Points that two cameras must both see to be tied. Of 240 cameras of six built-in courses the one
+that was placed wrongly, by metres, shared 17 with another one, the others 37 and more."""
 
 
 def tied(solution: Solution) -> Solution:
