@@ -30,7 +30,7 @@ _SECONDS_MORE = 90.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class DrawnOrder:
     """The order in which another policy met the starts of a bank.
 
     Attributes:
@@ -56,7 +56,7 @@ class Plan:
     against: Against | None = None
     is_baseline: bool = False
     """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
-    drawn: Drawn | None = None
+    drawn: DrawnOrder | None = None
     """Whose order the trials are in, if not in one of the policy's own."""
     arm: Arm = "candidate"
 

@@ -168,7 +168,7 @@ def _plain(suite: Suite, rounds: int) -> Suite:
 def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
     """Return the plan of one of the four: the starts of the run, in its order."""
     from nw_eval.api.running.plans import plan
-    from nw_eval.engine.plan import Drawn
+    from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
     from nw_eval.gate.baseline.draw import draw_starts
     from nw_eval.suite import expand
@@ -190,7 +190,7 @@ def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
     planned = plan(suite, **changes)
     if base.drawn_from is None:
         return planned
-    drawn = Drawn(starts=base.drawn_from, candidate=policy_info(base.bundle).key)
+    drawn = DrawnOrder(starts=base.drawn_from, candidate=policy_info(base.bundle).key)
     starts = draw_starts(
         [(scene.name, cell) for scene in planned.scenes for cell in suite.perturb.cells],
         drawn.starts,
