@@ -102,7 +102,7 @@ def find_cause(
             if arm[0] != arm[1]:
                 name = _name(arm)
                 card = str(write_crossed(folder / name / "policy", control, sight, name=name))
-            plans[arm] = _planned(base, suite, card, control)
+            plans[arm] = _planned(base, info, suite, card, control)
     found = {
         arm: _rolled(planned, folder / _name(arm), workers, cache, listener)
         for arm, planned in plans.items()
@@ -165,13 +165,11 @@ def _plain(suite: Suite, rounds: int) -> Suite:
     return suite.model_copy(update=changes)
 
 
-def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
+def _planned(base: Plan, info: RunInfo, suite: Suite, card: str, bundle: Bundle) -> Plan:
     """Return the plan of one of the four: the starts of the run, in its order."""
     from nw_eval.api.running.plans import plan
+    from nw_eval.api.running.saved_run import whole_plan
     from nw_eval.engine.plan import DrawnOrder
-    from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.draw import draw_starts
-    from nw_eval.suite import expand
 
     own = {field.name: getattr(base.request, field.name) for field in fields(base.request)}
     changes = {
@@ -188,16 +186,10 @@ def _planned(base: Plan, suite: Suite, card: str, bundle: Bundle) -> Plan:
         "scenes": tuple(escape(place.scene.name) for place in base.found),
     }
     planned = plan(suite, **changes)
-    if base.drawn_from is None:
+    if info.drawn_from is None:
         return planned
-    drawn = DrawnOrder(starts=base.drawn_from, candidate=policy_info(base.bundle).key)
-    starts = draw_starts(
-        [(scene.name, cell) for scene in planned.scenes for cell in suite.perturb.cells],
-        drawn.starts,
-        candidate=drawn.candidate,
-        suite_digest=suite.digest,
-    )
-    return replace(planned, trials=expand(suite, planned.scenes, starts), drawn=drawn)
+    drawn = DrawnOrder(starts=info.drawn_from, candidate=info.drawn_by)
+    return replace(planned, trials=whole_plan(info, suite), drawn=drawn)
 
 
 def _rolled(

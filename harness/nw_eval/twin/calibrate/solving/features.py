@@ -23,7 +23,8 @@ _GUESS = 1.2
 _FAINT = 0.003
 """Contrast of a feature, at least; COLMAP's own 0.0067 finds too few on plain floors. With shapes
 and sizes of features measured and matches looked for along what a pair's motion allows, walks of 40
-photographs of six built-in courses are all placed, of which 25 to 40 were."""
+photographs of six built-in courses are all placed, one picture of them wrongly; 25 to 40 of each
+were."""
 _AT_ONCE = 6
 """Photographs between two looks at the clock."""
 
