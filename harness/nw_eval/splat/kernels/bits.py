@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.splat.kernels.simd import FLOAT, I32, I64, integers, intrinsic
+from nw_eval.splat.kernels.simd import FLOAT, I32, I64, address, integers, intrinsic
 
 
 @intrinsic
@@ -43,6 +43,18 @@ def count_bits(_typing: Any, value: Any) -> Any:
         return builder.call(function, [args[0]])
 
     return types.int64(types.int64), generate
+
+
+@intrinsic
+def word_at(_typing: Any, array: Any, place: Any) -> Any:
+    """Return the 32 bits that begin with byte `place` of a uint8 array, as a non-negative int64."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        byte = address(context, builder, signature.args[0], args[0], args[1])
+        word = builder.load(builder.bitcast(byte, I32.as_pointer()), align=1)
+        return builder.zext(word, I64)
+
+    return types.int64(array, types.intp), generate
 
 
 @intrinsic
