@@ -18,7 +18,7 @@ class StageSeconds:
     physics: float = 0.0
     render: float = 0.0  # camera images, the policy's and the log's
     sense: float = 0.0  # every observation that is not an image
-    policy: float = 0.0
+    policy: float = 0.0  # its network, and what makes joint targets of its actions
     log: float = 0.0
 
 

@@ -154,21 +154,19 @@ class Episode:
         """
         moment: Moment | None = None
         observation: Mapping[str, NDArray[Any]] = {}
-        action: Array | None = None
-        is_asked = self.step % self._hold == 0
         if self.step > 0 or not self.world.protocol.first_step_is_blind:
-            moment = self._moment()
-            observation = self._sense(moment)
-            if is_asked:
-                with self._clock("policy"):
-                    action = self._ask(observation)
-        if is_asked:
-            self._actions.take(self._no_action() if action is None else action)
+            with self._clock("sense"):
+                moment = self._moment()
+                observation = self._sense(moment)
+        with self._clock("policy"):
+            if self.step % self._hold == 0:
+                self._actions.take(self._no_action() if moment is None else self._ask(observation))
+            targets = self._actions.targets()
         return Decision(
             observation=observation,
             action=self._actions.output.array,
             applied=self._actions.applied.array,
-            targets=self._actions.targets(),
+            targets=targets,
             moment=moment,
         )
 
@@ -271,17 +269,16 @@ class Episode:
     def _sense(self, moment: Moment) -> dict[str, NDArray[Any]]:
         """Return what every sensor shows the policy now."""
         observation: dict[str, NDArray[Any]] = {}
-        with self._clock("sense"):
-            for name, sensor in self.sensors.items():
-                if not sensor.is_image:
-                    observation[name] = sensor.read(moment)
-                    continue
-                with self._clock("render"):
-                    observation[name] = sensor.read(moment)
-                if sensor.fresh and sensor.coverage is not None:
-                    self.coverage.add(sensor.coverage)
-                if sensor.nearness is not None and sensor.coverage is not None:
-                    self.captured.add(self.step, sensor.nearness, sensor.coverage)
+        for name, sensor in self.sensors.items():
+            if not sensor.is_image:
+                observation[name] = sensor.read(moment)
+                continue
+            with self._clock("render"):
+                observation[name] = sensor.read(moment)
+            if sensor.fresh and sensor.coverage is not None:
+                self.coverage.add(sensor.coverage)
+            if sensor.nearness is not None and sensor.coverage is not None:
+                self.captured.add(self.step, sensor.nearness, sensor.coverage)
         return observation
 
     def _ask(self, observation: Mapping[str, NDArray[Any]]) -> Array:
