@@ -2,10 +2,11 @@
 
     python tests/bench/bench_cluster.py [trials]
 
-Each engine runs the same blind trials, of which no picture is drawn, with as many workers as there
-are cores: some minutes in all. The rate is that of the time in which trials ended, so that starting
-Ray, whose seconds are told, is no part of it. Memory is that of the processes of the run, as shares
-(PSS), so that what several map is counted once.
+Each engine runs the same trials with as many workers as there are cores, those of a policy that is
+told the ground, of which no picture is drawn, and those of one that sees: some minutes in all. The
+rate is that of the time in which trials ended, so that starting Ray, whose seconds are told, is no
+part of it. Memory is that of the processes of the run, as shares (PSS), so that what several map is
+counted once.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from statistics import fmean
 from nw_eval.engine.machine.cores import default_workers
 from nw_eval.results.journal import read_journal
 
-SUITE, SCENES = "hurdles", 16
+SUITES, SCENES = ("hurdles-state", "hurdles"), 16
 TRIALS = int(sys.argv[1]) if len(sys.argv) > 1 else 160
 WANTED = 0.9  # of the local engine's rate
 LOOP = "n = 0\nfor i in range(20_000_000): n += i"
@@ -78,15 +79,15 @@ def _kind(line, names, head):
     return "workers"
 
 
-def measured(folder, *options):
-    """Run the trials with one engine."""
+def measured(suite, folder, *options):
+    """Run a suite's trials with one engine."""
     words = ("--trials", str(-(-TRIALS // SCENES)), "--record", "none")
     words += ("--baseline", "none", "--no-cache")
     printed = folder.with_suffix(".txt")
     began = time.monotonic()
     with printed.open("w") as stream:
         process = subprocess.Popen(
-            [sys.executable, "-c", MAIN, "run", SUITE, "--out", folder, *words, *options],
+            [sys.executable, "-c", MAIN, "run", suite, "--out", folder, *words, *options],
             stdout=stream,
             stderr=subprocess.STDOUT,
         )
@@ -156,7 +157,7 @@ def sizes(run, workers):
     megabytes = defaultdict(lambda: (0, 0.0), run.megabytes)
     shared = (megabytes["Ray"][1] + megabytes["station"][1]) / 1000
     worker = megabytes["workers"][1] / workers / 1000
-    print(f"\nblind trials: s = {seconds:.2f} s of a core, b = {log / 1e6:.2f} MB of a log")
+    print(f"\ns = {seconds:.2f} s of a core, b = {log / 1e6:.2f} MB of a log")
     print(
         f"memory: {shared:.2f} GB a node and {worker:.2f} GB a worker; "
         f"head {megabytes['head'][1] / 1000:.2f} GB\n"
@@ -183,15 +184,17 @@ def span(hours):
 def main():
     workers = default_workers()
     engines = {"local": ("--workers", str(workers)), "Ray": ("--engine", "ray")}
-    loops, runs = [], {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, options in engines.items():
-            loops.append(loop_seconds())
-            runs[name] = measured(Path(folder) / name, *options)
-    print(f"{SUITE}, {workers} workers")
-    held = compare(runs, loops)
-    sizes(runs["Ray"], workers)
-    sys.exit(not held)
+    held = []
+    for suite in SUITES:
+        loops, runs = [], {}
+        with tempfile.TemporaryDirectory() as folder:
+            for name, options in engines.items():
+                loops.append(loop_seconds())
+                runs[name] = measured(suite, Path(folder) / name, *options)
+        print(f"\n{suite}, {workers} workers")
+        held.append(compare(runs, loops))
+        sizes(runs["Ray"], workers)
+    sys.exit(not all(held))
 
 
 if __name__ == "__main__":
