@@ -18,6 +18,7 @@ TRAIL = np.array([(2.0, 0.0, 0.3), (4.0, 0.0, 0.0)])
 def robot_at(x=0.0, y=0.0, z=0.3, *, roll=0.0, pitch=0.0, force=0.0):
     return SimpleNamespace(
         roll_pitch_yaw=np.array((roll, pitch, 0.0)),
+        uprightness=float(np.cos(roll) * np.cos(pitch)),
         monitored_force=lambda: force,
         trunk_position=np.array((x, y, z)),
         scene=SimpleNamespace(ground=SimpleNamespace(z=0.0)),

@@ -262,8 +262,11 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
     assert hidden > 10
 
 
-def _blend(records, view, width, height):
-    """Return (light, paint, live, pixels not finished, splats drawn) of records in a window."""
+def _blend(records, view, width, height, *, some=1 << 30):
+    """Return (light, paint, live, pixels not finished, splats drawn) of records in a window.
+
+    `some` records are blended at a time: what is finished is looked at before each of these.
+    """
     stride, blocks = width + SLACK_COLUMNS, width // 8 + 1
     light = np.empty((height + SLACK_ROWS) * stride, dtype=np.float32)
     paint = np.empty(light.size * CHANNELS, dtype=np.float32)
@@ -274,10 +277,14 @@ def _blend(records, view, width, height):
         np.append(np.arange(side) + 0.5, np.zeros(PIXELS)).astype(np.float32)
         for side in (width, height)
     )
-    left, _, drawn = blend(
-        np.ascontiguousarray(records).reshape(-1), order, len(order), columns, rows, light, paint,
-        stride, live, blocks, view, np.float32(0.999), CURVE,
-    )  # fmt: skip
+    drawn = 0
+    for start in range(0, len(order), some):
+        part = order[start : start + some]
+        left, _, now = blend(
+            np.ascontiguousarray(records).reshape(-1), part, len(part), columns, rows, light, paint,
+            stride, live, blocks, view, np.float32(0.999), CURVE,
+        )  # fmt: skip
+        drawn += now
     inside = np.s_[:height, :width]
     light = light.reshape(-1, stride)[inside]
     paint = paint.reshape(-1, stride, CHANNELS)[inside]
@@ -307,17 +314,32 @@ def _scalar_blend(records, width, height, most_alpha):
     return T, total, done
 
 
-@pytest.mark.parametrize("size", [-3.5, -2.0, -0.5])
-def test_blending_agrees_with_the_scalar_rule_for_splats_of_every_width(size):
+def _records_in_front(size, *, opacity=2):
+    """Return (view, records) of a cloud before a camera, by the logarithm of its splats' size."""
     gaussians = cloud(3000, degree=0, spread=(2, 2, 1), centre=(0, 0, 4))
     gaussians.log_scales[:] += np.float32(size + 2.5)
-    gaussians.opacity_logits[:] += 2
-    store = memory_store(gaussians)
+    gaussians.opacity_logits[:] += opacity
     camera = eye_camera(1, WIDTH, HEIGHT)
     camera = type(camera)(
         width=WIDTH, height=HEIGHT, fx=40, fy=40, cx=32, cy=20, T_world_camera=np.eye(4)
     )
-    view, records = _project_all(store, camera)
+    return _project_all(memory_store(gaussians), camera)
+
+
+@pytest.mark.parametrize("size", [-2.0, -1.2, -0.5])
+def test_leaving_out_what_lies_behind_finished_pixels_changes_no_bit(size):
+    view, records = _records_in_front(size, opacity=6)
+    whole = _blend(records, view, WIDTH, HEIGHT)
+    parts = _blend(records, view, WIDTH, HEIGHT, some=50)
+    for once, looked_at in zip(whole[:2], parts[:2], strict=True):
+        assert np.array_equal(once.view(np.int32), looked_at.view(np.int32))
+    assert whole[3] < WIDTH * HEIGHT, "some are finished"
+    assert parts[4] < whole[4], "and what is behind them is left out"
+
+
+@pytest.mark.parametrize("size", [-3.5, -2.0, -0.5])
+def test_blending_agrees_with_the_scalar_rule_for_splats_of_every_width(size):
+    view, records = _records_in_front(size)
     light, paint, live, left, drawn = _blend(records, view, WIDTH, HEIGHT)
     T, total, done = _scalar_blend(records, WIDTH, HEIGHT, 0.999)
     assert drawn > 50

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -76,7 +78,8 @@ class Termination:
         contact_termination: bool = True,
     ) -> None:
         points = np.asarray(waypoints, dtype=np.float64).reshape(-1, 3)[:, :2]
-        self._corners = np.vstack([np.asarray(start, dtype=np.float64)[:2], points])
+        corners = np.vstack([np.asarray(start, dtype=np.float64)[:2], points])
+        self._corners = corners.tolist()
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
         # Way from each waypoint to the last one.
         self._onward = np.concatenate([np.cumsum(lengths[::-1])[::-1], [0.0]])
@@ -85,7 +88,8 @@ class Termination:
         self._control_period = control_period
         self._contact_termination = contact_termination
         self._limits = Limits() if limits is None else limits
-        to_first = float(np.linalg.norm(points[0] - self._corners[0]))
+        self._surely_upright = math.cos(self._limits.tilt) + 1e-6
+        to_first = float(np.linalg.norm(points[0] - corners[0]))
         whole = to_first + float(self._onward[0])
         self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
 
@@ -108,9 +112,10 @@ class Termination:
             self._so_far = self._so_far._replace(contact_steps=self._so_far.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
-        roll, pitch, _ = world.roll_pitch_yaw
-        if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
-            return "fell"
+        if world.uprightness < self._surely_upright:  # Neither angle is larger than that to z.
+            roll, pitch, _ = world.roll_pitch_yaw
+            if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
+                return "fell"
         if has_collided and self._contact_termination:
             return "collided"
         position = world.trunk_position
@@ -132,14 +137,15 @@ class Termination:
     def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
         if position[2] < ground - self._limits.below_ground:
             return True
-        distance = distance_to_polyline(position[:2], self._corners)
-        return distance > self._limits.off_course_distance
+        x, y = position[:2].tolist()
+        most, corners = self._limits.off_course_distance, self._corners
+        return all(_distance(x, y, *span) > most for span in pairwise(corners))
 
     def _is_stuck(
         self, position: npt.NDArray[np.float64], progress: TrailProgress, step: int
     ) -> bool:
-        to_target = float(np.linalg.norm(progress.target[:2] - position))
-        remaining = to_target + float(self._onward[progress.index])
+        offset = progress.target[:2] - position
+        remaining = math.sqrt(offset.dot(offset)) + float(self._onward[progress.index])
         if remaining < self._so_far.best_remaining - self._limits.stuck_distance:
             self._so_far = self._so_far._replace(best_remaining=remaining, best_step=step)
         waited = (step - self._so_far.best_step) * self._control_period
@@ -148,8 +154,15 @@ class Termination:
 
 def distance_to_polyline(point: npt.NDArray[np.float64], corners: npt.NDArray[np.float64]) -> float:
     """Return the distance of a point (2,) from the polyline through corners (C, 2), C >= 2."""
-    starts, spans = corners[:-1], np.diff(corners, axis=0)
-    squared = np.einsum("ij,ij->i", spans, spans)
-    along = np.einsum("ij,ij->i", point - starts, spans) / np.where(squared > 0.0, squared, 1.0)
-    nearest = starts + np.clip(along, 0.0, 1.0)[:, None] * spans
-    return float(np.linalg.norm(point - nearest, axis=1).min())
+    x, y = point.tolist()
+    return min(_distance(x, y, *span) for span in pairwise(corners.tolist()))
+
+
+def _distance(x: float, y: float, start: Sequence[float], end: Sequence[float]) -> float:
+    """Return the distance of (x, y) from the line between two points; all in m."""
+    from_x, from_y = x - start[0], y - start[1]
+    span_x, span_y = end[0] - start[0], end[1] - start[1]
+    squared = span_x * span_x + span_y * span_y
+    along = (from_x * span_x + from_y * span_y) / squared if squared > 0.0 else 0.0
+    along = min(max(along, 0.0), 1.0)
+    return math.hypot(from_x - along * span_x, from_y - along * span_y)

@@ -83,6 +83,11 @@ class Body:
         )
 
     @property
+    def uprightness(self) -> float:
+        """Cosine of the angle between the trunk's z axis and the world's."""
+        return float(self.data.xmat[self._trunk, 8])
+
+    @property
     def center_of_mass(self) -> Array:
         """Centre of mass of the whole robot in the world, (3,) m."""
         return self.data.subtree_com[self._trunk].copy()
