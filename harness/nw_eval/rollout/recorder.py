@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Control steps between two restartable states in the log: 10 Hz, or 2 Hz for states that hold
-# stacks of images, which would otherwise be most of the file.
-STATE_PERIOD, LARGE_STATE_PERIOD = 5, 25
+# Control steps between two restartable states in the log: 5 Hz, or 2 Hz for states that hold stacks
+# of images, which would otherwise be most of the file. What lies between two is run again from one.
+STATE_PERIOD, LARGE_STATE_PERIOD = 10, 25
 LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
 PATH_PERIOD, PATH_SHOWN = 5, 25

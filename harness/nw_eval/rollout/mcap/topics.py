@@ -160,7 +160,7 @@ TOPICS = (
     Topic(
         name="/nw/state",
         schema="nw.SimState",
-        rate="10 Hz (2 Hz above 32 KiB), at waypoints, first contacts and the end",
+        rate="5 Hz (2 Hz above 32 KiB), at waypoints, first contacts and the end",
         holds="all that the trial needs to go on from there, bit for bit",
     ),
     Topic(

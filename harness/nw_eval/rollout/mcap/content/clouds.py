@@ -123,12 +123,15 @@ def _rows(points: Points, colours: ArrayLike) -> NDArray[Any]:
 
 def _coloured(rows: NDArray[Any], done: int) -> NDArray[Any]:
     """Return points of which the first ones are done."""
-    rows["rgba"][:done], rows["rgba"][done:] = _bytes(REACHED), _bytes(OPEN)
+    rows["rgba"][:done], rows["rgba"][done:] = _REACHED, _OPEN
     return rows
 
 
 def _bytes(colours: ArrayLike) -> Points:
     return np.rint(np.asarray(colours) * 255.0)
+
+
+_REACHED, _OPEN = _bytes(REACHED), _bytes(OPEN)
 
 
 def _cloud(time_ns: int, frame: str, rows: NDArray[Any]) -> bytes:
