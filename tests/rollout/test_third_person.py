@@ -169,7 +169,7 @@ def recorded(kerb, tmp_path):
     job = TrialJob(
         trial=trial,
         robot="go1",
-        duration=0.3,
+        duration=0.6,
         scene=str(tmp_path / "kerb"),
         policy="stand",
         checkpoint_digest=policy.checkpoint_sha256,

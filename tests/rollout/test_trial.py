@@ -99,13 +99,13 @@ def test_a_fault_after_the_outcome_costs_the_log_alone(make_job, library, monkey
 
     def broken_at_last(_self):
         calls.append(1)
-        if len(calls) == 3:  # States are written at steps 0 and 5, and at the end.
+        if len(calls) == 3:  # States are written at steps 0 and 10, and at the end.
             raise RuntimeError("no connection")
         return b""
 
     monkeypatch.setattr(ZeroPolicy, "state", broken_at_last)
     path = tmp_path / "trial.mcap"
-    result = run_trial(make_job(policy="stand", duration=0.2, mcap=path), library=library)
+    result = run_trial(make_job(policy="stand", duration=0.3, mcap=path), library=library)
     assert (result.status, result.outcome) == ("ok", "timeout")
     assert "no connection" in result.mcap_error
     assert list(tmp_path.iterdir()) == []
