@@ -27,7 +27,7 @@ from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
 
 SCENES = "hurdles/three*"
-TRIALS = 4  # a scene, and twice as many
+TRIALS = 8  # a scene, and twice as many
 SPEED_UP = 0.93  # of what two busy loops get, at least
 PER_TRIAL = 1.05  # processor seconds with two workers over those with one, at most
 FIRST_TRIAL = 2.5  # s from the command, at most

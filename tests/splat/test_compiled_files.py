@@ -42,11 +42,11 @@ def test_it_is_told_by_its_content_whatever_its_name(tmp_path):
 def test_a_sealed_file_of_nonsense_is_read_without_it(tmp_path):
     compile_store(cloud(20), tmp_path / "a.nwsplat")
     content = bytearray(read_sealed(tmp_path / "a.nwsplat"))
-    # The first group's covariance xx; the header takes 4096 bytes, a value eight times four.
-    content[4096 + 3 * 32 : 4096 + 4 * 32] = np.full(8, np.nan, dtype="<f4").tobytes()
+    # The first group's covariance xx; the header takes 4096 bytes, a value sixteen times four.
+    content[4096 + 3 * 64 : 4096 + 4 * 64] = np.full(16, np.nan, dtype="<f4").tobytes()
     with sealed_path(tmp_path / "b.nwsplat") as temporary:
         temporary.write_bytes(content)
-    assert len(read_splat(tmp_path / "b.nwsplat")) == 12
+    assert len(read_splat(tmp_path / "b.nwsplat")) == 4
 
 
 def test_a_damaged_one_says_so(tmp_path):

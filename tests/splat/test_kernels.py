@@ -57,7 +57,7 @@ def _map_taken(x, stride, offset, block, out):
 @kernel
 def _map_halves(bits, out):
     for i in range(0, len(bits), 16):
-        _store(out, i, 0, memory.load_halves(bits, i, 8))
+        _store(out, i, 0, memory.load_halves(bits, i))
 
 
 @pytest.mark.parametrize("by_instruction", [True, False])

@@ -2,7 +2,7 @@
 
 Gaussians are ordered by size class, then along a Morton curve, and cut into chunks of 256. Large
 ones get chunks of their own, so that they do not widen the bounds that culling works with. A
-chunk is 32 groups of eight; in a group each value stands eight times in a row, so that it loads
+chunk is 16 groups of sixteen; in a group each value stands sixteen times in a row, so that it loads
 as one vector and a chunk reads as one stream. Harmonics above the constant are float16: 142 bytes
 per Gaussian at degree 3.
 """
@@ -19,7 +19,7 @@ from nw_eval.errors import SceneError
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians
 
 CHUNK = 256
-GROUP = 8
+GROUP = 16
 GEOMETRY = 10
 BOUNDS = 8
 _HALF_MAX = 65504.0
@@ -29,7 +29,7 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Flat arrays, group by group, value by value, eight Gaussians each.
+    """Flat arrays, group by group, value by value, sixteen Gaussians each.
 
     Attributes:
         count: Gaussians; the last chunk is padded with invisible ones.
@@ -181,7 +181,7 @@ def arrange(gaussians: Gaussians) -> Layout:
 
 
 def _fill(target: NDArray[Any], values: NDArray[np.float32]) -> None:
-    """Write (n, values) into (groups, values, 8)."""
+    """Write (n, values) into (groups, values, 16)."""
     whole, rest = divmod(len(values), GROUP)
     split = whole * GROUP
     width = values.shape[1]

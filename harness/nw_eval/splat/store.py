@@ -20,7 +20,7 @@ from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.layout import Layout, arrange
 
-FORMAT = 3
+FORMAT = 4
 """Changes with the layout of the arrays; part of every cache key."""
 
 SUFFIX = ".nwsplat"

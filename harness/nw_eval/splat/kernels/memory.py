@@ -19,19 +19,17 @@ from numba.core import cgutils
 from nw_eval.splat.kernels.simd import (
     F8,
     F16,
-    HALF8,
+    HALF16,
     I8,
-    I16X8,
+    I16X16,
     I32,
     I32X16,
-    LANES,
     Float8,
     Floats16,
     address,
     constant,
     integers,
     intrinsic,
-    lane_list,
 )
 
 
@@ -101,35 +99,31 @@ def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
-def load_pair(_typing: Any, array: Any, index: Any, step: Any) -> Any:
-    """Return array[index : index + 8] and the eight that lie `step` behind them."""
+def load_group(_typing: Any, array: Any, index: Any) -> Any:
+    """Return sixteen floats of a float32 array, the first at `index`."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _pair(context, builder, signature, args, F8, 4)
+        return _loaded(context, builder, signature, args, F16, 4)
 
-    return Floats16(array, types.intp, types.intp), generate
+    return Floats16(array, types.intp), generate
 
 
 @intrinsic
-def load_halves(_typing: Any, array: Any, index: Any, step: Any) -> Any:
-    """Return sixteen float16, held as bits in a uint16 array, as `load_pair` takes them."""
+def load_halves(_typing: Any, array: Any, index: Any) -> Any:
+    """Return sixteen float16, held as bits in a uint16 array, the first at `index`."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if _CONVERTS_HALVES:
-            halves = _pair(context, builder, signature, args, HALF8, 2)
-            return builder.fpext(halves, F16)
-        words = _pair(context, builder, signature, args, I16X8, 2)
+            return builder.fpext(_loaded(context, builder, signature, args, HALF16, 2), F16)
+        words = _loaded(context, builder, signature, args, I16X16, 2)
         return _widen_halves(builder, builder.zext(words, I32X16))
 
-    return Floats16(array, types.intp, types.intp), generate
+    return Floats16(array, types.intp), generate
 
 
-def _pair(context: Any, builder: Any, signature: Any, args: Any, kind: Any, align: int) -> Any:
-    parts: list[Any] = []
-    for index in (args[1], builder.add(args[1], args[2])):
-        place = address(context, builder, signature.args[0], args[0], index)
-        parts.append(builder.load(builder.bitcast(place, kind.as_pointer()), align=align))
-    return builder.shuffle_vector(*parts, lane_list(list(range(2 * LANES))))
+def _loaded(context: Any, builder: Any, signature: Any, args: Any, kind: Any, align: int) -> Any:
+    place = address(context, builder, signature.args[0], args[0], args[1])
+    return builder.load(builder.bitcast(place, kind.as_pointer()), align=align)
 
 
 @intrinsic

@@ -1,4 +1,4 @@
-"""From Gaussians in the world to records on the screen, two groups at a time.
+"""From Gaussians in the world to records on the screen, a group at a time.
 
 EWA splatting (Zwicker et al. 2001) as gsplat 1.5 does it. With camera point (x, y, z), view
 rotation rows r0, r1, r2, and a = clamp(x / z), b = clamp(y / z), the rows of J R are
@@ -24,9 +24,19 @@ from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
 from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.memory import elements, load_pair, prefetch_early
+from nw_eval.splat.kernels.memory import elements, load_group, prefetch_early
 from nw_eval.splat.kernels.records import append_lower, append_upper
-from nw_eval.splat.kernels.simd import ceil, floor, fma, mask_bits, maximum, minimum, negate, sqrt
+from nw_eval.splat.kernels.simd import (
+    LANES,
+    ceil,
+    floor,
+    fma,
+    mask_bits,
+    maximum,
+    minimum,
+    negate,
+    sqrt,
+)
 
 GEOMETRY = 10
 """Floats per Gaussian: centre (3), covariance xx xy xz yy yz zz, log2 opacity."""
@@ -110,18 +120,17 @@ def project_chunk(
     first = chunk * (CHUNK * GEOMETRY)
     first_dc = chunk * (CHUNK * 3)
     first_sh = chunk * (CHUNK * 3) * (sh_count - 1)
-    step = GROUP * GEOMETRY
     later = (following - chunk) * CHUNK
     harmonics = 3 * (sh_count - 1)
-    for i in range(0, CHUNK, 2 * GROUP):
+    for i in range(0, CHUNK, GROUP):
         g = first + i * GEOMETRY
         # A chunk lies anywhere: memory is slower than this loop if it is first asked when needed.
-        _fetch(geometry, g + later * GEOMETRY, 2 * GROUP * GEOMETRY, 16)
-        _fetch(dc, first_dc + (i + later) * 3, 2 * GROUP * 3, 16)
-        _fetch(sh, first_sh + (i + later) * harmonics, 2 * GROUP * harmonics, 32)
-        px = load_pair(geometry, g, step)
-        py = load_pair(geometry, g + GROUP, step)
-        pz = load_pair(geometry, g + 2 * GROUP, step)
+        _fetch(geometry, g + later * GEOMETRY, GROUP * GEOMETRY, 16)
+        _fetch(dc, first_dc + (i + later) * 3, GROUP * 3, 16)
+        _fetch(sh, first_sh + (i + later) * harmonics, GROUP * harmonics, 32)
+        px = load_group(geometry, g)
+        py = load_group(geometry, g + GROUP)
+        pz = load_group(geometry, g + 2 * GROUP)
         # From the eye first: the rounding then is that of the distance, not of the place.
         dx, dy, dz = px - eye_x, py - eye_y, pz - eye_z
         z = fma(dx, r6, fma(dy, r7, dz * r8))
@@ -145,12 +154,12 @@ def project_chunk(
         sx, sy = inverse_z * fx, inverse_z * fy
         t0, t1, t2 = sx * fma(a, r6, r0), sx * fma(a, r7, r1), sx * fma(a, r8, r2)
         u0, u1, u2 = sy * fma(b, r6, r3), sy * fma(b, r7, r4), sy * fma(b, r8, r5)
-        c00 = load_pair(geometry, g + 3 * GROUP, step)
-        c01 = load_pair(geometry, g + 4 * GROUP, step)
-        c02 = load_pair(geometry, g + 5 * GROUP, step)
-        c11 = load_pair(geometry, g + 6 * GROUP, step)
-        c12 = load_pair(geometry, g + 7 * GROUP, step)
-        c22 = load_pair(geometry, g + 8 * GROUP, step)
+        c00 = load_group(geometry, g + 3 * GROUP)
+        c01 = load_group(geometry, g + 4 * GROUP)
+        c02 = load_group(geometry, g + 5 * GROUP)
+        c11 = load_group(geometry, g + 6 * GROUP)
+        c12 = load_group(geometry, g + 7 * GROUP)
+        c22 = load_group(geometry, g + 8 * GROUP)
         s0 = fma(c00, t0, fma(c01, t1, c02 * t2))
         s1 = fma(c01, t0, fma(c11, t1, c12 * t2))
         s2 = fma(c02, t0, fma(c12, t1, c22 * t2))
@@ -164,7 +173,7 @@ def project_chunk(
         xx, yy = xx + eps2d, yy + eps2d
         after = fma(xx, yy, negate(xy * xy))
         inverse_det = 1.0 / after
-        log_opacity = load_pair(geometry, g + 9 * GROUP, step)
+        log_opacity = load_group(geometry, g + 9 * GROUP)
         if antialiased:
             kept = maximum(maximum(before * inverse_det, least_compensation), 1e-30)
             log_opacity = fma(log2(kept), 0.5, log_opacity)
@@ -188,9 +197,9 @@ def project_chunk(
             continue
         half = inverse_det * (0.5 * _LOG2E)
         d = first_dc + i * 3
-        red = load_pair(dc, d, 3 * GROUP)
-        green = load_pair(dc, d + GROUP, 3 * GROUP)
-        blue = load_pair(dc, d + 2 * GROUP, 3 * GROUP)
+        red = load_group(dc, d)
+        green = load_group(dc, d + GROUP)
+        blue = load_group(dc, d + 2 * GROUP)
         if sh_count > 1:
             unit = 1.0 / sqrt(fma(dx, dx, fma(dy, dy, dz * dz)))
             red, green, blue = shade(
@@ -218,6 +227,6 @@ def project_chunk(
         )
         if bits & 0xFF:
             count = append_lower(records, count, bits, fields)
-        if bits >> GROUP:
+        if bits >> LANES:
             count = append_upper(records, count, bits, fields)
     return count

@@ -29,8 +29,8 @@ FLOAT = ir.FloatType()
 I1, I8, I32, I64 = ir.IntType(1), ir.IntType(8), ir.IntType(32), ir.IntType(64)
 F8, F16 = ir.VectorType(FLOAT, LANES), ir.VectorType(FLOAT, 2 * LANES)
 I32X16 = ir.VectorType(I32, 2 * LANES)
-I16X8 = ir.VectorType(ir.IntType(16), LANES)
-HALF8 = ir.VectorType(ir.HalfType(), LANES)
+I16X16 = ir.VectorType(ir.IntType(16), 2 * LANES)
+HALF16 = ir.VectorType(ir.HalfType(), 2 * LANES)
 
 
 class FloatsType(types.Type):
