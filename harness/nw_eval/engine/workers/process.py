@@ -14,6 +14,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
+from functools import cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic
@@ -178,9 +179,15 @@ class WorkerProcess:
         return False
 
 
+@cache
+def _form() -> TypeAdapter[TrialResult]:
+    """Return what reads results: to make it takes longer than to read hundreds."""
+    return TypeAdapter(TrialResult)
+
+
 def _decoded(line: bytes) -> TrialResult:
     try:
-        return TypeAdapter(TrialResult).validate_json(line)
+        return _form().validate_json(line)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the line"
