@@ -93,6 +93,17 @@ def test_the_teachers_share_falls_from_round_to_round(eyes, planned, teacher):
     assert driven == [8, 4, 2, 1]
 
 
+def test_a_network_to_start_with_drives_from_the_first_round_on(eyes, planned, student, teacher):
+    config = eyes.model_copy(update={"start": "weights.pt"})
+    assert {job.policy for job in planned(1, config).jobs} == {student.reference}
+    config = config.model_copy(update={"teacher_share": 0.5, "trajectories": 8})
+    driven = [
+        sum(job.policy == teacher.reference for job in planned(number, config).jobs)
+        for number in (1, 2, 3)
+    ]
+    assert driven == [4, 2, 1]
+
+
 def test_no_round_begins_as_another_one_or_as_an_evaluation(planned):
     seeds = {job.trial.seed for number in (1, 2, 3) for job in planned(number).jobs}
     assert len(seeds) == 6

@@ -9,7 +9,7 @@ from nw_eval.cards.file.load import card_of
 from nw_eval.errors import UsageError
 from nw_eval.learn.program.config import load_config
 from nw_eval.learn.student.card import check_teacher, student_card
-from nw_eval.learn.student.config import StudentConfig
+from nw_eval.learn.student.config import NOTHING, StudentConfig
 from nw_eval.learn.student.export import write_policy
 from nw_eval.learn.student.network import StudentNetwork
 from nw_eval.learn.student.places import training_scenes
@@ -76,12 +76,15 @@ def test_a_student_that_sees_nothing_is_none():
         small_config(sees={"rgb": False})
 
 
-@pytest.mark.parametrize("preset", ["student-rgb", "student-depth", "student-rgb-small"])
+@pytest.mark.parametrize(
+    "preset", ["student-rgb", "student-rgb-further", "student-depth", "student-rgb-small"]
+)
 def test_the_configs_that_are_shipped_can_be_trained(preset, teacher):
     config = load_config(TRAINING / f"{preset}.yaml", StudentConfig)
     assert config.teacher == teacher.name
     assert body_size(config, teacher) == 337
-    assert training_scenes(config.scenes)
+    assert config.trajectories % len(training_scenes(config.scenes)) == 0
+    assert config.start == NOTHING or (config.base / config.start).is_file()
 
 
 @pytest.mark.parametrize("eyes", [{"rgb": True}, {"rgb": False, "depth": True}, {"depth": True}])

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from student_parts import SMALL, small_config
 
@@ -156,6 +157,16 @@ def test_a_training_begins_with_the_network_of_another(tmp_path, whole):
         for there, name in ((folder, "round-0"), (whole, "round-2"))
     )
     assert first.read_bytes() == last.read_bytes()
+    assert config.digest != small_config().digest
+
+
+def test_the_learning_rate_falls_from_round_to_round_and_within_each():
+    learns = small_config().learns.model_dump() | {"learning_rate": 1e-3, "later_rounds": 0.5}
+    config = small_config(learns=learns)
+    begins = [config.learns.rate(number, done=0.02) for number in (1, 2, 3)]
+    np.testing.assert_allclose(begins, [1e-3, 5e-4, 2.5e-4], rtol=2e-3)
+    ends = [config.learns.rate(number, done=1.0) for number in (1, 2, 3)]
+    np.testing.assert_allclose(ends, [1e-5, 5e-6, 2.5e-6])
     assert config.digest != small_config().digest
 
 

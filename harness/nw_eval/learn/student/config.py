@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import Annotated
 
@@ -13,6 +14,11 @@ from nw_eval.suite.digest import digest_of
 
 NOTHING = "nothing"
 """`start` of a network whose weights are drawn."""
+
+_LAST_RATE = 0.01
+"""Of the learning rate, at the end of a round."""
+_WARM_UP = 0.02
+"""Share of a round in which the learning rate rises from zero."""
 
 Width = Annotated[int, Field(ge=8, le=1024)]
 
@@ -103,7 +109,15 @@ class Learns(ConfigModel):
     """Images of a step, each with all control steps that it is the newest image of."""
     learning_rate: float = Field(default=3e-3, gt=0.0, le=1.0)
     """Of AdamW at the start of a round; a cosine brings it to a hundredth at the round's end."""
+    later_rounds: float = Field(default=1.0, gt=0.0, le=1.0)
+    """The learning rate of each round as a share of that of the round before."""
     weight_decay: float = Field(default=1e-4, ge=0.0)
+
+    def rate(self, number: int, *, done: float) -> float:
+        """Return the learning rate in a round, from 1, of which a share is `done`, 0 to 1."""
+        cosine = 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
+        share = min(done / _WARM_UP, 1.0) * (_LAST_RATE + (1.0 - _LAST_RATE) * cosine)
+        return self.learning_rate * self.later_rounds ** (number - 1) * share
 
 
 class StudentConfig(TrainingConfig):
@@ -115,18 +129,18 @@ class StudentConfig(TrainingConfig):
     """The policy that is asked, named as for `nw-eval run --policy`."""
     start: Annotated[str, Field(min_length=1)] = NOTHING
     """What the network begins as: `nothing`, or the .pt file of a student's training of the same
-    network. The teacher drives in the first round all the same: its trajectories are new."""
+    network. It drives in the first round as a student does in the second one."""
     scenes: list[str] = Field(default=["split:train"], min_length=1)
     """Where trajectories are driven: names, globs and folders as in suites. Evaluation scenes are
     left out."""
     rounds: int = Field(default=4, ge=1, le=100)
     """Rounds of collecting and learning, each of an equal share of the budget. The teacher drives
-    in the first one."""
+    in the first one, unless there is a network to `start` with."""
     trajectories: int = Field(default=1000, ge=1, le=100_000)
     """Trajectories of a round, spread evenly over the scenes."""
     teacher_share: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Share of trajectories that the teacher drives in the second round; beta of the paper, which
-    is raised to the number of the round, from 0."""
+    """Share of trajectories that the teacher drives in the first round in which a student drives;
+    beta of the paper, which is raised to the number of the round."""
     duration: float = Field(default=20.0, gt=0.0, le=600.0)
     """Simulated time after which a trajectory ends, s."""
     dataset_gib: float = Field(default=8.0, gt=0.0)
@@ -135,6 +149,10 @@ class StudentConfig(TrainingConfig):
     network: NetworkSizes = NetworkSizes()
     randomise: Randomise = Randomise()
     learns: Learns = Learns()
+
+    def taught_share(self, number: int) -> float:
+        """Return the share of trajectories that the teacher drives in a round, from 1."""
+        return self.teacher_share ** (number - (self.start == NOTHING))
 
     @property
     def digest(self) -> str:
@@ -145,4 +163,6 @@ class StudentConfig(TrainingConfig):
         """
         without = {"device", "rounds", "budget"} | ({"start"} if self.start == NOTHING else set())
         fields = self.model_dump(mode="json", by_alias=True, exclude=without)
+        if self.learns.later_rounds == 1.0:  # Trainings from before there was such a key go on.
+            del fields["learns"]["later_rounds"]
         return digest_of(fields | {"samples": str(Fraction(self.budget.steps, self.rounds))})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,10 +24,6 @@ if TYPE_CHECKING:
     from nw_eval.learn.student.data.dataset import Dataset, Minibatch
 
 _LARGEST_GRADIENT = 1.0
-_LAST_RATE = 0.01
-"""Of the learning rate, at the end of a round."""
-_WARM_UP = 0.02
-"""Share of a round in which the learning rate rises from zero."""
 
 
 class Learner:
@@ -105,7 +100,7 @@ class Learner:
         error = (self.network(body, images, image_of) - wanted).abs().mean(2)
         loss = (error * is_there).sum() / is_there.sum()
         for group in self._optimiser.param_groups:
-            group["lr"] = config.learns.learning_rate * _rate(done)
+            group["lr"] = config.learns.rate(number, done=done)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
@@ -131,12 +126,6 @@ class Learner:
             moved = resampled(numbers, view)
             seen.append(random.colours(moved) if name == "rgb" else random.depths(moved))
         return torch.cat(seen, dim=1)
-
-
-def _rate(done: float) -> float:
-    """Return the share of the learning rate that holds after a share of a round."""
-    cosine = 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
-    return min(done / _WARM_UP, 1.0) * (_LAST_RATE + (1.0 - _LAST_RATE) * cosine)
 
 
 def _number(seed: int, *key: int) -> int:

@@ -112,7 +112,7 @@ def plan_round(
     """
     count = config.trajectories
     # The teacher's are spread evenly over the round, and so over its scenes.
-    share = config.teacher_share ** (number - 1)
+    share = config.taught_share(number)
     digest = digest_of(["student", number])
     jobs: list[TrialJob] = []
     for place in range(count):
