@@ -36,15 +36,16 @@ class BuiltInSplat:
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store; build it in the cache on first use."""
-        from nw_eval.splat.store import SUFFIX, compile_store, open_store
+        from nw_eval.splat.store import FORMAT, SUFFIX, compile_store, open_store
 
-        name = f"{self.place.name.replace('/', '-')}-{self.key[:16]}"
+        # Versions of nw-eval that share a cache do not undo each other's.
+        name = f"{self.place.name.replace('/', '-')}-{self.key[:16]}-{FORMAT}"
         path = cache_dir("scenes") / f"{name}{SUFFIX}"
         if path.is_file():
             try:
                 open_store(path, key=self.key)
             except SceneError:
-                pass  # Damaged, or of another format: made anew below.
+                pass  # Damaged: made anew below.
             else:
                 return path
         from nw_eval.built_in.bake.generate import generate
