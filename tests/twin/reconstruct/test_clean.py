@@ -9,6 +9,8 @@ from nw_eval.twin.reconstruct.clean.flatten import flatten
 from nw_eval.twin.reconstruct.clean.holes import holes
 from nw_eval.twin.reconstruct.clean.parts import large_parts
 from nw_eval.twin.reconstruct.clean.simplify import simplify
+from nw_eval.twin.reconstruct.clean.small_planes import flatten_small
+from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 
 CELL = 0.02
 
@@ -58,6 +60,28 @@ def test_a_step_stays_as_high_as_it_was(high):
     assert z[inner].mean() == pytest.approx(high, abs=0.0015)
     assert z[outer].mean() == pytest.approx(0.0, abs=0.0015)
     assert z[outer].std() < 0.001  # It was 0.002.
+
+
+def test_a_small_top_becomes_flat_where_a_plane_was_supposed():
+    """A box of 0.7 x 0.5 m on 4 x 4 m: too little of all to be looked for by its area."""
+
+    def box(x, y):
+        return np.where((np.abs(x - 1.0) < 0.35) & (np.abs(y - 1.0) < 0.25), 0.3, 0.0)
+
+    rng = np.random.default_rng(3)
+    before = sheet(lambda x, y: box(x, y) + rng.normal(0, 0.002, x.shape), across=200)
+    flat, planes = flatten(before, CELL)
+    top = (np.abs(flat.vertices[:, 0] - 1.0) < 0.2) & (np.abs(flat.vertices[:, 1] - 1.0) < 0.15)
+    lids = [
+        SupposedPlane(normal=np.array([0.0, 0.0, 1.0]), offset=z, prior=0.0, one_sided=False)
+        for z in (0.3, 0.6)
+    ]
+    assert flat.vertices[top, 2].std() > 0.0015
+    after, small = flatten_small(flat, planes, lids, CELL)
+    (plane,) = small
+    assert plane.offset == 0.3
+    assert after.vertices[top, 2].std() < 0.0005
+    assert flatten_small(flat, planes, [], CELL)[1] == []
 
 
 def test_a_gentle_hill_is_no_floor():

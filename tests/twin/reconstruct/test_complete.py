@@ -106,3 +106,15 @@ def test_a_gap_right_across_a_deck_is_no_hole():
     inner = np.abs(mesh.vertices[:, 0] - 1.0) < 0.2
     assert not (inner & (np.abs(mesh.vertices[:, 1] - 1.0) < 0.8)).any()
     assert area < 0.1
+
+
+def test_a_small_plane_goes_on_through_its_hole_and_no_farther():
+    holed, area = complete(floor(round_hole), [], look_down(0.0), CELL, small=[FLOOR])
+    assert np.pi * 0.3**2 < area < 1.5 * np.pi * 0.3**2
+    assert len(holed.faces) > len(floor(round_hole).faces)
+
+    def ell(x, y):
+        return (x < 0.5) | (y < 0.5)
+
+    assert complete(floor(ell), [FLOOR], look_down(0.0), CELL)[1] > 0.5, "a floor bounds a place"
+    assert complete(floor(ell), [], look_down(0.0), CELL, small=[FLOOR])[1] < 0.05

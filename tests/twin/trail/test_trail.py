@@ -233,3 +233,12 @@ def test_no_walk_and_no_ground_are_errors_in_words():
     far = walk(4.0) + np.array([100.0, 0.0, 0.0])
     with pytest.raises(SceneError, match="0% of the way has ground"):
         propose_trail(GROUND, far)
+
+
+def test_a_trail_begins_a_step_later_where_the_ground_at_its_first_camera_is_uneven():
+    bump = box((-0.3, 0.1), (0.0, 0.05))
+    start = propose_trail(merge([GROUND, bump]), walk(5.0)).spawn.position
+    assert 0.35 < start[0] < 0.7
+    assert start[2] == pytest.approx(0.0, abs=0.005)
+    rough = merge([GROUND, *(box((x, x + 0.2), (0.0, 0.05)) for x in np.arange(-0.5, 5.0, 0.4))])
+    assert propose_trail(rough, walk(5.0)).spawn.position[0] < 0.05, "nowhere is better"

@@ -22,6 +22,7 @@ from nw_eval.suite.ready import write_ready_suite
 from nw_eval.twin.align.apply import moved_capture, moved_points, similarity_entry
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.place.entries import rounded, write_collision
+from nw_eval.twin.place.lips import without_lips
 from nw_eval.words import Task
 
 COLLISION, SPLAT, CAPTURES, SUITE = "collision.ply", "splat.ply", "captures.json", "suite.yaml"
@@ -112,7 +113,7 @@ def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
     try:
         read = trimesh.load_mesh(mesh, process=False)
         vertices = moved_points(T, np.asarray(read.vertices))
-        faces = np.asarray(read.faces)
+        faces = without_lips(vertices, np.asarray(read.faces))
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise SceneError(f"{mesh} is no mesh: {error}", fix="reconstruct again") from None
     write_collision(path, vertices, faces)

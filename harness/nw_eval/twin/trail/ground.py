@@ -22,6 +22,10 @@ _STAND = 0.6
 """Of a way without a hole on which a robot can stand, metres."""
 _WHOLE = 0.98
 """Share of that ground that is there where it is whole, but for cracks."""
+_STEP_ON = 1.0
+"""How much farther even ground may lie than ground, metres."""
+_BUMP = 0.02
+"""Distance from a plane up to which ground is even, metres."""
 _MEDIAN = 5
 """Samples of which the middle one counts: scans have spikes."""
 
@@ -71,7 +75,7 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
     there = np.isfinite(heights)
     seen = there.sum(axis=1) >= 3
-    first, last = _firm(seen, there.mean(axis=1), run)
+    first, last = _firm(seen, there.mean(axis=1), heights, run)
     way, heights, seen = way[first:last], heights[first:last], seen[first:last]
     known = float(seen.mean()) if len(seen) else 0.0
     if known < _KNOWN:
@@ -90,15 +94,18 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     )
 
 
-def _firm(seen: NDArray[np.bool_], share: Values, run: int) -> tuple[int, int]:
+def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> tuple[int, int]:
     """Return the first place of a way where a robot can stand, and one past the last with ground.
 
     Not before the place `run`; without any, the whole way from there on. A robot that is set down
-    needs ground under every foot: a place whose ground is whole is preferred to an earlier one.
+    needs ground under every foot: a place whose ground is whole is preferred to an earlier one, and
+    one whose ground is even, a step farther, to that: what lies below the first camera was seen by
+    none, and is filled as it may be.
 
     Args:
         seen: (S,) whether most lines have ground.
         share: (S,) of the lines that have.
+        heights: (S, lines) metres, nan without ground.
         run: places that were put before the way.
     """
     half = round(_STAND / STEP / 2)
@@ -110,7 +117,26 @@ def _firm(seen: NDArray[np.bool_], share: Values, run: int) -> tuple[int, int]:
     if not len(places):
         return run, len(seen)
     whole = np.flatnonzero(firm & (about[1].mean(axis=1) >= _WHOLE)) + run
-    return int((whole if len(whole) else places)[0]), int(places[-1]) + 1
+    first = int((whole if len(whole) else places)[0])
+    even = whole[_even(heights, half)[whole] & (whole <= first + round(_STEP_ON / STEP))]
+    return int(even[0]) if len(even) else first, int(places[-1]) + 1
+
+
+def _even(heights: Values, half: int) -> NDArray[np.bool_]:
+    """Return about which places (S,) the ground lies in a plane, level or not.
+
+    Args:
+        heights: (S, lines) metres, nan without ground.
+        half: places to each side that count.
+    """
+    padded = np.pad(heights, ((half, half), (0, 0)), mode="edge")
+    about = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    ahead, left = np.meshgrid(STEP * np.arange(-half, half + 1), _SIDES)
+    plane = np.stack([np.ones_like(ahead), ahead, left], axis=-1).reshape(-1, 3)
+    values = about.reshape(len(heights), -1)
+    known = np.where(np.isfinite(values), values, 0.0)
+    off = np.abs(values - known @ np.linalg.pinv(plane).T @ plane.T)
+    return (off <= _BUMP).mean(axis=1) >= _WHOLE
 
 
 def _lean(heights: Values) -> Values:

@@ -42,7 +42,11 @@ _LEAST_VIEWS = 2
 
 
 def complete(
-    mesh: ColourMesh, planes: Sequence[FlatPlane], maps: Sequence[DepthMap], voxel: float
+    mesh: ColourMesh,
+    planes: Sequence[FlatPlane],
+    maps: Sequence[DepthMap],
+    voxel: float,
+    small: Sequence[FlatPlane] = (),
 ) -> tuple[ColourMesh, float]:
     """Return the mesh with the holes of its planes filled, and the area that was filled.
 
@@ -51,11 +55,13 @@ def complete(
         planes: of `flatten`.
         maps: depths by which a hole is told from a way through.
         voxel: edge of a voxel.
+        small: planes of `flatten_small`: none of these bounds the place.
     """
     added, area = [mesh], 0.0
     normals = _vertex_normals(mesh)
-    for plane in planes:
-        patch = _patch(mesh, normals, plane, maps, _CELL * voxel, _BAND * voxel)
+    for plane in (*planes, *small):
+        outer = plane in planes and bounds(mesh, plane, _BAND * voxel)
+        patch = _patch(mesh, normals, plane, maps, _CELL * voxel, _BAND * voxel, outer)
         if patch is not None:
             added.append(patch)
             area += 0.5 * float(np.linalg.norm(patch.normals, axis=1).sum())
@@ -82,6 +88,7 @@ def _patch(
     maps: Sequence[DepthMap],
     cell: float,
     band: float,
+    outer: bool,
 ) -> ColourMesh | None:
     """Return quads for the cells of a plane that are to be filled; None without any."""
     normal = np.array(plane.normal)
@@ -104,7 +111,6 @@ def _patch(
     # At the rim of a platform lie cells that faces cover in part: they are no holes.
     cracks = covered & ~whole & _enclosed(whole, _CRACK)
     holes = (_enclosed(covered, _REACH) & ~covered) | cracks
-    outer = bounds(mesh, plane, band)
     if outer:
         off = mesh.vertices[behind(mesh, plane, band)] - low[0] * along - low[1] * across
         places = (np.column_stack([off @ along, off @ across]) / cell).astype(np.int64)

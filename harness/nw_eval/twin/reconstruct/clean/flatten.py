@@ -65,25 +65,39 @@ def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]
         if plane is None:
             break
         normal, offset = plane
-        off = mesh.vertices @ normal - offset
         near = free & search.near(normal, offset)
         if area[near].sum() < _LEAST_AREA * area.sum():
             break
-        share, noise = _agreement(search.links, off, near, voxel)
-        vertices -= (share * off)[:, None] * normal
+        shift, flat = flattened(search, near, normal, offset)
+        vertices += shift
         free &= ~near
-        x, y, z = (float(part) for part in normal)
-        planes.append(
-            FlatPlane(
-                normal=(x, y, z),
-                offset=offset,
-                area=float(area[near].sum()),
-                noise=noise,
-                moved=float((share[near] == 1.0).mean()),
-            )
-        )
+        planes.append(flat)
     planes.sort(key=lambda plane: -plane.area)
     return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), planes
+
+
+def flattened(
+    search: PlaneSearch, near: NDArray[np.bool_], normal: F64, offset: float
+) -> tuple[F64, FlatPlane]:
+    """Return how vertices (V, 3) move that are made flat, and the plane.
+
+    Args:
+        search: the mesh.
+        near: (V,) which vertices are of the plane.
+        normal: (3,) of it.
+        offset: along it.
+    """
+    off = search.points @ normal - offset
+    share, noise = _agreement(search.links, off, near, search.voxel)
+    x, y, z = (float(part) for part in normal)
+    plane = FlatPlane(
+        normal=(x, y, z),
+        offset=offset,
+        area=float(search.area[near].sum()),
+        noise=noise,
+        moved=float((share[near] == 1.0).mean()),
+    )
+    return -(share * off)[:, None] * normal, plane
 
 
 def _agreement(links: Any, off: F64, near: NDArray[np.bool_], voxel: float) -> tuple[F64, float]:

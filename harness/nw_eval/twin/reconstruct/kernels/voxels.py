@@ -84,13 +84,44 @@ def _may_show(size: Any, lens: Any, place: Any, radius: Any) -> Any:
 
 
 @inlined
-def _off(depth: Any, place: Any, truncation: Any) -> Any:
-    """Return how far before the surface a place is, in truncations; below -1 if not known."""
+def _off(depth: Any, slope: Any, lens: Any, place: Any, truncation: Any) -> Any:
+    """Return how far before the surface a place is, in truncations; below -1 if not known.
+
+    The distance is square to the surface: along a ray that grazes it, a voxel just behind would
+    be far away. What lies behind is not known where the picture shows something farther square
+    above it: a ray that goes down through the top of a platform comes out below its edge.
+    """
     ahead, u, v = place
     if not (ahead > 0.0 and 0.0 <= u < depth.shape[1] and 0.0 <= v < depth.shape[0]):
         return -2.0
     d = _depth_at(depth, u, v)
-    return (d - ahead) / truncation if d > 0.0 else -2.0
+    if d <= 0.0:
+        return -2.0
+    a, b = float(slope[int(v), int(u), 0]), float(slope[int(v), int(u), 1])
+    inverse = 1.0 / d
+    if a != 0.0 or b != 0.0:  # Inverse depth is what is linear across the picture of a plane.
+        inverse = 1.0 / float(depth[int(v), int(u)])
+        inverse += a * (u - int(u) - 0.5) + b * (v - int(v) - 0.5)
+    # The surface is m . x = 1 about there, and m points away from the camera.
+    mx, my = lens[0] * a, lens[1] * b
+    mz = inverse - a * (u - lens[2]) - b * (v - lens[3])
+    square = mx * mx + my * my + mz * mz
+    before = 1.0 - ahead * inverse
+    off = before / (math.sqrt(square) * truncation)
+    if off >= 0.0 or off < -1.0:
+        return off
+    z = ahead + mz * before / square
+    if z <= 0.0:
+        return -2.0
+    x = ((u - lens[2]) * ahead + lens[0] * mx * before / square) / z + lens[2]
+    y = ((v - lens[3]) * ahead + lens[1] * my * before / square) / z + lens[3]
+    if not (0.0 <= x < depth.shape[1] and 0.0 <= y < depth.shape[0]):
+        return -2.0
+    above = float(depth[int(y), int(x)])
+    if above <= 0.0:  # Nobody knows; a ray is not followed farther than the surface is thick.
+        return off if ahead * inverse - 1.0 < truncation * inverse else -2.0
+    there = inverse + a * (int(x) + 0.5 - u) + b * (int(y) + 0.5 - v)
+    return off if above * there - 1.0 <= _ONE_SURFACE else -2.0
 
 
 @kernel
@@ -100,6 +131,7 @@ def integrate(
     end: Any,
     lattice: Any,
     depth: Any,
+    slope: Any,
     confidence: Any,
     rgb: Any,
     lens: Any,
@@ -116,6 +148,7 @@ def integrate(
         end: behind the last.
         lattice: (5,) float64: centre of the first voxel (3), edge of a voxel, truncation.
         depth: (H, W) float32, 0 where not known.
+        slope: (H, W, 2) float32, of `slopes.slopes`.
         confidence: (H, W) float32.
         rgb: (H, W, 3) uint8.
         lens: (fx, fy, cx, cy).
@@ -137,7 +170,7 @@ def integrate(
         for m in range(VOXELS):
             i, j, k = m // (SIDE * SIDE), m // SIDE % SIDE, m % SIDE
             place = _seen(T, lens, x + i * voxel, y + j * voxel, z + k * voxel)
-            off = _off(depth, place, truncation)
+            off = _off(depth, slope, lens, place, truncation)
             if off < -1.0:
                 continue
             u, v = int(place[1]), int(place[2])

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.depth.view import F64
@@ -36,6 +37,8 @@ _CROWD = 3.25
 """Times as many points of edges as is usual about there: a crowd."""
 _ABOUT = 31
 """Half voxels of that surrounding."""
+_LARGE = 1.0
+"""Squares of a plane whose own points are left out when crowds are sought a second time."""
 _SAME = 1.5
 """Voxels by which a supposed plane is none of its own."""
 _UPRIGHT = 0.05
@@ -92,9 +95,10 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
     if axes is None:
         return planes
     points = np.concatenate([_points_of_edges(each) for each in maps])
+    other = points[~_of_large(points, found, voxel)]
     known = [(plane.normal, plane.offset) for plane in planes]
     for axis in axes:
-        for offset in _crowds(points @ axis, voxel):
+        for offset in (*_crowds(other @ axis, voxel), *_crowds(points @ axis, voxel)):
             if not any(_is_same(axis, offset, *one, _SAME * voxel) for one in known):
                 known.append((axis, offset))
                 prior = _SQUARE_SHARE * _prior(_SUPPOSED)
@@ -125,6 +129,17 @@ def _of_surface(surface: ColourMesh, voxel: float) -> list[tuple[F64, float, flo
         free &= ~(near | ((off < _SHELL * voxel) & (search.normals @ normal > _FACING)))
         found.append((normal, offset, squares))
     return found
+
+
+def _of_large(
+    points: F64, found: Sequence[tuple[F64, float, float]], voxel: float
+) -> NDArray[np.bool_]:
+    """Return which points (N,) lie on a plane so large that what is drawn on it would crowd."""
+    near = np.zeros(len(points), dtype=bool)
+    for normal, offset, squares in found:
+        if squares >= _LARGE:
+            near |= np.abs(points @ normal - offset) < _SAME * voxel
+    return near
 
 
 def _prior(squares: float) -> float:

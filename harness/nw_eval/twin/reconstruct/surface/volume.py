@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.depth.view import F32, F64, WorkingView
+from nw_eval.twin.reconstruct.kernels.slopes import slopes
 from nw_eval.twin.reconstruct.kernels.voxels import SIDE, VOXELS, integrate, mark
 
 _TRUNCATION = 4.0
@@ -81,14 +82,17 @@ def fuse(
     volume, blocks = _empty(maps, voxel, most)
     say(f"fuses {len(maps)} depth maps in {len(blocks)} blocks of voxels of {voxel:.4g}")
     lattice = np.array([*volume.origin, voxel, _TRUNCATION * voxel])
+    leaning = [np.zeros((*each.depth.shape, 2), np.float32) for each in maps]
+    for each, slope in zip(maps, leaning, strict=True):
+        slopes(each.depth, slope)
 
     def job(first: int) -> None:
         end = min(first + _AT_ONCE, len(blocks))
-        for each in maps:
+        for each, slope in zip(maps, leaning, strict=True):
             view, K = each.view, each.view.K
             lens = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
             integrate(
-                blocks, first, end, lattice, each.depth, each.confidence, view.rgb, lens,
+                blocks, first, end, lattice, each.depth, slope, each.confidence, view.rgb, lens,
                 view.T_camera_world, volume.distance, volume.weight, volume.colour,
             )  # fmt: skip
 
