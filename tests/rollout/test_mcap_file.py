@@ -127,14 +127,15 @@ class Counted:
         return [(range(len(times)), filled(both, [odom_form()] * 2, times, (rows, -rows)))]
 
 
-def test_messages_of_notes_stand_where_they_were_noted(tmp_path):
+@pytest.mark.parametrize(("images", "seconds"), [("keep", 2), ("drop", 12)])
+def test_messages_of_notes_stand_where_they_were_noted(tmp_path, images, seconds):
     path = tmp_path / "trial.mcap"
-    file, noted = McapFile(path, images="drop"), Counted()
+    file, noted = McapFile(path, images=images), Counted()
     for number in range(2000):  # 40 s
         noted.notes.append(number * STEP)
         file.add_noted(noted, number / 50)
         file.add("/log", number * STEP, Log(message=str(number)))
-        assert len(noted.notes) <= 601, "twelve seconds"
+        assert len(noted.notes) <= 50 * seconds + 1
     file.close()
     with path.open("rb") as stream:
         read = [(c.topic, m.log_time, m.data) for _, c, m in make_reader(stream).iter_messages()]

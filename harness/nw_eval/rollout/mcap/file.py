@@ -23,12 +23,13 @@ _MOST_HELD = 64 * 2**20
 """Bytes of a trial's images that wait as they are; what comes later is compressed at once. A policy
 with two cameras of 160 x 90 at 10 Hz has 10 MB in 12 s."""
 
-_LONGEST = 12.0
-"""How long messages wait for each other, s of a trial, where nothing else makes them wait: most
-trials are written at once, which takes 0.87 of the time that parts of two seconds take."""
+_LONGEST, _LONGEST_WITHOUT_IMAGES = 2.0, 12.0
+"""How long messages wait for each other, s of a trial, where nothing else makes them wait. With
+images a log is also evidence of what a trial did that killed its process. Without, most trials are
+written at once, which takes 0.87 of the time that parts of two seconds take."""
 
 _MOST_WAITING = 4 * CHUNK_BYTES
-"""Bytes of messages that wait for each other."""
+"""Bytes of messages that wait for each other where there are no images."""
 
 
 class McapFile:
@@ -36,7 +37,7 @@ class McapFile:
 
     With `images="decide"` messages wait in memory, so that those of images can be left out when the
     trial turns out well, and the file is still in order of time. Otherwise they wait until there
-    are some hundred, which are made and written together: of a long trial whose worker dies
+    are some hundred, which are made and written together: of a trial whose worker dies
     `mcap recover` saves the whole chunks of the partial file.
 
     Every method that writes raises OSError when the disk does not take it; `discard` then frees
@@ -140,7 +141,11 @@ class McapFile:
     def _write_if_due(self, time: float) -> None:
         if len(self._pending) == 1:
             self._since = time
-        if time - self._since >= _LONGEST or self._size > _MOST_WAITING:
+        if self._images == "drop":
+            longest, most = _LONGEST_WITHOUT_IMAGES, _MOST_WAITING
+        else:
+            longest, most = _LONGEST, CHUNK_BYTES
+        if time - self._since >= longest or self._size > most:
             self._flush()
 
     def _flush(self) -> None:
