@@ -67,6 +67,18 @@ def test_a_line_every_few_seconds_says_how_far_how_fast_and_how_long_still():
     assert lines[1] == "56,000 of 2.00 M steps · phase 1 · 5,000/s · 6 min left · success 0.512"
 
 
+def test_what_is_done_between_steps_counts_in_what_is_left_and_not_in_the_rate():
+    lines, clock = [], Clock()
+    progress = TrainingProgress(lines.append, steps=3000, every=10.0, clock=clock)
+    progress.leave()
+    clock.now += 600.0
+    progress.back(0, times=2)
+    for step in range(1, 11):
+        clock.now += 1.0
+        progress.update(10 * step, "round 1 of 3", {})
+    assert lines == ["100 of 3,000 steps · round 1 of 3 · 10/s · 25 min left"]
+
+
 def test_the_minutes_of_a_budget_end_a_process():
     clock = Clock()
     progress = TrainingProgress([].append, steps=10, minutes=2.0, clock=clock)

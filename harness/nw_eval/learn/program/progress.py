@@ -42,11 +42,22 @@ class TrainingProgress:
         self._deadline = None if minutes is None else self._began + 60.0 * minutes
         self._said_at, self._said_step = self._began, first
         self._has_spoken = False
+        self._left_at, self._aside, self._times = self._began, 0.0, 0
 
     @property
     def is_time_up(self) -> bool:
         """Whether the minutes of the budget are over."""
         return self._deadline is not None and self._clock() >= self._deadline
+
+    def leave(self) -> None:
+        """Begin something else than steps."""
+        self._left_at = self._clock()
+
+    def back(self, step: int, *, times: int) -> None:
+        """Go on with steps after `leave`; the same, as long again, is to come so many `times`."""
+        now = self._clock()
+        self._aside, self._times = max(self._aside, now - self._left_at), times
+        self._said_at, self._said_step, self._has_spoken = now, step, True
 
     def update(self, step: int, doing: str, figures: Mapping[str, float]) -> None:
         """Take how far it is; say so if it is time.
@@ -64,7 +75,7 @@ class TrainingProgress:
         words = [f"{_number(step)} of {_number(self._steps)} {self._what}", doing]
         words.append(f"{_number(round(rate))}/s")
         if rate > 0:
-            left = (self._steps - step) / rate
+            left = (self._steps - step) / rate + self._aside * self._times
             if self._deadline is not None:
                 left = min(left, max(self._deadline - now, 0.0))
             words.append(f"{_duration(left)} left")

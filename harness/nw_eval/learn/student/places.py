@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 from nw_eval.built_in.splits import split_of
@@ -9,6 +10,7 @@ from nw_eval.catalogue import FoundScene, references
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.prepare import build_splats, check_splats, open_backend, ready_scans
 from nw_eval.errors import UsageError
+from nw_eval.learn.program.progress import EVERY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -17,14 +19,21 @@ if TYPE_CHECKING:
 
 
 class _Told(Silence):
-    """Passes lines for people on."""
+    """Passes lines for people on, and every ten seconds which splat is being built."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
+        self._said_at = time.monotonic()
 
     def message(self, text: str) -> None:
         """Pass it on."""
         self._say(text)
+
+    def scene(self, name: str, fraction: float) -> None:
+        """Say it, if it is time."""
+        if (now := time.monotonic()) - self._said_at >= EVERY:
+            self._said_at = now
+            self._say(f"builds the splats that are not there yet: {name} · {fraction:.0%} of it")
 
 
 def training_scenes(patterns: Sequence[str]) -> tuple[FoundScene, ...]:

@@ -161,11 +161,13 @@ class StudentTraining:
             for number in range(1, self._config.rounds + 1):
                 trajectories = self._planned(number)
                 is_over = number < self._round
+                self._progress.leave()
                 if not (is_over or self._drive(trajectories)):
                     break
                 figures = self._take(trajectories)
                 if is_over:
                     continue
+                self._progress.back(self._samples, times=self._config.rounds - number)
                 if not self._learn(figures):
                     break
                 self._write_policies(number)
