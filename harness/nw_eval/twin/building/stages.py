@@ -45,8 +45,8 @@ class Build:
         self._settings = settings
         self._say = say
 
-    def whole(self, photographs: Path) -> None:
-        """Run all stages, one after another.
+    def whole(self, photographs: Path) -> bool:
+        """Run all stages, one after another; return whether the check finds no error.
 
         Raises:
             NwEvalError: as the stages.
@@ -56,7 +56,7 @@ class Build:
         self.align()
         self.splat()
         self.place()
-        self.check()
+        return self.check()
 
     def calibrate(self, photographs: Path) -> None:
         """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
@@ -159,10 +159,10 @@ class Build:
         )
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
 
-    def check(self) -> None:
+    def check(self) -> bool:
         """Say what is measured and wrong along the trail, and how the place is run.
 
-        The place stays as it is, whatever is found: most is mended by hand.
+        Returns whether no error is found. The place stays as it is, whatever is found: most is mended by hand.
         """
         (checked,) = check_scenes([str(self.folder.scene)])
         if checked.survey is not None:
@@ -175,6 +175,7 @@ class Build:
             self._say(f"check: mend the errors, then: nw-eval run {suite}")
         else:
             self._say(f"check: ready: nw-eval run {suite}")
+        return not checked.has_errors
 
     def _route(self, mesh: TriangleMesh, centres: NDArray[np.float64]) -> Route:
         """Return the trail that the place suggests; where it suggests none, a step ahead."""

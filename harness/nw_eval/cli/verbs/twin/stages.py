@@ -26,7 +26,8 @@ def _say(line: str) -> None:
 class BuildTwin(AllFlags):
     """Photographs to a place, all stages one after another; what is done stays, and goes on.
 
-    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or Polycam know.
+    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or Polycam know. Ends with
+    what `scenes check` says of the place, and with 2 where that is an error; the place stays.
     """
 
     photographs: tyro.conf.Positional[Path]
@@ -37,10 +38,11 @@ class BuildTwin(AllFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
+        from nw_eval.errors import SceneError
         from nw_eval.twin.building import Build
 
-        Build(self.out, settings_of(self, self.threads), _say).whole(self.photographs)
-        return 0
+        build = Build(self.out, settings_of(self, self.threads), _say)
+        return 0 if build.whole(self.photographs) else SceneError.exit_code
 
 
 @dataclass(frozen=True, kw_only=True)
