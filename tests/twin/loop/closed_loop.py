@@ -4,7 +4,8 @@
 
 Prints what came of it, and leaves it in `--out`: the photographs, the twin, `figures.json`, and
 `sheet.jpg` with original, twin and mesh from robot height. Stages resume, and trials that ran stay.
-All other options are those of `nw-eval twin build`.
+With `--low 8 --held-out 'low_*'` eight more photographs are taken from a robot's height, and kept
+from the training of the splat. All other options are those of `nw-eval twin build`.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from photographs import TAG_EDGE, Phone, tag_beside_start, write_photograph
 from sheet import write_sheet
 from surface import SurfaceFigures, surface_figures
 from trials import POLICIES, Outcome, carry, outcomes
-from walk import handheld
+from walk import handheld, low_over_the_course
 
 from nw_eval import cli
 from nw_eval.catalogue import get_scene
@@ -47,11 +48,14 @@ class Loop:
     trials: dict[str, dict[str, Outcome]]
 
 
-def photograph(name, folder, *, walk=handheld, count=40, width=640, height=360, seed=0):
+def photograph(name, folder, *, walk=handheld, count=40, low=0, width=640, height=360, seed=0):
     """Write the photographs of a walk through a scene; return their cameras by file name."""
-    scene = get_scene(name)
-    cameras = walk(scene, count, width=width, height=height, seed=seed)
-    files = {f"IMG_{number:04d}.jpg": camera for number, camera in enumerate(cameras)}
+    scene, size = get_scene(name), {"width": width, "height": height, "seed": seed}
+    files = {
+        f"IMG_{number:04d}.jpg": camera for number, camera in enumerate(walk(scene, count, **size))
+    }
+    below = low_over_the_course(scene, low, **size)
+    files |= {f"low_{number:04d}.jpg": camera for number, camera in enumerate(below)}
     folder.mkdir(parents=True, exist_ok=True)
     if {path.name for path in folder.iterdir()} != set(files):
         phone = Phone(scene, tag_beside_start(scene), seed)
@@ -131,10 +135,11 @@ def main():
     parser.add_argument("scene", help="a built-in scene")
     parser.add_argument("--out", type=Path, required=True, help="folder for all that comes of it")
     parser.add_argument("--photographs", type=int, default=40)
+    parser.add_argument("--low", type=int, default=0, help="more, from a robot's height")
     parser.add_argument("--width", type=int, default=640, help="pixels; 16 to 9")
     parser.add_argument("--trials", type=int, default=20, help="of each policy in each place")
     words, rest = parser.parse_known_args()
-    size = {"width": words.width, "height": words.width * 9 // 16}
+    size = {"width": words.width, "height": words.width * 9 // 16, "low": words.low}
     taken = photograph(words.scene, words.out / "photographs", count=words.photographs, **size)
     build(words.out / "photographs", words.out / "twin", rest)
     found = compare(words.scene, taken, words.out / "twin", words.out, trials=words.trials)

@@ -8,6 +8,8 @@ from nw_eval.splat import Camera, look_at
 EYE = 1.5
 """Height of the phone above the ground, metres."""
 _UP = np.array([0.0, 0.0, EYE])
+LOW_EYE = 0.45
+"""Height of a phone that is held where a robot's head is, metres."""
 FOCAL_35MM = 26
 """What EXIF says of a phone's main camera; its film is 36 mm wide."""
 _BEFORE, _BEYOND = 1.3, 0.8
@@ -60,6 +62,17 @@ def round_the_first_obstacle(scene, count, *, width, height, seed=0):
         out = np.array([-np.cos(turn), -np.sin(turn), 0.0])
         ways.append((eye + _clear(rays, eye, out, _ROUND), -out))
     return _shaken(ways, [_STEEP] * count, width=width, height=height, seed=seed)
+
+
+def low_over_the_course(scene, count, *, width, height, seed=0):
+    """Return the cameras of a walk over the course with the phone at a robot's height.
+
+    Args: as of `handheld`.
+    """
+    line, down = _line(scene, RayScene(scene.mesh())), np.array([0.0, 0.0, LOW_EYE - EYE])
+    places = [_over(line, share) for share in np.linspace(0.1, 0.8, count)]
+    ways = [(eye + down, ahead) for eye, ahead in places]
+    return _shaken(ways, [_LEVEL] * count, width=width, height=height, seed=seed + 1)
 
 
 def _shaken(ways, downs, *, width, height, seed):
