@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.gaussians.initial import gaussians_at
@@ -16,6 +17,21 @@ def test_sizes_are_the_distances_to_the_three_nearest():
     wanted = 0.5 * np.sqrt(np.sort(squares, axis=1)[:, 1:4].mean(axis=1))
     assert np.exp(g.log_scales[:, 0]) == pytest.approx(wanted, rel=1e-4)
     assert (g.log_scales == g.log_scales[:, :1]).all()
+
+
+def test_gaussians_of_a_surface_lie_flat_in_it():
+    draw = np.random.default_rng(2)
+    normals = draw.normal(size=(200, 3))
+    normals[:2] = [(0, 0, -1), (1, 0, 0)]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = draw.normal(size=(200, 3))
+    g = gaussians_at(points, np.full((200, 3), 0.5), normals)
+    rotations = Rotation.from_quat(g.quats, scalar_first=True).as_matrix()
+    squares = rotations @ (np.exp(2 * g.log_scales)[..., None] * rotations.transpose(0, 2, 1))
+    round_ones = gaussians_at(points, np.full((200, 3), 0.5))
+    across = np.einsum("ni,nij,nj->n", normals, squares, normals)
+    assert np.sqrt(across) == pytest.approx(0.1 * np.exp(round_ones.log_scales[:, 0]), rel=1e-3)
+    assert g.log_scales[:, :2] == pytest.approx(round_ones.log_scales[:, :2])
 
 
 def test_each_has_its_points_colour_from_every_side():

@@ -11,7 +11,7 @@ from nw_eval.twin.capture import Capture, PlacedShot, write_capture
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory):
-    """A build folder after reconstruction: eight shots, their depths, and the floor as a mesh."""
+    """A build folder after reconstruction: eight shots, their depths, floor and balls as mesh."""
     folder = tmp_path_factory.mktemp("build")
     (folder / "capture" / "pictures").mkdir(parents=True)
     (folder / "mesh" / "depth").mkdir(parents=True)
@@ -45,7 +45,11 @@ def build(tmp_path_factory):
         errors=np.zeros(len(PLACE.means[::10]), np.float32),
     )
     write_capture(capture, folder / "capture")
-    floor = trimesh.creation.box((8.3, 8.3, 0.02))
-    floor.visual.vertex_colors = np.tile([120, 110, 90, 255], (len(floor.vertices), 1))
-    floor.export(folder / "mesh" / "mesh.ply")
+    parts = [trimesh.creation.box((8.3, 8.3, 0.02))]
+    for x, y in ((1.2, 0.3), (-0.8, 1.0), (0.0, -1.3)):
+        ball = trimesh.creation.icosphere(2, 0.65)
+        parts.append(ball.apply_translation((x, y, 0.6)))
+    mesh = trimesh.util.concatenate(parts)
+    mesh.visual.vertex_colors = np.tile([120, 110, 90, 255], (len(mesh.vertices), 1))
+    mesh.export(folder / "mesh" / "mesh.ply")
     return folder

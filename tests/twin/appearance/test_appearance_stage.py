@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from small_capture import PLACE
 
 from nw_eval.errors import SceneError, UsageError
@@ -91,13 +92,33 @@ def test_pictures_are_reduced_with_their_cameras_and_depths(build):
         assert set(small.inverse_depth.ravel()) <= set(large.inverse_depth.ravel())
 
 
-def test_points_lie_on_the_mesh_and_as_many_on_each_square_metre(build):
-    points, colours = points_on(build / "mesh" / "mesh.ply", 4000, seed=1)
+def coloured(path, *boxes):
+    mesh = trimesh.util.concatenate(boxes)
+    mesh.visual.vertex_colors = np.tile([120, 110, 90, 255], (len(mesh.vertices), 1))
+    mesh.export(path)
+    return path
+
+
+def test_points_lie_on_the_mesh_with_its_colours_and_normals(tmp_path):
+    path = coloured(tmp_path / "mesh.ply", trimesh.creation.box((8.3, 8.3, 0.02)))
+    eyes = np.array([[0.0, 0.0, 1e4]])
+    points, colours, normals = points_on(path, 4000, eyes, seed=1)
     assert np.abs(points[:, 2]).max() <= 0.0101
-    top = points[points[:, 2] > 0.0099]
-    left = (top[:, 0] < 0).mean()
-    assert left == pytest.approx(0.5, abs=0.03)
+    top = points[normals[:, 2] > 0.99]
+    assert (top[:, 2] > 0.0099).all()
+    assert (top[:, 0] < 0).mean() == pytest.approx(0.5, abs=0.03)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
     np.testing.assert_allclose(colours * 255, np.tile([120, 110, 90], (4000, 1)), atol=0.01)
+
+
+def test_points_lie_densely_where_photographs_were_taken_from_near(tmp_path):
+    near, far = trimesh.creation.box((1, 1, 0.01)), trimesh.creation.box((1, 1, 0.01))
+    near.apply_translation((0, 0, -2.0))
+    far.apply_translation((0, 0, -6.0))
+    path = coloured(tmp_path / "mesh.ply", near, far)
+    points, _, _ = points_on(path, 4000, np.zeros((1, 3)), seed=1)
+    count = (points[:, 2] > -4.0).sum() / (points[:, 2] < -4.0).sum()
+    assert count == pytest.approx(9.0, rel=0.1)
 
 
 @pytest.mark.parametrize("damage", ["gone", "other arrays", "pickled"])

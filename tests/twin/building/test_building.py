@@ -28,9 +28,15 @@ class Stages:
         self.lines = []
 
     def run(self, stage, of):
-        return self.folder.carry_out(
-            stage, [of], lambda: self.done.append(stage), self.lines.append
+        return self.folder.carry_out(stage, [of], lambda: self._leave(stage), self.lines.append)
+
+    def _leave(self, stage):
+        self.done.append(stage)
+        result = {"calibrate": self.folder.capture / "capture.json"}.get(
+            stage, self.folder.mesh / "mesh.ply"
         )
+        result.parent.mkdir(parents=True, exist_ok=True)
+        result.write_text(stage)
 
 
 def test_a_stage_runs_once_for_the_same_things_and_again_for_others(tmp_path):
@@ -40,6 +46,16 @@ def test_a_stage_runs_once_for_the_same_things_and_again_for_others(tmp_path):
     assert stages.lines == ["calibrate: done before, of the same things"]
     assert stages.run("calibrate", "forty-one photographs")
     assert stages.done == ["calibrate", "calibrate"]
+
+
+def test_a_stage_whose_result_was_removed_runs_again(tmp_path):
+    stages = Stages(tmp_path)
+    stages.run("calibrate", "photographs")
+    (stages.folder.capture / "capture.json").unlink()
+    with pytest.raises(SceneError, match="no result of `calibrate`"):
+        stages.folder.needs("calibrate")
+    assert stages.run("calibrate", "photographs")
+    stages.folder.needs("calibrate")
 
 
 def test_what_comes_later_runs_again_when_something_before_it_did(tmp_path):

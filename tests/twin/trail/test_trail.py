@@ -160,6 +160,14 @@ def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stan
     assert not any("holes" in warning for warning in proposal.warnings)
 
 
+def test_a_long_way_begins_one_and_a_half_metres_before_what_lies_on_it():
+    bar = box((3.9, 4.1), (0.0, 0.15), (-1, 1))
+    proposal = propose_trail(merge([GROUND, bar]), walk(6.0, swing=0.0))
+    assert proposal.spawn.position[0] == pytest.approx(2.4, abs=0.1)
+    assert proposal.features[0].start == pytest.approx(1.5, abs=0.05)
+    assert proposal.trail[0] == pytest.approx((4.0, 0.0, 0.15), abs=0.05)
+
+
 def test_a_robot_is_not_set_down_with_a_foot_over_a_hole():
     # Ground all along, but for a hole to the left of the way, 0.2 m wide and 0.26 m long.
     parts = [

@@ -12,19 +12,23 @@ from nw_eval.twin.capture import Capture
 
 Rows = NDArray[np.float64]
 
+_NEAREST = 0.1
+"""Share of a mesh that is nearest to photographs, and counts as equally near."""
 _FIX = "reconstruct again: `nw-eval twin reconstruct`"
 
 
-def points_on(path: Path, count: int, *, seed: int) -> tuple[Rows, Rows]:
-    """Return points on a mesh, as many on each square metre, and their colours from its corners.
+def points_on(path: Path, count: int, eyes: Rows, *, seed: int) -> tuple[Rows, Rows, Rows]:
+    """Return points on a mesh, about as many for each pixel of the nearest photograph.
 
     Args:
         path: a PLY file with colours of vertices.
         count: how many.
+        eyes: (M, 3) where photographs were taken from, in the mesh's frame.
         seed: of where they lie.
 
     Returns:
-        (count, 3) in the mesh's frame, and (count, 3) from 0 to 1.
+        (count, 3) in the mesh's frame, (count, 3) colours from the mesh's corners, from 0 to 1, and
+        (count, 3) unit normals of the faces that they lie on.
 
     Raises:
         SceneError: the mesh cannot be read, or has no faces.
@@ -39,16 +43,28 @@ def points_on(path: Path, count: int, *, seed: int) -> tuple[Rows, Rows]:
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise SceneError(f"{path} is no mesh with colours: {error}", fix=_FIX) from None
     sides = corners[:, 1:] - corners[:, :1]
-    areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    areas = 0.5 * np.linalg.norm(normals, axis=1)
     if not (np.isfinite(areas).all() and areas.sum() > 0.0):
         raise SceneError(f"{path} has no faces, or some are not finite", fix=_FIX)
     draw = np.random.default_rng(seed)
     # Sorted places along the summed area: each face gets its share, and no more by chance.
-    along = (np.arange(count) + draw.random(count)) / count * areas.sum()
-    chosen = np.searchsorted(np.cumsum(areas), along).clip(max=len(areas) - 1)
+    shares = areas * _nearness(corners.mean(axis=1), eyes)
+    along = (np.arange(count) + draw.random(count)) / count * shares.sum()
+    chosen = np.searchsorted(np.cumsum(shares), along).clip(max=len(areas) - 1)
     root, other = np.sqrt(draw.random(count)), draw.random(count)
     weights = np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
-    return (weights * corners[chosen]).sum(1), (weights * tints[chosen]).sum(1)
+    points, colours = (weights * corners[chosen]).sum(1), (weights * tints[chosen]).sum(1)
+    return points, colours, normals[chosen] / (2.0 * areas[chosen, None])
+
+
+def _nearness(places: Rows, eyes: Rows) -> Rows:
+    """Return (N,) about how large a surface at (N, 3) is in the nearest photograph."""
+    from scipy.spatial import cKDTree
+
+    distances = np.asarray(cKDTree(eyes).query(places)[0])
+    # What a camera all but touches gets no more than the rest of what is near.
+    return 1.0 / np.maximum(distances, np.quantile(distances, _NEAREST)) ** 2
 
 
 def points_of(capture: Capture) -> tuple[Rows, Rows]:

@@ -27,6 +27,8 @@ from nw_eval.twin.gaussians.trainer import Trainer
 
 SPLAT, REPORT = "splat.ply", "report.json"
 _STATE = "training.state"
+_SURFACE = 0.7
+"""Opacity of Gaussians that begin on a mesh: it is where something was seen."""
 _KEEP_EVERY, _SAY_EVERY = 60.0, 15.0
 """Seconds between two states on disk, and between two lines; the result depends on neither."""
 
@@ -127,10 +129,12 @@ def _trainer(
             say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
             return trainer
     if options.mesh and mesh_folder is not None:
-        points, colours = points_on(mesh_folder / "mesh.ply", options.begin, seed=options.seed)
+        start = gaussians_at(
+            *points_on(mesh_folder / "mesh.ply", options.begin, capture.centres, seed=options.seed),
+            opacity=_SURFACE,
+        )
     else:
-        points, colours = points_of(capture)
-    start = gaussians_at(points, colours)
+        start = gaussians_at(*points_of(capture))
     say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
     return Trainer(photos, start, config, threads=threads)
 

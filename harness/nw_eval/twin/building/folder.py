@@ -15,8 +15,14 @@ Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 """In the order in which they run; each reads what those before it have left."""
 
-_FORMAT = 3
-"""Changes with what any stage makes of the same inputs."""
+_FORMATS: dict[Stage, int] = {
+    "calibrate": 3,
+    "reconstruct": 3,
+    "align": 3,
+    "splat": 4,
+    "place": 4,
+}
+"""Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000
 """Of a stamps.json that is read."""
 
@@ -41,6 +47,13 @@ class BuildFolder:
         self.mesh = self.path / "mesh"
         self.splat = self.path / "splat"
         self.align = self.path / "align.json"
+        self._results: dict[Stage, Path] = {
+            "calibrate": self.capture / "capture.json",
+            "reconstruct": self.mesh / "mesh.ply",
+            "align": self.align,
+            "splat": self.splat / "splat.ply",
+            "place": scene / "scene.yaml",
+        }
 
     def carry_out(
         self,
@@ -64,10 +77,10 @@ class BuildFolder:
             NwEvalError: as `work`.
             StoreError: the stamps cannot be written.
         """
-        content = json.dumps([_FORMAT, stage, *depends_on])
+        content = json.dumps([_FORMATS[stage], stage, *depends_on])
         stamp = hashlib.sha256(content.encode()).hexdigest()
         stamps = self._stamps()
-        if stamps.get(stage) == stamp:
+        if stamps.get(stage) == stamp and self._results[stage].is_file():
             say(f"{stage}: done before, of the same things")
             return False
         # What comes later is of another result from now on.
@@ -83,9 +96,9 @@ class BuildFolder:
         Raises:
             SceneError: it is not there, or was cut off.
         """
-        if stage not in self._stamps():
+        if stage not in self._stamps() or not self._results[stage].is_file():
             raise SceneError(
-                f"{self.scene} has no result of `{stage}`, or it was cut off",
+                f"{self.scene} has no result of `{stage}`, or it was cut off or removed",
                 fix=f"nw-eval twin {stage} {self.scene}",
             )
 

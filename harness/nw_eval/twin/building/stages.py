@@ -162,7 +162,8 @@ class Build:
     def check(self) -> bool:
         """Say what is measured and wrong along the trail, and how the place is run.
 
-        Returns whether no error is found. The place stays as it is, whatever is found: most is mended by hand.
+        Returns whether no error is found. The place stays as it is, whatever is found: most is
+        mended by hand.
         """
         (checked,) = check_scenes([str(self.folder.scene)])
         if checked.survey is not None:

@@ -13,21 +13,28 @@ from nw_eval.twin.gaussians.kernels.nearby import NEIGHBOURS, mean_square_distan
 
 LEAST_SQUARE = 1e-7
 """Least mean squared distance, so that points in one place get a size."""
+FLAT = 0.1
+"""Thickness of a Gaussian that lies in a surface, as a share of its size along it."""
 
 
 def gaussians_at(
     points: NDArray[np.floating],
     colours: NDArray[np.floating],
+    normals: NDArray[np.floating] | None = None,
     *,
     sh_degree: int = 1,
     opacity: float = 0.1,
     size: float = 1.0,
 ) -> Gaussians:
-    """Return round Gaussians at points, as the 3DGS paper begins.
+    """Return Gaussians at points: round ones, as the 3DGS paper begins, or flat ones.
+
+    Round Gaussians of a floor stand out of it. From above that does not show, so no photograph
+    mends it, but a robot that looks along the floor sees fog in front of all edges.
 
     Args:
         points: (N, 3), such as points on a mesh.
         colours: (N, 3), 0 to 1.
+        normals: (N, 3) unit vectors of the surface that the Gaussians lie in; None = round ones.
         sh_degree: 0 to 3; harmonics above the constant are 0.
         opacity: of each; MCMC begins with 0.5.
         size: standard deviation as a share of the root mean squared distance to the three nearest
@@ -49,12 +56,25 @@ def gaussians_at(
     distance = np.empty_like(squares)
     distance[order] = np.sqrt(np.maximum(squares, LEAST_SQUARE))
     n = len(points)
+    log_scales = np.repeat(np.log(size * distance)[:, None], 3, axis=1)
+    quats = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (n, 1))
+    if normals is not None:
+        log_scales[:, 2] += math.log(FLAT)
+        quats = _upright_to(normals)
     sh = np.zeros((n, SH_COUNTS[sh_degree], 3), dtype=np.float32)
     sh[:, 0] = (colours - 0.5) / SH0
     return Gaussians(
         means=points.astype(np.float32),
-        log_scales=np.repeat(np.log(size * distance)[:, None], 3, axis=1).astype(np.float32),
-        quats=np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (n, 1)),
+        log_scales=log_scales.astype(np.float32),
+        quats=quats.astype(np.float32),
         opacity_logits=np.full(n, math.log(opacity / (1.0 - opacity)), dtype=np.float32),
         sh=sh,
     )
+
+
+def _upright_to(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return unit quaternions (N, 4), wxyz, of the shortest turns of the z axis to (N, 3)."""
+    # A surface has two sides: the one that looks up is never the opposite of the z axis.
+    x, y, z = (normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)).astype(np.float64).T
+    quats = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)

@@ -48,6 +48,17 @@ class GroundProfile:
     lean: Values
     known: float
 
+    def after(self, start: float) -> GroundProfile:
+        """Return the rest of it, from so many metres along."""
+        first = round(start / STEP)
+        return GroundProfile(
+            xy=self.xy[first:],
+            along=self.along[first:] - self.along[first],
+            height=self.height[first:],
+            lean=self.lean[first:],
+            known=self.known,
+        )
+
 
 def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile:
     """Return the ground along a way.

@@ -24,6 +24,8 @@ _FINISH = 1.4
 """From the last feature to the last waypoint, metres, where there is as much way."""
 _APART = 0.25
 """Waypoints that are closer are one, metres."""
+_APPROACH = 1.5
+"""Level way before the first feature, at most, metres: as much as in the shipped scenes."""
 _RUN_UP = 0.5
 """Metres of level way that a robot needs before the first feature."""
 _FLOOR = 0.02
@@ -37,7 +39,7 @@ class TrailProposal:
     Attributes:
         task: that the trail seems to ask for.
         reasons: for it, and what else was found.
-        spawn: at the start of the way, looking along it.
+        spawn: on the way, `_APPROACH` before the first feature or at its start, looking along it.
         trail: waypoints on top of what the robot steps on, metres.
         features: in order.
         warnings: what somebody should look at.
@@ -64,6 +66,9 @@ def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
     way = way_of(centres)
     profile = ground_along(mesh, way, float(centres[:, 2].max()))
     features = features_of(profile, stretches_of(profile))
+    if features and features[0].start > _APPROACH:
+        profile = profile.after(features[0].start - _APPROACH)
+        features = features_of(profile, stretches_of(profile))
     task, reasons = guess_task(features)
     return TrailProposal(
         task=task,
