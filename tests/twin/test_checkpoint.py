@@ -24,7 +24,7 @@ def test_a_training_that_was_left_goes_on_with_the_same_bits(tmp_path, strategy)
     for until in (13, 44):  # Between two times at which some come and go.
         trainer.run(until)
         save_training(tmp_path / "state", trainer)
-        trainer = resume_training(tmp_path / "state", taken, config, threads=2)
+        trainer = resume_training(tmp_path / "state", taken, beginning(degree=1), config, threads=2)
         assert trainer.iteration == until
     trainer.run()
     assert trainer.is_done
@@ -43,22 +43,25 @@ def saved(tmp_path):
 
 def test_a_file_that_is_missing_or_damaged_is_named(saved):
     with pytest.raises(StoreError, match="none: no training"):
-        resume_training(saved.with_name("none"), photos(2), BUSY)
+        resume_training(saved.with_name("none"), photos(2), beginning(), BUSY)
     content = bytearray(saved.read_bytes())
     content[len(content) // 2] ^= 1
     saved.with_name("damaged").write_bytes(content)
     with pytest.raises(StoreError, match="not what was written"):
-        resume_training(saved.with_name("damaged"), photos(2), BUSY)
+        resume_training(saved.with_name("damaged"), photos(2), beginning(), BUSY)
 
 
-def test_other_photographs_and_other_wishes_are_noticed(saved):
+def test_other_photographs_another_beginning_and_other_wishes_are_noticed(saved):
     other = photos(2)
     other[1].rgb[0, 0, 0] ^= 1
     masked = [replace(photo, mask=np.ones((48, 72), dtype=bool)) for photo in photos(2)]
-    wishes = [(photos(3), BUSY), (other, BUSY), (masked, BUSY), (photos(2), replace(BUSY, seed=5))]
-    for taken, config in wishes:
-        with pytest.raises(StoreError, match="other photographs, or asked for other things"):
-            resume_training(saved, taken, config)
+    whole = beginning()
+    wishes = [(taken, whole, BUSY) for taken in (photos(3), other, masked)]
+    wishes.append((photos(2), whole, replace(BUSY, seed=5)))
+    wishes.append((photos(2), replace(whole, means=whole.means + np.float32(0.01)), BUSY))
+    for taken, start, config in wishes:
+        with pytest.raises(StoreError, match="other photographs or another mesh, or asked"):
+            resume_training(saved, taken, start, config)
 
 
 @pytest.mark.parametrize(
@@ -83,11 +86,11 @@ def test_arrays_that_do_not_belong_together_are_refused(saved, monkeypatch, name
     trainer = Trainer(photos(2), beginning(), BUSY)
     save_training(saved, trainer)
     with pytest.raises(StoreError, match="missing or do not belong together"):
-        resume_training(saved, photos(2), BUSY)
+        resume_training(saved, photos(2), beginning(), BUSY)
 
 
 def test_bytes_that_hold_no_arrays_are_refused(tmp_path):
     with sealed_path(tmp_path / "state") as path:
         path.write_bytes(b"\x05\0\0\0[[[[[")
     with pytest.raises(StoreError, match="no training to go on with"):
-        resume_training(tmp_path / "state", photos(2), BUSY)
+        resume_training(tmp_path / "state", photos(2), beginning(), BUSY)

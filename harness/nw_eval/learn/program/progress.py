@@ -75,7 +75,7 @@ class TrainingProgress:
         words = [f"{_number(step)} of {_number(self._steps)} {self._what}", doing]
         words.append(f"{_number(round(rate))}/s")
         if rate > 0:
-            left = (self._steps - step) / rate + self._aside * self._times
+            left = max(self._steps - step, 0) / rate + self._aside * self._times
             if self._deadline is not None:
                 left = min(left, max(self._deadline - now, 0.0))
             words.append(f"{_duration(left)} left")

@@ -119,15 +119,6 @@ def _trainer(
     """Return the training as it was left, or at its beginning."""
     config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
     config = replace(config, most=options.most)
-    state = out / _STATE
-    if state.is_file():
-        try:
-            trainer = resume_training(state, photos, config, threads=threads)
-        except StoreError as error:
-            say(f"splat: {error}: from the beginning")
-        else:
-            say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
-            return trainer
     if options.mesh and mesh_folder is not None:
         start = gaussians_at(
             *points_on(mesh_folder / "mesh.ply", options.begin, capture.centres, seed=options.seed),
@@ -135,6 +126,15 @@ def _trainer(
         )
     else:
         start = gaussians_at(*points_of(capture))
+    state = out / _STATE
+    if state.is_file():
+        try:
+            trainer = resume_training(state, photos, start, config, threads=threads)
+        except StoreError as error:
+            say(f"splat: {error}: from the beginning")
+        else:
+            say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
+            return trainer
     say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
     return Trainer(photos, start, config, threads=threads)
 

@@ -20,7 +20,7 @@ from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.population import NAMES, Population
 from nw_eval.twin.gaussians.trainer import Trainer
 
-FORMAT = 1
+FORMAT = 2
 """Changes with the arrays of a checkpoint, and with what a step does to them."""
 
 _PARTS = ("values", "mean", "square")
@@ -41,24 +41,33 @@ def save_training(path: Path, trainer: Trainer) -> None:
     arrays |= {f"exposure.{name}": getattr(trainer.exposures, name) for name in _EXPOSURES}
     arrays |= {f"density.{name}": array for name, array in trainer.density.arrays().items()}
     arrays["iteration"] = np.array(trainer.iteration, dtype=np.int64)
-    arrays["about"] = np.frombuffer(_about(trainer.photos, trainer.config), dtype=np.uint8)
+    arrays["about"] = np.frombuffer(
+        _about(trainer.photos, trainer.began, trainer.config), dtype=np.uint8
+    )
     with sealed_path(path) as temporary:
         temporary.write_bytes(pack(arrays))
 
 
 def resume_training(
-    path: Path, photos: Sequence[Photo], config: TrainConfig, *, threads: int = 1
+    path: Path,
+    photos: Sequence[Photo],
+    start: Gaussians,
+    config: TrainConfig,
+    *,
+    threads: int = 1,
 ) -> Trainer:
     """Return a training as it was saved.
 
     Args:
         path: of `save_training`.
         photos: as before.
+        start: as before: what it began with, not what it has come to.
         config: as before.
         threads: any number.
 
     Raises:
-        StoreError: there is none, it is damaged, or it is of other photographs or another config.
+        StoreError: there is none, it is damaged, or it is of other photographs, began with other
+            Gaussians, or was asked for other things.
     """
     try:
         arrays = unpack(bytes(read_sealed(path)))
@@ -67,19 +76,21 @@ def resume_training(
         raise StoreError(
             f"{path}: no training to go on with: {reason}", fix="begin it anew"
         ) from error
-    about = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes()
-    if about != _about(photos, config):
+    about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), start.digest()
+    if about != _about(photos, began, config):
         raise StoreError(
-            f"{path}: a training of other photographs, or asked for other things",
+            f"{path}: a training of other photographs or another mesh, or asked for other things",
             fix="go on with what it began with, or begin anew",
         )
     try:
-        return _restored(arrays, photos, config, threads)
+        trainer = _restored(arrays, photos, config, threads)
     except (KeyError, ValueError, NwEvalError) as error:
         raise StoreError(
             f"{path}: arrays of a training are missing or do not belong together: {error}",
             fix="begin it anew",
         ) from error
+    trainer.began = began
+    return trainer
 
 
 def _restored(
@@ -114,7 +125,8 @@ def _check(array: NDArray[Any], like: NDArray[Any]) -> None:
         raise ValueError(f"{array.dtype} {array.shape} instead of {like.dtype} {like.shape}")
 
 
-def _about(photos: Sequence[Photo], config: TrainConfig) -> bytes:
-    """Return what a training is of: its config, and its photographs."""
+def _about(photos: Sequence[Photo], began: str, config: TrainConfig) -> bytes:
+    """Return what a training is of: its config, its photographs, and what it began with."""
     shown = [(photo.name, photo.digest()) for photo in photos]
-    return json.dumps({"format": FORMAT, "photos": shown, "config": asdict(config)}).encode()
+    of = {"format": FORMAT, "photos": shown, "began": began, "config": asdict(config)}
+    return json.dumps(of).encode()

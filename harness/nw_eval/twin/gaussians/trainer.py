@@ -79,6 +79,7 @@ class Trainer:
             )
         self.photos, self.config = tuple(photos), config
         self.iteration = 0
+        self.began = start.digest()
         self.extent = extent_of(photos)
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
