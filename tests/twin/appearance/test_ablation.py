@@ -70,7 +70,7 @@ def test_all_four_ways_are_trained_once_and_compared_on_the_same_views(build, tm
     folder = BuildFolder(tmp_path)
     lines = []
     options = AppearanceOptions(
-        iterations=40, longest=48, begin=500, held_out_every=4, strategy="fixed"
+        iterations=40, longest=48, begin=500, most=500, held_out_every=4, strategy="fixed"
     )
     with pytest.raises(SceneError, match="no result of `reconstruct`"):
         ablate(folder, options, lines.append)

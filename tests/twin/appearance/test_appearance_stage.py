@@ -15,10 +15,12 @@ from nw_eval.splat import read_splat
 from nw_eval.twin.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.appearance import stage as the_stage
 from nw_eval.twin.appearance.photos import photos_of
-from nw_eval.twin.appearance.points import points_on
+from nw_eval.twin.appearance.points import points_of, points_on
 from nw_eval.twin.capture import read_capture
 
-QUICK = AppearanceOptions(iterations=120, longest=72, begin=700, held_out_every=4, strategy="fixed")
+QUICK = AppearanceOptions(
+    iterations=120, longest=72, begin=700, held_out_every=4, strategy="fixed", most=700
+)
 
 
 def trained(build, out, options=QUICK, mesh=True):
@@ -119,6 +121,15 @@ def test_points_lie_densely_where_photographs_were_taken_from_near(tmp_path):
     points, _, _ = points_on(path, 4000, np.zeros((1, 3)), seed=1)
     count = (points[:, 2] > -4.0).sum() / (points[:, 2] < -4.0).sum()
     assert count == pytest.approx(9.0, rel=0.1)
+
+
+def test_of_points_beside_a_mesh_those_count_that_clearly_lie_off_it(build):
+    capture = read_capture(build / "capture")
+    floor = capture.points[capture.points[:, 2] < 0.01]
+    off, colours = points_of(capture, off=floor + np.array([0.05, 0.0, 0.0]))
+    assert len(off) == len(colours) == (capture.points[:, 2] > 0.01).sum()
+    assert off[:, 2].min() > 0.01
+    assert len(points_of(capture)[0]) == len(capture.points)
 
 
 @pytest.mark.parametrize("damage", ["gone", "other arrays", "pickled"])

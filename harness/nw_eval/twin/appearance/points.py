@@ -14,6 +14,8 @@ Rows = NDArray[np.float64]
 
 _NEAREST = 0.1
 """Share of a mesh that is nearest to photographs, and counts as equally near."""
+_CLEAR = 0.05
+"""Distance from a surface, as a share of that to the nearest camera, at which a point is off it."""
 _FIX = "reconstruct again: `nw-eval twin reconstruct`"
 
 
@@ -60,13 +62,28 @@ def points_on(path: Path, count: int, eyes: Rows, *, seed: int) -> tuple[Rows, R
 
 def _nearness(places: Rows, eyes: Rows) -> Rows:
     """Return (N,) about how large a surface at (N, 3) is in the nearest photograph."""
-    from scipy.spatial import cKDTree
-
-    distances = np.asarray(cKDTree(eyes).query(places)[0])
+    distances = _distances(places, eyes)
     # What a camera all but touches gets no more than the rest of what is near.
     return 1.0 / np.maximum(distances, np.quantile(distances, _NEAREST)) ** 2
 
 
-def points_of(capture: Capture) -> tuple[Rows, Rows]:
-    """Return the points that calibration found, (N, 3), and their colours from 0 to 1."""
-    return capture.points, capture.colours / 255.0
+def _distances(places: Rows, others: Rows) -> Rows:
+    """Return (N,) how far the nearest of `others` (M, 3) is from (N, 3)."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(others).query(places)[0])
+
+
+def points_of(capture: Capture, *, off: Rows | None = None) -> tuple[Rows, Rows]:
+    """Return the points that calibration found, (N, 3), and their colours from 0 to 1.
+
+    Args:
+        capture: with the points.
+        off: (M, 3) points of a surface: only those count that clearly lie off it, as what is too
+            far away for a mesh does.
+    """
+    points, colours = capture.points, capture.colours / 255.0
+    if off is None or not len(points):
+        return points, colours
+    clear = _distances(points, off) > _CLEAR * _distances(points, capture.centres)
+    return points[clear], colours[clear]

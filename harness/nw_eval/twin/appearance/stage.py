@@ -13,6 +13,7 @@ import numpy as np
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.splat.files import write_splat
+from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.appearance.photos import photos_of, split_photos
 from nw_eval.twin.appearance.points import points_of, points_on
@@ -20,7 +21,7 @@ from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
 from nw_eval.twin.gaussians.config import TrainConfig
 from nw_eval.twin.gaussians.evaluate import ViewFigures, view_figures
-from nw_eval.twin.gaussians.initial import gaussians_at
+from nw_eval.twin.gaussians.initial import NEIGHBOURS, gaussians_at
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer
@@ -119,13 +120,8 @@ def _trainer(
     """Return the training as it was left, or at its beginning."""
     config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
     config = replace(config, most=options.most)
-    if options.mesh and mesh_folder is not None:
-        start = gaussians_at(
-            *points_on(mesh_folder / "mesh.ply", options.begin, capture.centres, seed=options.seed),
-            opacity=_SURFACE,
-        )
-    else:
-        start = gaussians_at(*points_of(capture))
+    mesh = mesh_folder / "mesh.ply" if options.mesh and mesh_folder is not None else None
+    start = _beginning(capture, mesh, options)
     state = out / _STATE
     if state.is_file():
         try:
@@ -137,6 +133,20 @@ def _trainer(
             return trainer
     say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
     return Trainer(photos, start, config, threads=threads)
+
+
+def _beginning(capture: Capture, mesh: Path | None, options: AppearanceOptions) -> Gaussians:
+    """Return flat Gaussians on the mesh, and round ones at points that it lacks."""
+    if mesh is None:
+        return gaussians_at(*points_of(capture))
+    on = points_on(mesh, options.begin, capture.centres, seed=options.seed)
+    start = gaussians_at(*on, opacity=_SURFACE)
+    points, colours = points_of(capture, off=on[0])
+    room = max(0, options.most - len(start))
+    kept = np.unique(np.linspace(0, len(points) - 1, min(room, len(points))).astype(np.int64))
+    if len(kept) <= NEIGHBOURS:
+        return start
+    return concatenate(start, gaussians_at(points[kept], colours[kept]))
 
 
 def _train(trainer: Trainer, out: Path, say: Callable[[str], None]) -> None:
