@@ -70,7 +70,7 @@ def test_all_four_ways_are_trained_once_and_compared_on_the_same_views(build, tm
     folder = BuildFolder(tmp_path)
     lines = []
     options = AppearanceOptions(
-        iterations=40, longest=48, begin=500, most=500, held_out_every=4, strategy="fixed"
+        iterations=40, longest=48, begin=500, most=667, held_out_every=4, strategy="fixed"
     )
     with pytest.raises(SceneError, match="no result of `reconstruct`"):
         ablate(folder, options, lines.append)
@@ -78,7 +78,9 @@ def test_all_four_ways_are_trained_once_and_compared_on_the_same_views(build, tm
         folder.carry_out(stage, [], lambda: None, lines.append)
     trained = ablate(folder, options, lines.append)
     points = len(read_capture(folder.capture).points)
-    assert [each.report.gaussians for each in trained] == [points, points, 500, 500]
+    counts = [each.report.gaussians for each in trained]
+    assert counts[:2] == [points, points]
+    assert 500 <= counts[2] == counts[3] <= 667
     assert {tuple(v.name for v in each.report.views) for each in trained} == {("02.png", "06.png")}
     assert len({each.report.psnr for each in trained}) == 4
     assert not any("goes on" in line for line in lines)

@@ -19,7 +19,7 @@ from nw_eval.twin.appearance.points import points_of, points_on
 from nw_eval.twin.capture import read_capture
 
 QUICK = AppearanceOptions(
-    iterations=120, longest=72, begin=700, held_out_every=4, strategy="fixed", most=700
+    iterations=120, longest=72, begin=700, most=933, held_out_every=4, strategy="fixed"
 )
 
 
@@ -37,12 +37,12 @@ def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_pat
     assert (report.photos, len(report.views)) == (6, 2)
     assert report.psnr > few.psnr + 2.0
     splat = read_splat(tmp_path / "out" / "splat.ply")
-    assert len(splat) == report.gaussians == 700
+    assert 700 < len(splat) == report.gaussians < 933  # The balls' tops lie off the mesh.
     facts = json.loads((tmp_path / "out" / "report.json").read_text())
     assert facts["psnr"] == pytest.approx(report.psnr)
     assert facts["options"]["iterations"] == 120
     assert lines[-1] == (
-        f"splat: 700 Gaussians of 6 photographs, {report.psnr:.1f} dB on 2 photographs kept from it"
+        f"splat: {len(splat)} Gaussians of 6 photographs, {report.psnr:.1f} dB on 2 photographs kept from it"
     )
 
 

@@ -16,7 +16,7 @@ class AppearanceOptions:
         iterations: steps of training.
         longest: largest side of the pictures that are learnt from, pixels; larger ones are reduced.
         most: Gaussians that there may be.
-        begin: points to begin with.
+        begin: points on the mesh to begin with, three quarters of `most` at most.
         strategy: how Gaussians come and go.
         mesh: whether they begin on the mesh; else at the points that calibration found.
         depth: whether the depths of the reconstruction count.
@@ -28,7 +28,7 @@ class AppearanceOptions:
     iterations: int = 6000
     longest: int = 480
     most: int = 200_000
-    begin: int = 50_000
+    begin: int = 100_000
     strategy: Strategy = "default"
     mesh: bool = True
     depth: bool = True

@@ -139,7 +139,8 @@ def _beginning(capture: Capture, mesh: Path | None, options: AppearanceOptions) 
     """Return flat Gaussians on the mesh, and round ones at points that it lacks."""
     if mesh is None:
         return gaussians_at(*points_of(capture))
-    on = points_on(mesh, options.begin, capture.centres, seed=options.seed)
+    count = min(options.begin, options.most * 3 // 4)  # The rest is for what the mesh lacks.
+    on = points_on(mesh, count, capture.centres, seed=options.seed)
     start = gaussians_at(*on, opacity=_SURFACE)
     points, colours = points_of(capture, off=on[0])
     room = max(0, options.most - len(start))
