@@ -42,7 +42,8 @@ def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_pat
     assert facts["psnr"] == pytest.approx(report.psnr)
     assert facts["options"]["iterations"] == 120
     assert lines[-1] == (
-        f"splat: {len(splat)} Gaussians of 6 photographs, {report.psnr:.1f} dB on 2 photographs kept from it"
+        f"splat: {len(splat)} Gaussians of 6 photographs, "
+        f"{report.psnr:.1f} dB on 2 photographs kept from it"
     )
 
 
