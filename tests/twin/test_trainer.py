@@ -175,6 +175,22 @@ def test_numbers_that_make_no_sense_are_refused(options, words):
         TrainConfig(**options)
 
 
+def test_no_gaussian_near_the_cameras_is_wider_than_it_may_be():
+    taken = photos()
+    eyes = np.array([photo.camera.T_world_camera[:3, 3] for photo in taken])
+    trainer = Trainer(taken, beginning(), replace(BUSY, strategy="fixed", widest=0.02))
+    beyond = trainer.gaussians.means[:30]
+    beyond[:, 0] += 100.0  # Far from all cameras.
+    wide = float(np.exp(trainer.gaussians.log_scales.max()))
+    trainer.run()
+    means, sizes = trainer.gaussians.means, np.exp(trainer.gaussians.log_scales.max(axis=1))
+    away = np.linalg.norm(means[:, None] - eyes, axis=2).min(axis=1)
+    near = away < trainer.extent
+    assert wide > 0.1
+    assert (sizes[near] <= 0.02 * away[near] * 1.001).all()
+    assert sizes[:30].max() > 0.1
+
+
 def test_a_short_training_keeps_the_shares_of_the_papers_schedules():
     config = TrainConfig.short(3000)
     assert (config.default.first, config.default.last, config.default.every) == (50, 1500, 100)

@@ -62,12 +62,12 @@ def points_on(path: Path, count: int, eyes: Rows, *, seed: int) -> tuple[Rows, R
 
 def _nearness(places: Rows, eyes: Rows) -> Rows:
     """Return (N,) about how large a surface at (N, 3) is in the nearest photograph."""
-    distances = _distances(places, eyes)
+    away = distances(places, eyes)
     # What a camera all but touches gets no more than the rest of what is near.
-    return 1.0 / np.maximum(distances, np.quantile(distances, _NEAREST)) ** 2
+    return 1.0 / np.maximum(away, np.quantile(away, _NEAREST)) ** 2
 
 
-def _distances(places: Rows, others: Rows) -> Rows:
+def distances(places: Rows, others: Rows) -> Rows:
     """Return (N,) how far the nearest of `others` (M, 3) is from (N, 3)."""
     from scipy.spatial import cKDTree
 
@@ -85,5 +85,5 @@ def points_of(capture: Capture, *, off: Rows | None = None) -> tuple[Rows, Rows]
     points, colours = capture.points, capture.colours / 255.0
     if off is None or not len(points):
         return points, colours
-    clear = _distances(points, off) > _CLEAR * _distances(points, capture.centres)
+    clear = distances(points, off) > _CLEAR * distances(points, capture.centres)
     return points[clear], colours[clear]

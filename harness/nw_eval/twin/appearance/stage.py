@@ -16,7 +16,7 @@ from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.appearance.photos import photos_of, split_photos
-from nw_eval.twin.appearance.points import points_of, points_on
+from nw_eval.twin.appearance.points import distances, points_of, points_on
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
 from nw_eval.twin.gaussians.config import TrainConfig
@@ -28,6 +28,9 @@ from nw_eval.twin.gaussians.trainer import Trainer
 
 SPLAT, REPORT = "splat.ply", "report.json"
 _STATE = "training.state"
+_WIDEST = 1.2
+"""Of a Gaussian near the cameras, as a share of what they have between them on the mesh. Large ones
+show plain ground as well to photographs, but a robot is nearer, and sees them stand out of it."""
 _SURFACE = 0.7
 """Opacity of Gaussians that begin on a mesh: it is where something was seen."""
 _KEEP_EVERY, _SAY_EVERY = 60.0, 15.0
@@ -120,8 +123,11 @@ def _trainer(
     """Return the training as it was left, or at its beginning."""
     config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
     config = replace(config, most=options.most)
-    mesh = mesh_folder / "mesh.ply" if options.mesh and mesh_folder is not None else None
-    start = _beginning(capture, mesh, options)
+    if options.mesh and mesh_folder is not None:
+        start, widest = _on_mesh(capture, mesh_folder / "mesh.ply", options)
+        config = replace(config, widest=widest)
+    else:
+        start = gaussians_at(*points_of(capture))
     state = out / _STATE
     if state.is_file():
         try:
@@ -135,19 +141,19 @@ def _trainer(
     return Trainer(photos, start, config, threads=threads)
 
 
-def _beginning(capture: Capture, mesh: Path | None, options: AppearanceOptions) -> Gaussians:
-    """Return flat Gaussians on the mesh, and round ones at points that it lacks."""
-    if mesh is None:
-        return gaussians_at(*points_of(capture))
+def _on_mesh(capture: Capture, mesh: Path, options: AppearanceOptions) -> tuple[Gaussians, float]:
+    """Return flat Gaussians on the mesh with round ones at points that it lacks, and `widest`."""
     count = min(options.begin, options.most * 3 // 4)  # The rest is for what the mesh lacks.
     on = points_on(mesh, count, capture.centres, seed=options.seed)
     start = gaussians_at(*on, opacity=_SURFACE)
+    sizes = np.exp(start.log_scales[:, 0]) / distances(on[0], capture.centres)
+    widest = min(0.5, _WIDEST * float(np.median(sizes)))
     points, colours = points_of(capture, off=on[0])
     room = max(0, options.most - len(start))
     kept = np.unique(np.linspace(0, len(points) - 1, min(room, len(points))).astype(np.int64))
     if len(kept) <= NEIGHBOURS:
-        return start
-    return concatenate(start, gaussians_at(points[kept], colours[kept]))
+        return start, widest
+    return concatenate(start, gaussians_at(points[kept], colours[kept])), widest
 
 
 def _train(trainer: Trainer, out: Path, say: Callable[[str], None]) -> None:

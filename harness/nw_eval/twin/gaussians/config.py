@@ -58,6 +58,8 @@ class TrainConfig:
         ssim_weight: share of structural similarity in the photometric loss.
         depth_weight: of the inverse depth at the first step.
         depth_weight_last: at the last one; it falls exponentially.
+        widest: standard deviation that a Gaussian may have, as a share of its distance from the
+            nearest camera; 0 = any. What is farther from all than the capture is large has none.
         exposure: whether each photograph gets an affine map of colours.
         rates: of the optimiser.
         default: of that strategy.
@@ -75,6 +77,7 @@ class TrainConfig:
     ssim_weight: float = 0.2
     depth_weight: float = 1.0
     depth_weight_last: float = 0.01
+    widest: float = 0.0
     exposure: bool = True
     rates: Rates = field(default_factory=Rates)
     default: Default = field(default_factory=Default)
@@ -101,6 +104,8 @@ class TrainConfig:
                     raise UsageError(f"training's {name} is {value}", fix="give 0 to 1")
         if self.seed < 0:
             raise UsageError(f"training's seed is {self.seed}", fix="give 0 or more")
+        if not 0.0 <= self.widest < 1.0:
+            raise UsageError(f"training's widest is {self.widest}", fix="give 0 to 1")
         if min(self.depth_weight, self.depth_weight_last) < 0.0:
             raise UsageError(
                 f"training's depth weight is {self.depth_weight} to {self.depth_weight_last}",

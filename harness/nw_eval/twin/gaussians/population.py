@@ -100,6 +100,11 @@ class Population:
         for moment in self.moments:
             moment.opacity_logits[:] = 0.0
 
+    def limit_sizes(self, most: NDArray[np.float64]) -> None:
+        """Make no standard deviation larger than these (N,)."""
+        logs = np.log(most).astype(np.float32)[:, None]
+        np.minimum(self.gaussians.log_scales, logs, out=self.gaussians.log_scales)
+
     def opacities(self) -> NDArray[np.float64]:
         """Return (N,) opacities, 0 to 1."""
         logits = self.gaussians.opacity_logits.astype(np.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,8 +22,13 @@ from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.raster.threads import Threads
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 _ORDER, _SAMPLE = 0, 1
 """What a generator is for: with seed and step, all that its numbers depend on."""
+_LIMIT_EVERY = 10
+"""Steps from one time that sizes are limited to the next."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +90,7 @@ class Trainer:
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
         self.density = _density(config, self.extent, len(start))
+        self._eyes = _eyes(photos) if config.widest > 0.0 else None
         self._workers = Threads(threads)
         self._rasteriser = Rasteriser(
             preset=config.preset,
@@ -153,6 +160,10 @@ class Trainer:
         self.density.observe(gradients, photo.camera)
         generator = self._generator(_SAMPLE, self.iteration)
         self.density.after(population, self.iteration, means_rate, generator)
+        if self._eyes is not None and self.iteration % _LIMIT_EVERY == 0:
+            distances = self._eyes.query(population.gaussians.means)[0]
+            limits = np.where(distances < self.extent, config.widest * distances, np.inf)
+            population.limit_sizes(np.maximum(limits, 1e-6))
         return TrainStep(
             iteration=self.iteration,
             photo=number,
@@ -171,6 +182,13 @@ class Trainer:
 
     def _generator(self, purpose: int, step: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, purpose, step])
+
+
+def _eyes(photos: Sequence[Photo]) -> cKDTree:
+    """Return where photographs were taken from."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(np.array([photo.camera.T_world_camera[:3, 3] for photo in photos]))
 
 
 def _density(config: TrainConfig, extent: float, count: int) -> Density:
