@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.capture import Capture
+from nw_eval.twin.gaussians.nearest import distances
 
 Rows = NDArray[np.float64]
 
@@ -65,13 +66,6 @@ def _nearness(places: Rows, eyes: Rows) -> Rows:
     away = distances(places, eyes)
     # What a camera all but touches gets no more than the rest of what is near.
     return 1.0 / np.maximum(away, np.quantile(away, _NEAREST)) ** 2
-
-
-def distances(places: Rows, others: Rows) -> Rows:
-    """Return (N,) how far the nearest of `others` (M, 3) is from (N, 3)."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(others).query(places)[0])
 
 
 def points_of(capture: Capture, *, off: Rows | None = None) -> tuple[Rows, Rows]:

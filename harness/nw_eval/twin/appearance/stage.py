@@ -16,12 +16,14 @@ from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.appearance.photos import photos_of, split_photos
-from nw_eval.twin.appearance.points import distances, points_of, points_on
+from nw_eval.twin.appearance.points import points_of, points_on
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
 from nw_eval.twin.gaussians.config import TrainConfig
 from nw_eval.twin.gaussians.evaluate import ViewFigures, view_figures
-from nw_eval.twin.gaussians.initial import NEIGHBOURS, gaussians_at
+from nw_eval.twin.gaussians.initial import gaussians_at
+from nw_eval.twin.gaussians.kernels.nearby import NEIGHBOURS
+from nw_eval.twin.gaussians.nearest import distances
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer

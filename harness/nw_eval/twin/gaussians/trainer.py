@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +15,12 @@ from nw_eval.twin.gaussians.densify.default import DefaultDensity
 from nw_eval.twin.gaussians.densify.density import Density
 from nw_eval.twin.gaussians.densify.mcmc import McmcDensity
 from nw_eval.twin.gaussians.exposure import Exposures
+from nw_eval.twin.gaussians.nearest import distances
 from nw_eval.twin.gaussians.objective import compare
 from nw_eval.twin.gaussians.photo import Photo, extent_of
 from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.raster.threads import Threads
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 _ORDER, _SAMPLE = 0, 1
 """What a generator is for: with seed and step, all that its numbers depend on."""
@@ -90,7 +87,7 @@ class Trainer:
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
         self.density = _density(config, self.extent, len(start))
-        self._eyes = _eyes(photos) if config.widest > 0.0 else None
+        self._eyes = np.array([photo.camera.T_world_camera[:3, 3] for photo in photos])
         self._workers = Threads(threads)
         self._rasteriser = Rasteriser(
             preset=config.preset,
@@ -160,9 +157,9 @@ class Trainer:
         self.density.observe(gradients, photo.camera)
         generator = self._generator(_SAMPLE, self.iteration)
         self.density.after(population, self.iteration, means_rate, generator)
-        if self._eyes is not None and self.iteration % _LIMIT_EVERY == 0:
-            distances = self._eyes.query(population.gaussians.means)[0]
-            limits = np.where(distances < self.extent, config.widest * distances, np.inf)
+        if config.widest > 0.0 and self.iteration % _LIMIT_EVERY == 0:
+            away = distances(population.gaussians.means, self._eyes)
+            limits = np.where(away < self.extent, config.widest * away, np.inf)
             population.limit_sizes(np.maximum(limits, 1e-6))
         return TrainStep(
             iteration=self.iteration,
@@ -182,13 +179,6 @@ class Trainer:
 
     def _generator(self, purpose: int, step: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, purpose, step])
-
-
-def _eyes(photos: Sequence[Photo]) -> cKDTree:
-    """Return where photographs were taken from."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(np.array([photo.camera.T_world_camera[:3, 3] for photo in photos]))
 
 
 def _density(config: TrainConfig, extent: float, count: int) -> Density:

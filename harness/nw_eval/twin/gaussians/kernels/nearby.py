@@ -41,3 +41,21 @@ def mean_square_distances(points: Any, out: Any) -> None:
                     c = d
                 j += direction
         out[i] = (a + b + c) / NEIGHBOURS
+
+
+@kernel
+def least_square_distances(points: Any, others: Any, out: Any) -> None:
+    """Write the squared distance to the nearest of other points.
+
+    Args:
+        points: (N, 3) float64.
+        others: (M, 3) float64, M > 0.
+        out: (N,) float64, out.
+    """
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        least = np.inf
+        for j in range(len(others)):
+            dx, dy, dz = others[j, 0] - x, others[j, 1] - y, others[j, 2] - z
+            least = min(least, dx * dx + dy * dy + dz * dz)
+        out[i] = least
