@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,13 +77,6 @@ class Gaussians:
     def sh_degree(self) -> int:
         """Degree of the harmonics, 0 to 3."""
         return SH_COUNTS.index(self.sh.shape[1])
-
-    def digest(self) -> str:
-        """Return the hex sha256 of all numbers."""
-        content = sha256(repr(self.sh.shape).encode())
-        for field in fields(self):
-            content.update(getattr(self, field.name).tobytes())
-        return content.hexdigest()
 
     def take(self, selection: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
         """Return the Gaussians at a mask, an index array or a slice."""

@@ -15,6 +15,7 @@ from nw_eval.arrays import pack, unpack
 from nw_eval.errors import NwEvalError, StoreError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.population import NAMES, Population
@@ -76,7 +77,7 @@ def resume_training(
         raise StoreError(
             f"{path}: no training to go on with: {reason}", fix="begin it anew"
         ) from error
-    about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), start.digest()
+    about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), digest(start)
     if about != _about(photos, began, config):
         raise StoreError(
             f"{path}: a training of other photographs or another mesh, or asked for other things",

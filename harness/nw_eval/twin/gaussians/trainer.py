@@ -10,6 +10,7 @@ import numpy as np
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig, falling
 from nw_eval.twin.gaussians.densify.default import DefaultDensity
 from nw_eval.twin.gaussians.densify.density import Density
@@ -82,7 +83,7 @@ class Trainer:
             )
         self.photos, self.config = tuple(photos), config
         self.iteration = 0
-        self.began = start.digest()
+        self.began = digest(start)
         self.extent = extent_of(photos)
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
