@@ -113,6 +113,25 @@ def test_crumbs_go_and_large_parts_stay():
     assert len(kept.vertices) == len(whole.vertices) + len(side.vertices)
 
 
+@pytest.mark.parametrize(
+    ("across", "flat", "stays"),
+    [(30, 0.6, True), (30, 0.4, False), (10, 0.6, False), (10, 0.9, True)],
+)
+def test_a_platform_that_hangs_together_with_nothing_stays(across, flat, stays):
+    """Half of what a foot has room on suffices; of a crumb it takes nearly all."""
+    ground, island = (sheet(lambda x, y: 0 * x * y, n) for n in (200, across))
+    count = len(ground.vertices)
+    mesh = ColourMesh(
+        vertices=np.concatenate([ground.vertices, island.vertices + np.array([5, 0, 0.4])]),
+        faces=np.concatenate([ground.faces, island.faces + count]),
+        colours=np.concatenate([ground.colours, island.colours]),
+    )
+    on_plane = np.ones(len(mesh.vertices), dtype=bool)
+    on_plane[count + round(flat * len(island.vertices)) :] = False
+    kept, _ = large_parts(mesh, 0.05, on_plane, room=480 * CELL**2)
+    assert (len(kept.faces) == len(mesh.faces)) == stays
+
+
 def test_holes_are_reported_with_size_and_place():
     mesh = sheet(lambda x, y: 0 * x * y, 50)
     middle = mesh.vertices[mesh.faces].mean(axis=1)

@@ -35,6 +35,7 @@ Code = Literal[
     "terrain_error",
     "thin_wall",
     "two_splats",
+    "unlike_photographs",
     "unreadable",
     "waypoint_above_surface",
     "waypoint_below_surface",

@@ -16,7 +16,7 @@ from nw_eval.files.inside import inside
 from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
 from nw_eval.twin.gaussians.photo import Photo
-from nw_eval.twin.reconstruct import array_file
+from nw_eval.twin.reconstruct import read_depth
 
 _T = TypeVar("_T", bound=np.generic)
 _DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, SyntaxError)
@@ -109,18 +109,8 @@ def _depth(
     """Return inverse depth and confidence, 0 where nothing is known."""
     if depths is None:
         return None, None
-    path = array_file(depths, shot.name)
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            depth, confidence = (
-                _nearest(np.asarray(arrays[name], np.float32), size)
-                for name in ("depth", "confidence")
-            )
-    except _DAMAGE as error:
-        raise SceneError(f"{path} holds no depth: {error}", fix="reconstruct again") from None
-    known = np.isfinite(depth) & (depth > 0.0) & np.isfinite(confidence)
-    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
-    return inverse, np.where(known, np.clip(confidence, 0.0, 1.0), 0.0).astype(np.float32)
+    depth, confidence = (_nearest(array, size) for array in read_depth(depths, shot.name))
+    return np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0.0), confidence
 
 
 def _nearest(array: NDArray[_T], size: tuple[int, int]) -> NDArray[_T]:

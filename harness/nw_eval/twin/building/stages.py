@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError
+from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.health.finding import SceneFinding, has_errors
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.survey.lines import survey_lines
 from nw_eval.twin.align import align, read_alignment, write_alignment
@@ -22,6 +24,7 @@ from nw_eval.twin.building.settings import BuildSettings, facts_of
 from nw_eval.twin.calibrate import calibrate
 from nw_eval.twin.capture import read_capture
 from nw_eval.twin.place import SUITE, Route, write_place
+from nw_eval.twin.place.unlike import seen_depths, unlike_photographs
 from nw_eval.twin.reconstruct import read_colour_mesh, reconstruct
 from nw_eval.twin.trail import propose_trail
 
@@ -164,19 +167,36 @@ class Build:
 
         Returns whether no error is found. The place stays as it is, whatever is found: most is
         mended by hand.
+
+        Raises:
+            SceneError: what an earlier stage has left is damaged.
         """
         (checked,) = check_scenes([str(self.folder.scene)])
         if checked.survey is not None:
             for line in survey_lines(checked.survey):
                 self._say(f"check: {line}")
-        for finding in checked.findings:
+        findings = list(checked.findings)
+        if all(finding.code != "unreadable" for finding in findings):
+            findings += self._unlike_photographs()
+        for finding in findings:
             self._say(f"check: {finding}")
-        suite = shlex.quote(str(self.folder.scene / SUITE))
-        if checked.has_errors:
+        suite, wrong = shlex.quote(str(self.folder.scene / SUITE)), has_errors(findings)
+        if wrong:
             self._say(f"check: mend the errors, then: nw-eval run {suite}")
         else:
             self._say(f"check: ready: nw-eval run {suite}")
-        return not checked.has_errors
+        return not wrong
+
+    def _unlike_photographs(self) -> list[SceneFinding]:
+        """Return where the mesh along the trail is not as its own photographs show it."""
+        folder = self.folder
+        depths = folder.mesh / "depth"
+        if not folder.align.is_file() or not depths.is_dir():
+            return []  # A place from elsewhere: nobody knows.
+        scene, T = load_folder(folder.scene), read_alignment(folder.align).T_metric_capture
+        line = np.array([scene.spawn.position, *scene.trail])
+        seen = seen_depths(read_capture(folder.capture), T, depths)
+        return unlike_photographs(scene.mesh(), line, seen)
 
     def _route(self, mesh: TriangleMesh, centres: NDArray[np.float64]) -> Route:
         """Return the trail that the place suggests; where it suggests none, a step ahead."""

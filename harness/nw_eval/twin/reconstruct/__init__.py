@@ -5,7 +5,7 @@ each shot, a truncated signed distance joins them, and marching cubes cut its su
 the same where its programs are installed and it is chosen.
 """
 
-from nw_eval.twin.reconstruct.depth.kept import array_file
+from nw_eval.twin.reconstruct.depth.kept import array_file, read_depth
 from nw_eval.twin.reconstruct.depth.maps import depth_maps, depth_of
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
@@ -21,6 +21,7 @@ __all__ = [
     "depth_maps",
     "depth_of",
     "read_colour_mesh",
+    "read_depth",
     "reconstruct",
     "write_mesh",
 ]

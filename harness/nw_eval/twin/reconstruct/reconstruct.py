@@ -14,7 +14,7 @@ from nw_eval.twin.reconstruct.clean.flatten import flatten
 from nw_eval.twin.reconstruct.clean.holes import holes
 from nw_eval.twin.reconstruct.clean.parts import large_parts
 from nw_eval.twin.reconstruct.clean.simplify import simplify
-from nw_eval.twin.reconstruct.clean.small_planes import flatten_small
+from nw_eval.twin.reconstruct.clean.small_planes import ROOM, flatten_small
 from nw_eval.twin.reconstruct.depth.maps import DepthMap, depth_maps, near_of, write_map
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh, write_mesh
 from nw_eval.twin.reconstruct.openmvs import openmvs_mesh
@@ -74,7 +74,7 @@ def reconstruct(
     flat, small = flatten_small(flat, planes, supposed, voxel) if options.flatten else (flat, [])
     both = [turned for plane in supposed for turned in (plane, plane.turned())]
     islands = on_planes(flat, [*planes, *both], voxel)
-    kept, parts = large_parts(flat, options.least_part, islands)
+    kept, parts = large_parts(flat, options.least_part, islands, ROOM * voxel**2)
     whole, filled = complete(kept, planes, maps, voxel, small)
     if filled > 0.0:
         say(f"holes of an area of {filled:.4g} are filled where planes go on through them")

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh
 from nw_eval.twin.reconstruct.packages import package
 
-_ISLAND = 0.8
-"""Share of a part's vertices that lie on a plane, if it is an island of it."""
+_CRUMB, _ISLAND = 0.8, 0.5
+"""Share of a part's vertices that lie on a plane, if it is an island of it: chance puts most of a
+crumb near one of a place's many planes, and seldom half of what a foot has room on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,7 @@ class PartsKept:
 
 
 def large_parts(
-    mesh: ColourMesh, least: float, flat: NDArray[np.bool_] | None = None
+    mesh: ColourMesh, least: float, flat: NDArray[np.bool_] | None = None, room: float = np.inf
 ) -> tuple[ColourMesh, PartsKept]:
     """Return a mesh of the largest part, of those with at least a share of its area, and flat ones.
 
@@ -39,14 +40,17 @@ def large_parts(
         least: share.
         flat: (V,) whether a vertex lies on a plane of the place; parts that do for the most are
             islands of a floor or a wall that is plain between them. None = nobody knows.
+        room: area from which on a part is no crumb: nobody photographs the sides of a platform
+            that stands in a pit, so that its top hangs together with nothing.
     """
     count, part = parts_of(mesh.faces, len(mesh.vertices))
     own = part[mesh.faces[:, 0]]
-    area = np.bincount(own, np.linalg.norm(mesh.normals, axis=1), minlength=count)
+    area = np.bincount(own, 0.5 * np.linalg.norm(mesh.normals, axis=1), minlength=count)
     large = area >= max(least * area.max(), 1e-300)
     if flat is not None:
         vertices = np.bincount(part, minlength=count)
-        large |= np.bincount(part, flat, minlength=count) > _ISLAND * vertices
+        share = np.where(area < room, _CRUMB, _ISLAND)
+        large |= np.bincount(part, flat, minlength=count) > share * vertices
     facts = PartsKept(
         kept=int(large.sum()),
         dropped=int(count - large.sum()),

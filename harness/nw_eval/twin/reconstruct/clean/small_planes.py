@@ -16,7 +16,7 @@ from nw_eval.twin.reconstruct.mesh_file import ColourMesh
 from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
 from nw_eval.twin.reconstruct.planes.search import PlaneSearch
 
-_LEAST = 480.0
+ROOM = 480.0
 """Area of a small plane, in squares of a voxel's edge: about a step that a foot has room on."""
 
 
@@ -50,7 +50,7 @@ def flatten_small(
     for number in np.argsort(-np.array(areas), kind="stable"):
         side = sides[number]
         near = free & search.near(side.normal, side.offset)
-        if search.area[near].sum() < _LEAST * voxel**2:
+        if search.area[near].sum() < ROOM * voxel**2:
             continue
         shift, flat = flattened(search, near, side.normal, side.offset)
         vertices += shift

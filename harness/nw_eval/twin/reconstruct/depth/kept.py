@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zlib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside
 from nw_eval.twin.reconstruct.depth.sweep import Sweep
@@ -22,6 +25,8 @@ _FORMAT = 1
 """Changes with what a sweep does."""
 
 _NAMES = ("depth", "likeness", "unique")
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, BadZipFile, zlib.error)
+"""What NumPy raises at damaged files."""
 
 
 def array_file(folder: Path, shot: str) -> Path:
@@ -48,6 +53,24 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
 
+def read_depth(folder: Path, shot: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return a shot's depth along the optical axis and its confidence, (H, W), 0 where not known.
+
+    Raises:
+        SceneError: the folder has none of that shot, or it is damaged.
+    """
+    path = array_file(folder, shot)
+    try:
+        depth, confidence = (a.astype(np.float32) for a in _arrays(path, ("depth", "confidence")))
+        if depth.ndim != 2 or depth.shape != confidence.shape:
+            raise ValueError(f"arrays of shapes {depth.shape} and {confidence.shape}")
+    except _DAMAGE as error:
+        raise SceneError(f"{path} holds no depth: {error}", fix="reconstruct again") from None
+    known = np.isfinite(depth) & (depth > 0.0) & np.isfinite(confidence)
+    sure = np.clip(confidence, 0.0, 1.0)
+    return (np.where(known, depth, np.float32(0.0)), np.where(known, sure, np.float32(0.0)))
+
+
 def write_sweep(path: Path, found: Sweep, key: str) -> None:
     """Keep a sweep under the key of what it is of.
 
@@ -61,18 +84,19 @@ def write_sweep(path: Path, found: Sweep, key: str) -> None:
 def read_sweep(path: Path, key: str) -> Sweep | None:
     """Return what `write_sweep` kept; None if there is nothing, or of something else."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            if str(arrays["key"]) != key:
-                return None
-            depth, likeness, unique = (np.asarray(arrays[name]) for name in _NAMES)
-    except (OSError, ValueError, LookupError, EOFError):
+        found, depth, likeness, unique = _arrays(path, ("key", *_NAMES))
+    except _DAMAGE:
         return None
-    except Exception as error:  # zipfile and zlib raise classes of their own for a damaged file.
-        if type(error).__module__ in {"zipfile", "zlib"}:
-            return None
-        raise
+    if str(found) != key:
+        return None
     scale = np.float32(1.0 / 255.0)
     return Sweep(depth=depth, likeness=likeness * scale, unique=unique * scale)
+
+
+def _arrays(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
+    """Return arrays of a file; whatever it raises is in `_DAMAGE`."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return [np.asarray(arrays[name]) for name in names]
 
 
 def key_of(

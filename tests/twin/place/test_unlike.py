@@ -1,0 +1,78 @@
+"""A mesh is held against what its photographs show."""
+
+import numpy as np
+import pytest
+
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.rays import RayScene
+from nw_eval.twin.place.unlike import SeenDepth, unlike_photographs
+
+LINE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+FIRST, SECOND, THIRD = (-0.5, 1.2), (1.6, 2.6), (3.0, 5.0)
+"""Platforms along x with two gaps of 0.4 m between them, all 0.4 m above their pit."""
+
+
+def sheet(low, high, z):
+    """A level rectangle of two faces, which look up."""
+    (x, y), (u, v) = low, high
+    return np.array([(x, y, z), (u, y, z), (u, v, z), (x, v, z)])
+
+
+def course(*platforms):
+    sheets = [sheet((-1, -2), (6, 2), -0.4)]
+    sheets += [sheet((start, -0.8), (end, 0.8), 0.0) for start, end in platforms]
+    first = 4 * np.arange(len(sheets))[:, None, None]
+    faces = (first + np.array([(0, 1, 2), (0, 2, 3)])).reshape(-1, 3)
+    kinds = np.full(len(faces), FACE_KINDS.index("ground"), np.uint8)
+    return TriangleMesh(vertices=np.concatenate(sheets), faces=faces.astype(np.int32), kinds=kinds)
+
+
+def photographs(mesh, count=6, noise=0.005):
+    """What cameras at a person's height see, walking along beside the line, looking ahead."""
+    rng, rays = np.random.default_rng(0), RayScene(mesh)
+    for x in np.linspace(-1.5, 2.5, count):
+        origin = np.array([x, 0.3, 1.5])
+        across, down = np.meshgrid(np.linspace(-0.5, 0.5, 160), np.linspace(0.2, 1.0, 120))
+        toward = np.stack([np.ones_like(across), across, -down], axis=-1).reshape(-1, 3)
+        toward /= np.linalg.norm(toward, axis=1)[:, None]
+        far = rays.distance(np.broadcast_to(origin, toward.shape), toward)
+        there = np.isfinite(far)
+        far = far[there] + rng.normal(0.0, noise, int(there.sum()))
+        yield SeenDepth(origin=origin, points=origin + toward[there] * far[:, None])
+
+
+TRUE = course(FIRST, SECOND, THIRD)
+
+
+def test_a_mesh_that_is_as_photographed_has_no_finding():
+    assert unlike_photographs(TRUE, LINE, photographs(TRUE)) == []
+
+
+def test_a_platform_that_the_mesh_lacks_is_named_with_its_size_and_place():
+    (found,) = unlike_photographs(course(FIRST, THIRD), LINE, photographs(TRUE))
+    assert (found.code, found.severity) == ("unlike_photographs", "error")
+    assert "photographs show ground that the mesh lacks" in found.message
+    assert found.value == pytest.approx(1.0 * 1.2, rel=0.15)  # 0.6 m to each side of the line.
+    assert found.place[:2] == pytest.approx((2.1, 0.0), abs=0.1)
+
+
+def test_a_gap_that_the_mesh_closes_is_named():
+    (found,) = unlike_photographs(course(FIRST, (SECOND[0], THIRD[1])), LINE, photographs(TRUE))
+    assert "the mesh has ground where photographs look through" in found.message
+    assert found.place[:2] == pytest.approx((2.8, 0.0), abs=0.1)
+
+
+def test_edges_that_are_uncertain_by_centimetres_are_no_fault():
+    edges = course((-0.5, 1.25), (1.55, 2.64), (2.96, 5.0))
+    assert unlike_photographs(edges, LINE, photographs(TRUE, noise=0.01)) == []
+
+
+def test_what_one_photograph_alone_shows_is_not_believed():
+    seen = list(photographs(course(FIRST, THIRD)))
+    (one,) = photographs(TRUE, count=1)
+    assert unlike_photographs(course(FIRST, THIRD), LINE, [*seen, one]) == []
+
+
+def test_what_is_beyond_reach_of_the_trail_does_not_count():
+    aside = LINE + np.array([0.0, 1.6, 0.0])
+    assert unlike_photographs(course(FIRST, THIRD), aside, photographs(TRUE)) == []
