@@ -26,7 +26,7 @@ class CalibrateOptions:
             capture's pictures.
         share: of the photographs that must be placed for the capture to be written.
         seed: of whatever is random.
-        threads: that look for features and compare; they do not change the result.
+        threads: that look for features; they do not change the result.
     """
 
     matching: Literal["auto", "sequential", "exhaustive"] = "auto"

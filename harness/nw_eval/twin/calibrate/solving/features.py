@@ -61,7 +61,7 @@ def match(
     """Find features and compare pairs of photographs.
 
     The result does not depend on threads: pictures have their numbers before they are shared out,
-    and each pair its own random numbers.
+    pairs are compared one after the other, and each has its own random numbers.
 
     Args:
         photographs: in the working folder's `pictures`.
@@ -217,7 +217,9 @@ def _compare(
     say: Say,
 ) -> None:
     matching = pycolmap.FeatureMatchingOptions()
-    matching.num_threads, matching.use_gpu = options.threads, False
+    # Threads that compare at once spoil each other's (pycolmap 4.2.1): pairs lost most of their
+    # matches in one of eleven runs with two of them, and in both with three.
+    matching.num_threads, matching.use_gpu = 1, False
     matching.guided_matching = True
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
