@@ -230,6 +230,16 @@ def test_scans_with_noise_and_holes_are_read_as_well(height, task, count):
         assert (proposal.task, len(proposal.features)) == (task, count), proposal.reasons
 
 
+def test_steps_with_rounded_edges_are_as_high_as_their_treads():
+    def height(x):
+        along = np.asarray(x)[..., None] - 1.5 - 0.32 * np.arange(5)
+        return 0.1 * (0.5 + 0.5 * np.tanh(along / 0.03)).sum(axis=-1)
+
+    mesh = scanned(height, np.random.default_rng(0), cell=0.02, noise=0.001, holes=0.0)
+    (feature,) = propose_trail(mesh, walk(6.0, height=2.4)).features
+    assert feature.words == "5 steps up, 0.10 m each"
+
+
 def test_what_lies_too_near_is_warned_of():
     proposal = propose_trail(merge([GROUND, box((0.3, 0.6), (0, 0.2))]), walk(3.0))
     assert any("start farther back" in warning for warning in proposal.warnings)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -27,6 +28,8 @@ _LEAST_SLOPE = 0.3
 """Of a slope along the way, metres."""
 _LEAST_LEVEL = 0.08
 """Of a tread or a bar's top, metres."""
+_BESIDE = 8
+"""Samples of level ground by which the height of an edge beside it is told: scans round it off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +67,8 @@ class Stretch:
 def stretches_of(profile: GroundProfile) -> list[Stretch]:
     """Return the pieces of a profile in order: edges, and what lies between them.
 
-    An edge rises or falls by `EDGE_RISE` at least within 8 cm. Between edges, runs of 30 cm or more
+    An edge rises or falls by `EDGE_RISE` at least within 8 cm, from the ground on one side to that
+    on the other. Between edges, runs of 30 cm or more
     with a grade above 6 degrees are slopes and the rest is level.
     """
     z = profile.height
@@ -75,7 +79,21 @@ def stretches_of(profile: GroundProfile) -> list[Stretch]:
             found.append(_stretch("edge", first, last, z))
         else:
             found += _between(first, last, z)
-    return found
+    return [_sharp(stretch, found, z) for stretch in found]
+
+
+def _sharp(stretch: Stretch, all_of_them: Sequence[Stretch], z: Values) -> Stretch:
+    """Return an edge as high as the level ground before and behind it says, where there is some."""
+    if stretch.kind != "edge":
+        return stretch
+    before, after = stretch.before, stretch.after
+    for level in all_of_them:
+        first, last = round(level.start / STEP), round(level.end / STEP)
+        if level.kind == "level" and level.end == stretch.start:
+            before = float(np.median(z[max(first, last - _BESIDE) : last + 1]))
+        elif level.kind == "level" and level.start == stretch.end:
+            after = float(np.median(z[first : min(last, first + _BESIDE) + 1]))
+    return replace(stretch, before=before, after=after)
 
 
 def _edges(z: Values) -> list[tuple[int, int]]:
