@@ -25,16 +25,28 @@ def test_a_bar_built_from_twenty_small_photographs_is_walked_over_like_the_bar(t
 
 
 @pytest.mark.nightly
-def test_a_course_built_from_forty_photographs_is_the_course(tmp_path):
-    name = "hurdles/one_low_carpet"
+@pytest.mark.parametrize(
+    "name",
+    [
+        "hurdles/one_low_carpet",
+        "gaps/two_12in_carpet",
+        "ramps/one_ramp_plaza",
+        "stairs/five_low_podium",
+    ],
+)
+def test_a_course_built_from_forty_photographs_is_walked_like_the_course(tmp_path, name):
     cameras = photograph(name, tmp_path / "photographs")
     quick = ("--iterations", "700", "--longest", "320", "--gaussians", "60000")
     build(tmp_path / "photographs", tmp_path / "twin", quick)
-    found = compare(name, cameras, tmp_path / "twin", tmp_path, trials=0)
+    teacher = ("go1-parkour",)
+    found = compare(name, cameras, tmp_path / "twin", tmp_path, trials=20, policies=teacher)
     assert found.frame.registered >= 0.9
     assert found.frame.gravity < 0.3
     assert abs(found.frame.scale) < 0.01
     assert found.surface.accuracy < 0.008
     assert found.surface.f > 0.9
-    assert found.looks.splat > found.looks.mesh
+    assert found.looks.splat >= found.looks.mesh + 4.0, "dB, at a robot's height"
+    places = found.trials["go1-parkour"]
+    assert places["carried"].success == pytest.approx(places["original"].success, abs=0.05)
+    assert places["own trail"].success >= 0.85
     assert (tmp_path / "sheet.jpg").stat().st_size < 300_000
