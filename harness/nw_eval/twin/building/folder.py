@@ -17,7 +17,7 @@ STAGES: tuple[Stage, ...] = get_args(Stage)
 
 _FORMATS: dict[Stage, int] = {
     "calibrate": 3,
-    "reconstruct": 4,
+    "reconstruct": 5,
     "align": 3,
     "splat": 4,
     "place": 5,

@@ -13,6 +13,10 @@ SIDE = 8
 """Voxels along a block."""
 VOXELS = SIDE**3
 
+_FINEST = 0.1
+"""Voxels: a pixel that is finer than that counts no more."""
+_BESIDE, _GRAZED = 2.0, 20.0
+"""Slant, 1 / cosine, where none is known, as beside an edge, and at most."""
 _ONE_SURFACE = 0.02
 """Depths of neighbouring pixels that differ by less are one surface, a share of the depth."""
 
@@ -124,6 +128,25 @@ def _off(depth: Any, slope: Any, lens: Any, place: Any, truncation: Any) -> Any:
     return off if above * there - 1.0 <= _ONE_SURFACE else -2.0
 
 
+@inlined
+def _breadth(depth: Any, slope: Any, lens: Any, place: Any) -> Any:
+    """Return how much a pixel shows, along the slant, of a surface as it sees that was at a place.
+
+    On a surface m . x = 1 it would be |m| |x|^2 / f: the more, the farther and the more grazing.
+    """
+    ahead, u, v = place
+    d = float(depth[int(v), int(u)])
+    a, b = float(slope[int(v), int(u), 0]), float(slope[int(v), int(u), 1])
+    right, down = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+    mx, my = lens[0] * a, lens[1] * b
+    mz = 1.0 / d - mx * right - my * down
+    far = ahead * math.sqrt(right * right + down * down + 1.0)
+    slant = _BESIDE
+    if a != 0.0 or b != 0.0:
+        slant = min(max(math.sqrt(mx * mx + my * my + mz * mz) * far, 1.0), _GRAZED)
+    return slant * far / lens[0]
+
+
 @kernel
 def integrate(
     blocks: Any,
@@ -139,8 +162,13 @@ def integrate(
     distance: Any,
     weight: Any,
     colour: Any,
+    pull: Any,
 ) -> None:
     """Add one depth map to the blocks first..end-1.
+
+    In the mean a pixel counts by how finely it shows its surface: from afar and at a slant those
+    beside an edge are a decimetre of it, and there are many such views of whatever is photographed
+    on a walk.
 
     Args:
         blocks: (N, 3) int32 places in the grid of blocks.
@@ -154,8 +182,9 @@ def integrate(
         lens: (fx, fy, cx, cy).
         T: (4, 4) float64, world to camera.
         distance: (N, VOXELS) float32, in and out: mean distance in units of the truncation.
-        weight: (N, VOXELS) float32, in and out.
+        weight: (N, VOXELS) float32, in and out: sum of confidences.
         colour: (N, VOXELS, 3) float32, in and out: mean.
+        pull: (N, VOXELS) float32, in and out: sum of what the means are weighted by.
     """
     voxel, truncation = lattice[3], lattice[4]
     half = 0.5 * (SIDE - 1) * voxel
@@ -178,10 +207,12 @@ def integrate(
             w = float(confidence[v, u]) * min(1.0 + off, 1.0)
             if w <= 0.0:
                 continue
-            total = float(weight[n, m]) + w
+            weight[n, m] += np.float32(w)
+            w /= max(_FINEST, _breadth(depth, slope, lens, place) / voxel) ** 2
+            total = float(pull[n, m]) + w
             share = w / total
             distance[n, m] += np.float32(share * (min(off, 1.0) - distance[n, m]))
-            weight[n, m] = np.float32(total)
+            pull[n, m] = np.float32(total)
             for c in range(3):
                 colour[n, m, c] += np.float32(share * (rgb[v, u, c] - colour[n, m, c]))
 

@@ -86,6 +86,8 @@ def fuse(
     for each, slope in zip(maps, leaning, strict=True):
         slopes(each.depth, slope)
 
+    pull = np.zeros_like(volume.weight)
+
     def job(first: int) -> None:
         end = min(first + _AT_ONCE, len(blocks))
         for each, slope in zip(maps, leaning, strict=True):
@@ -93,7 +95,7 @@ def fuse(
             lens = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
             integrate(
                 blocks, first, end, lattice, each.depth, slope, each.confidence, view.rgb, lens,
-                view.T_camera_world, volume.distance, volume.weight, volume.colour,
+                view.T_camera_world, volume.distance, volume.weight, volume.colour, pull,
             )  # fmt: skip
 
     with ThreadPoolExecutor(threads) as pool:
