@@ -11,10 +11,14 @@ import pytest
 from nw_eval import cli
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
-from nw_eval.twin.align import read_alignment
-from nw_eval.twin.building import Build
+from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
+from nw_eval.splat import Camera
+from nw_eval.twin.align import read_alignment, write_alignment
+from nw_eval.twin.align.alignment import Alignment
+from nw_eval.twin.building import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
-from nw_eval.twin.capture import read_capture
+from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_eval.twin.reconstruct import ColourMesh, write_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -120,6 +124,58 @@ def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
     assert lines[-1] == f"check: {said}: nw-eval run {tmp_path / 'suite.yaml'}"
     assert any("dropped feet sank in" in line for line in lines) == (said == "ready")
     assert any("error waypoint_below_surface" in line for line in lines) == (said != "ready")
+
+
+def walked(folder, mesh, height):
+    """Leave in a build what its first stages would, for a walk along x with the camera ahead."""
+    ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    shots = []
+    for x in np.arange(-2.0, 5.0, 0.25):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = ahead, (x, 0.0, height)
+        camera = Camera.from_fovy(width=64, height=36, fovy=0.8, T_world_camera=pose)
+        name = f"{len(shots):03d}.png"
+        shots.append(PlacedShot(name=name, file=name, camera=camera, seen=np.zeros(0, np.int32)))
+    nothing = np.zeros((0, 3))
+    capture = Capture(
+        shots=tuple(shots),
+        points=nothing,
+        colours=nothing.astype(np.uint8),
+        errors=np.zeros(0, np.float32),
+    )
+    for path in (folder.capture, folder.mesh, folder.splat):
+        path.mkdir(parents=True)
+    write_capture(capture, folder.capture)
+    colours = np.full((len(mesh.vertices), 3), 99, np.uint8)
+    grey = ColourMesh(vertices=mesh.vertices, faces=mesh.faces, colours=colours)
+    write_mesh(grey, folder.mesh / "mesh.ply")
+    (folder.splat / "splat.ply").write_bytes(b"ply")
+    aligned = Alignment(
+        T_metric_capture=np.eye(4), scale=1.0, gravity=(), scales=(), floor_share=1.0, warnings=()
+    )
+    write_alignment(aligned, folder.align)
+    for stage in ("calibrate", "reconstruct", "align", "splat"):
+        folder.carry_out(stage, ["a walk"], lambda: None, lambda _: None)
+
+
+def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_path):
+    pit = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+    tops = [
+        box_mesh((x, 0.0, 0.2), (half, 0.8, 0.2), (1.0, 0.0, 0.0, 0.0), "obstacle")
+        for x, half in ((-0.9, 2.1), (3.5, 1.9))
+    ]
+    lines = []
+    build = Build(tmp_path, BuildSettings(), lines.append)
+    walked(build.folder, merge([pit, *tops]), 1.9)
+    build.place()
+    scene = load_folder(tmp_path)
+    assert "place: moved by -0.40 m: the ground under the start is z = 0" in lines
+    assert not any("move the scene" in line for line in lines)
+    assert scene.task == "gaps"
+    assert scene.spawn.position[2] == pytest.approx(0.0, abs=1e-3)
+    np.testing.assert_allclose(scene.trail[:, 2], 0.0, atol=1e-3)
+    assert scene.mesh().vertices[:, 2].min() == pytest.approx(-0.4)
+    assert scene.T_world_splat[2, 3] == pytest.approx(-0.4)
 
 
 @pytest.mark.nightly

@@ -76,7 +76,7 @@ def build(photographs, out, options=()):
 def compare(name, cameras, twin, out, *, trials=20, policies=POLICIES):
     """Return what a twin is against its original, and write the sheet and `figures.json`."""
     scene, copy = get_scene(name), get_scene(twin)
-    frame = frame_fit(twin / "build", cameras, np.array(scene.spawn.position))
+    frame = frame_fit(twin, cameras, np.array(scene.spawn.position))
     line = np.vstack([scene.spawn.position, scene.trail])
     T_original_twin = np.linalg.inv(frame.T_twin_original)
     mesh = copy.mesh()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.twin.align import read_alignment
+from nw_eval.scenes.folder import load_folder
 from nw_eval.twin.align.apply import moved_capture
 from nw_eval.twin.capture import read_capture
 
@@ -30,16 +30,16 @@ class FrameFit:
     floor: float
 
 
-def frame_fit(build, cameras, spawn):
-    """Return how a build's frame lies to the original's, by where its cameras really were.
+def frame_fit(twin, cameras, spawn):
+    """Return how a twin's frame lies to the original's, by where its cameras really were.
 
     Args:
-        build: folder of the build, aligned.
+        twin: folder of the scene; its splat is in the capture's frame.
         cameras: true ones by the names of their photographs, original frame.
         spawn: (3,) ground under the start, original frame.
     """
-    T_metric_capture = read_alignment(build / "align.json").T_metric_capture
-    shots = moved_capture(T_metric_capture, read_capture(build / "capture")).shots
+    capture = read_capture(twin / "build" / "capture")
+    shots = moved_capture(load_folder(twin).T_world_splat, capture).shots
     found = np.array([shot.camera.T_world_camera[:3, 3] for shot in shots])
     true = np.array([cameras[shot.name].T_world_camera[:3, 3] for shot in shots])
     # A camera that is metres off would turn all: the fit is that of the nine tenths that agree.

@@ -20,7 +20,7 @@ _FORMATS: dict[Stage, int] = {
     "reconstruct": 5,
     "align": 3,
     "splat": 4,
-    "place": 5,
+    "place": 6,
 }
 """Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000

@@ -13,7 +13,6 @@ from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.health.finding import SceneFinding, has_errors
-from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.survey.lines import survey_lines
 from nw_eval.twin.align import align, read_alignment, write_alignment
 from nw_eval.twin.align.apply import moved_capture, moved_mesh
@@ -22,11 +21,11 @@ from nw_eval.twin.building.ahead import say_ahead
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.settings import BuildSettings, facts_of
 from nw_eval.twin.calibrate import calibrate
-from nw_eval.twin.capture import read_capture
+from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.place import SUITE, Route, write_place
 from nw_eval.twin.place.unlike import seen_depths, unlike_photographs
-from nw_eval.twin.reconstruct import read_colour_mesh, reconstruct
-from nw_eval.twin.trail import propose_trail
+from nw_eval.twin.reconstruct import ColourMesh, read_colour_mesh, reconstruct
+from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
 
 Say = Callable[[str], None]
 
@@ -147,9 +146,17 @@ class Build:
         T = read_alignment(folder.align).T_metric_capture
         mesh = read_colour_mesh(folder.mesh / "mesh.ply")
         capture = read_capture(folder.capture)
-        route = self._route(
-            moved_mesh(T, mesh.vertices, mesh.faces), moved_capture(T, capture).centres
-        )
+        try:
+            proposal = _proposal(T, mesh, capture)
+            height = proposal.spawn.position[2]
+            if abs(height) > FLOOR:
+                # A walk over platforms has its floor below them, and robots start above z = 0.
+                T = np.vstack([T[:2], T[2] - height * T[3], T[3]])
+                proposal = _proposal(T, mesh, capture)
+                self._say(f"place: moved by {-height:+.2f} m: the ground under the start is z = 0")
+            route = self._route(proposal)
+        except SceneError as error:
+            route = self._no_route(error)
         write_place(
             folder.scene,
             name=name,
@@ -189,26 +196,25 @@ class Build:
 
     def _unlike_photographs(self) -> list[SceneFinding]:
         """Return where the mesh along the trail is not as its own photographs show it."""
-        folder = self.folder
-        depths = folder.mesh / "depth"
-        if not folder.align.is_file() or not depths.is_dir():
+        scene, depths = load_folder(self.folder.scene), self.folder.mesh / "depth"
+        if scene.splat is None or not depths.is_dir():
             return []  # A place from elsewhere: nobody knows.
-        scene, T = load_folder(folder.scene), read_alignment(folder.align).T_metric_capture
         line = np.array([scene.spawn.position, *scene.trail])
-        seen = seen_depths(read_capture(folder.capture), T, depths)
+        # The splat is in the capture's frame, wherever the place was moved to since.
+        seen = seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)
         return unlike_photographs(scene.mesh(), line, seen)
 
-    def _route(self, mesh: TriangleMesh, centres: NDArray[np.float64]) -> Route:
-        """Return the trail that the place suggests; where it suggests none, a step ahead."""
-        try:
-            proposal = propose_trail(mesh, centres)
-        except SceneError as error:
-            self._say(f"place: no trail: {error}")
-            self._say(
-                "place: its trail is one waypoint a metre from the start: write trail, spawn and "
-                f"task into {self.folder.scene / 'scene.yaml'}"
-            )
-            return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
+    def _no_route(self, error: SceneError) -> Route:
+        """Return a step ahead, and say why."""
+        self._say(f"place: no trail: {error}")
+        self._say(
+            "place: its trail is one waypoint a metre from the start: write trail, spawn and "
+            f"task into {self.folder.scene / 'scene.yaml'}"
+        )
+        return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
+
+    def _route(self, proposal: TrailProposal) -> Route:
+        """Return the trail that the place suggests, and say what lies on it."""
         for line in (*proposal.reasons, *proposal.warnings):
             self._say(f"place: {line}")
         spawn = proposal.spawn
@@ -218,3 +224,10 @@ class Build:
             spawn=spawn.position,
             yaw=spawn.yaw,
         )
+
+
+def _proposal(
+    T_metric_capture: NDArray[np.float64], mesh: ColourMesh, capture: Capture
+) -> TrailProposal:
+    moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
+    return propose_trail(moved, moved_capture(T_metric_capture, capture).centres)

@@ -8,6 +8,6 @@ propose.py    waypoints, spawn and task
 """
 
 from nw_eval.twin.trail.features import TrailFeature
-from nw_eval.twin.trail.propose import TrailProposal, propose_trail
+from nw_eval.twin.trail.propose import FLOOR, TrailProposal, propose_trail
 
-__all__ = ["TrailFeature", "TrailProposal", "propose_trail"]
+__all__ = ["FLOOR", "TrailFeature", "TrailProposal", "propose_trail"]

@@ -28,8 +28,8 @@ _APPROACH = 1.5
 """Level way before the first feature, at most, metres: as much as in the shipped scenes."""
 _RUN_UP = 0.5
 """Metres of level way that a robot needs before the first feature."""
-_FLOOR = 0.02
-"""A spawn this far from z = 0 is worth a word, metres."""
+FLOOR = 0.02
+"""A spawn may be so far from z = 0, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +134,7 @@ def _point(profile: GroundProfile, along: float) -> Vector:
 def _warnings(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[str, ...]:
     warnings: list[str] = []
     height = float(profile.height[0])
-    if abs(height) > _FLOOR:
+    if abs(height) > FLOOR:
         warnings.append(
             f"the ground under the spawn is at z = {height:.2f} m: robots start above z = 0, so "
             f"move the scene by {-height:+.2f} m"
