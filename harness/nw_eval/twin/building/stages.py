@@ -143,16 +143,16 @@ class Build:
 
     def _write(self, name: str) -> None:
         folder = self.folder
-        T = read_alignment(folder.align).T_metric_capture
+        world = read_alignment(folder.align).T_metric_capture
         mesh = read_colour_mesh(folder.mesh / "mesh.ply")
         capture = read_capture(folder.capture)
         try:
-            proposal = _proposal(T, mesh, capture)
+            proposal = _proposal(world, mesh, capture)
             height = proposal.spawn.position[2]
             if abs(height) > FLOOR:
                 # A walk over platforms has its floor below them, and robots start above z = 0.
-                T = np.vstack([T[:2], T[2] - height * T[3], T[3]])
-                proposal = _proposal(T, mesh, capture)
+                world = np.vstack([world[:2], world[2] - height * world[3], world[3]])
+                proposal = _proposal(world, mesh, capture)
                 self._say(f"place: moved by {-height:+.2f} m: the ground under the start is z = 0")
             route = self._route(proposal)
         except SceneError as error:
@@ -163,7 +163,7 @@ class Build:
             licence=self._settings.licence,
             mesh=folder.mesh / "mesh.ply",
             splat=folder.splat / "splat.ply",
-            T_world_capture=T,
+            T_world_capture=world,
             capture=capture,
             course=route,
         )
