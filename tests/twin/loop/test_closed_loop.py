@@ -39,7 +39,7 @@ def test_a_course_built_from_forty_photographs_is_walked_like_the_course(tmp_pat
     quick = ("--iterations", "700", "--longest", "320", "--gaussians", "60000")
     build(tmp_path / "photographs", tmp_path / "twin", quick)
     teacher = ("go1-parkour",)
-    found = compare(name, cameras, tmp_path / "twin", tmp_path, trials=20, policies=teacher)
+    found = compare(name, cameras, tmp_path / "twin", tmp_path, trials=100, policies=teacher)
     assert found.frame.registered >= 0.9
     assert found.frame.gravity < 0.3
     assert abs(found.frame.scale) < 0.01
@@ -48,5 +48,5 @@ def test_a_course_built_from_forty_photographs_is_walked_like_the_course(tmp_pat
     assert found.looks.splat >= found.looks.mesh + 4.0, "dB, at a robot's height"
     places = found.trials["go1-parkour"]
     assert places["carried"].success == pytest.approx(places["original"].success, abs=0.05)
-    assert places["own trail"].success >= 0.85
+    assert places["own trail"].success >= 0.9
     assert (tmp_path / "sheet.jpg").stat().st_size < 300_000
