@@ -179,6 +179,7 @@ def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_p
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1200)
 def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
     import cv2
     from synthetic_room import cameras, render, room

@@ -25,6 +25,7 @@ def test_a_bar_built_from_twenty_small_photographs_is_walked_over_like_the_bar(t
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "name",
     [
