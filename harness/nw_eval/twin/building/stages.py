@@ -197,8 +197,9 @@ class Build:
     def _unlike_photographs(self) -> list[SceneFinding]:
         """Return where the mesh along the trail is not as its own photographs show it."""
         scene, depths = load_folder(self.folder.scene), self.folder.mesh / "depth"
-        if scene.splat is None or not depths.is_dir():
-            return []  # A place from elsewhere: nobody knows.
+        captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
+        if scene.splat is None or not captured:
+            return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
         line = np.array([scene.spawn.position, *scene.trail])
         # The splat is in the capture's frame, wherever the place was moved to since.
         seen = seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)
