@@ -198,7 +198,10 @@ def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
     words += ["--tag-edge", "0.25", "--iterations", "300", "--licence", "CC0-1.0"]
     with pytest.raises(SystemExit) as caught:
         cli.main(words)
-    assert caught.value.code in {0, None}
+    # The cameras stand about the room: that is no trail, and a hole where it would begin.
+    assert caught.value.code == 2
+    assert "place: no trail: " in (said := capsys.readouterr().out)
+    assert "check: error ground_missing" in said
 
     loaded = load_folder(scene)
     assert loaded.captures is not None
