@@ -62,7 +62,9 @@ def same_actions(data, *shapes, steps=5):
 def test_a_published_policy_acts_as_before(path):
     data = path.read_bytes()
     networks = load(data)
-    first = getattr(networks, "estimator", networks)  # himloco's sees the observation first.
+    # The part that sees the observation first: himloco's estimator, the LSTM of a recurrent one.
+    firsts = (getattr(networks, name, None) for name in ("estimator", "memory"))
+    first = next((part for part in firsts if part is not None), networks)
     width = next(first.parameters()).shape[1]
     same_actions(data, (1, width), steps=50)
 
