@@ -270,7 +270,7 @@ def test_provenance_names_what_ran(
     facts = dict(section(render([make_row("a", 0, 4)], {"a": 1}), "Provenance")[1:])
     assert facts["suite"] == f"suites/hurdles.yaml, `{digest_of({'name': 'hurdles'})[:12]}`"
     assert facts["policy"] == "go1-parkour, checkpoint `cccccccccccc`"
-    assert facts["nw-eval"] == "0.1.0, commit ffffffffffff with changes"
+    assert facts["nw-eval"] == "0.1.0, commit `ffffffffffff` with changes"
     assert facts["versions"] == "mujoco 4.0.0"
 
 

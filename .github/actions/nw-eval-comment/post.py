@@ -39,7 +39,7 @@ UNNAMED = "<!-- nw-eval -->"
 # How nw-eval escapes words: a copy of `nw_eval/reporting/markdown.py`, which is not checked out
 # where this script runs. A test holds the two together.
 ACTS = re.compile(
-    r"[@$]|#\d|gh-\d|://|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
+    r"[@$]|#\d|gh-\d|://|mailto:|xmpp:|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
     r"|(?<![^\W_])[0-9a-f]{7,}(?![^\W_])",
     re.IGNORECASE,
 )

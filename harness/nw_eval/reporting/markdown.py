@@ -119,7 +119,7 @@ def markdown_table(table: Table) -> str:
 
 
 _ACTS = re.compile(
-    r"[@$]|#\d|gh-\d|://|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
+    r"[@$]|#\d|gh-\d|://|mailto:|xmpp:|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
     r"|(?<![^\W_])[0-9a-f]{7,}(?![^\W_])",
     re.IGNORECASE,
 )
