@@ -124,7 +124,7 @@ _ACTS = re.compile(
     re.IGNORECASE,
 )
 """What GitHub makes a mention, a reference, a link, a formula, an emoji or a commit's link of,
-wherever it stands in a word. `post.py` of the action `nw-eval-comment` has a copy of these rules."""
+wherever it stands in a word. The action's `post.py` has a copy of these rules."""
 
 _MARKS = re.compile(r"[\\`*\[\]<>|~&]|(?<![^\W_])_|_(?![^\W_])")
 """Signs of Markdown. Underscores within words are none in GitHub's, and names are full of them."""
