@@ -67,6 +67,12 @@ class Hub:
         """What is sent in place of a file's content, by path."""
         self.stalls_after: int | None = None
         """After how many bytes of file content a transfer stops, and its connection stays."""
+        self.padding = 0
+        """Spaces behind every answer in JSON."""
+        self.drips: str | None = None
+        """What comes byte by byte and does not end: `headers`, `json` or `files`."""
+        self.says_commit: str | None = None
+        """Of which commit it says that files are."""
         self.knows_ranges = True
         self.is_gone = False
         self.page = 1000
@@ -131,6 +137,8 @@ class _Handler(BaseHTTPRequestHandler):
         )
         try:
             self._route(url.path)()
+        except ConnectionError:  # The client has gone.
+            self.close_connection = True
         except _Refusal as refusal:
             headers = {"X-Error-Code": refusal.code, "X-Error-Message": refusal.message}
             self._send(refusal.status, b"{}", {k: v for k, v in headers.items() if v})
@@ -187,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
         if content is None:
             raise _Refusal(404, "EntryNotFound")
         content = self.hub.sent.get(path, content)
-        facts = {"X-Repo-Commit": commit, "ETag": f'"{git_sha(content)}"'}
+        facts = {"X-Repo-Commit": self.hub.says_commit or commit, "ETag": f'"{git_sha(content)}"'}
         if len(content) < LARGE:
             self._content(content, facts)
             return
@@ -288,12 +296,25 @@ class _Handler(BaseHTTPRequestHandler):
         start = int(span[1]) if span else 0
         if span:
             facts = facts | {"Content-Range": f"bytes {start}-{len(content) - 1}/{len(content)}"}
+        if self.hub.drips == "files":
+            self._drip(content[:3])
         breaks = len(content) >= LARGE and bool(self.hub.breaks)
         after = self.hub.breaks.pop(0) if breaks else None
         self._send(206 if span else 200, content[start:], facts, after=after)
 
     def _json(self, value: Any, headers: dict[str, str] | None = None) -> None:
-        self._send(200, json.dumps(value).encode(), headers or {})
+        if self.hub.drips in {"headers", "json"}:
+            self._drip(b"[", whole=self.hub.drips == "json")
+        content = json.dumps(value).encode() + b" " * self.hub.padding
+        self._send(200, content, headers or {})
+
+    def _drip(self, content: bytes, *, whole: bool = True) -> None:
+        """Send something and then a byte now and then, until nobody listens."""
+        self.wfile.write(b"HTTP/1.1 200 OK\r\n" + (b"\r\n" + content if whole else b"X-Drip: "))
+        self.close_connection = True
+        while True:
+            self.wfile.write(b" " if whole else b"x")
+            time.sleep(0.02)
 
     def _send(
         self, status: int, content: bytes, headers: dict[str, str], *, after: int | None = None

@@ -210,3 +210,68 @@ def test_a_cache_that_cannot_be_written(tmp_path):
     Path(tmp_path / "cache").write_text("a file")
     with pytest.raises(StoreError, match="cannot write"):
         api.fetch_scene("hub:lab/corridor")
+
+
+def test_a_pinned_commit_is_the_one_that_the_hub_gives(place):
+    (first,) = place.commits
+    place.revisions[first] = newer = place.commit({"collision.yaml": b"boxes: []\n"})
+    with pytest.raises(SceneError, match=f"gives commit {newer} for it; write the commit") as error:
+        api.fetch_scene(f"hub:lab/corridor@{first}")
+    line_of(error)
+    assert not api.fetch_scene("hub:lab/corridor").files.keys() ^ {
+        *("scene.yaml", "collision.yaml", "notes/large.bin")
+    }
+
+
+def test_the_beginning_of_a_commit_is_one_too(place):
+    (first,) = place.commits
+    place.revisions[first[:10]] = first
+    assert api.fetch_scene(f"hub:lab/corridor@{first[:10]}").revision == first
+    other = f"{int(first[0], 16) ^ 1:x}{first[1:10]}"
+    place.revisions[other] = first
+    with pytest.raises(SceneError, match=f"gives commit {first} for it"):
+        api.fetch_scene(f"hub:lab/corridor@{other}")
+
+
+@pytest.mark.usefixtures("place")
+def test_files_of_another_commit_are_not_taken(hub):
+    hub.says_commit = "c" * 40
+    with pytest.raises(
+        FetchError, match=rf"gives \S+ of commit {'c' * 40}, not of [0-9a-f]+; check"
+    ):
+        api.fetch_scene("hub:lab/corridor")
+    hub.says_commit = None
+    assert api.fetch_scene("hub:lab/corridor").files
+
+
+@pytest.mark.usefixtures("place")
+def test_an_answer_that_is_larger_than_any_is_not_read_to_its_end(hub):
+    hub.padding = limits.JSON + 1
+    with pytest.raises(FetchError, match="an answer has over 16 MiB") as error:
+        api.fetch_scene("hub:lab/corridor")
+    line_of(error)
+
+
+@pytest.mark.usefixtures("place")
+def test_a_listing_without_an_end(hub):
+    hub.page = 0
+    with pytest.raises(FetchError, match="its listing has over 64 pages"):
+        api.fetch_scene("hub:lab/corridor")
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("headers", "no answer came within 1 s"),
+        ("json", "it takes over 1 s"),
+        ("files", "it takes over 1 s"),
+    ],
+)
+@pytest.mark.usefixtures("place")
+def test_what_comes_byte_by_byte_is_given_up_in_time(hub, monkeypatch, what, words):
+    monkeypatch.setattr(limits, "SECONDS", 1.0)
+    monkeypatch.setattr(limits, "SLOWEST", 10**9)
+    hub.drips = what
+    with pytest.raises(FetchError, match=f"cannot fetch all from {hub.url}: {words}") as error:
+        api.fetch_scene("hub:lab/corridor")
+    line_of(error)

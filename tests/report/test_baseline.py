@@ -121,7 +121,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
     assert table(text) == [
         ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "fell",
          "from waypoint"],
-        ["hurdles/three_low", "critical", "5", "0.950", "0.400", "0.550", "over 1000000", "yes",
+        ["hurdles/three_low", "critical", "5", "0.950", "0.400", "0.550", "over `1000000`", "yes",
          "2"],
         ["a friction 0.6", "supporting", "5", "0.900", "0.950", "-0.050", "0.3", "", ""],
         ["toy", "informational", "5", "0.500", "0.000", "0.500", "", "", ""],

@@ -109,7 +109,7 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
     ]
     assert facts[0]["suite"] != facts[1]["suite"]
     assert facts[0]["panel of starts"] == facts[1]["panel of starts"]
-    assert facts[0]["panel of starts"].startswith("aaaaaaaaaaaa (same robot, protocol, seed")
+    assert facts[0]["panel of starts"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
 
 
 def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:
@@ -268,9 +268,9 @@ def test_provenance_names_what_ran(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
     facts = dict(section(render([make_row("a", 0, 4)], {"a": 1}), "Provenance")[1:])
-    assert facts["suite"] == f"suites/hurdles.yaml, {digest_of({'name': 'hurdles'})[:12]}"
-    assert facts["policy"] == "go1-parkour, checkpoint cccccccccccc"
-    assert facts["nw-eval"] == "0.1.0, commit ffffffffffff with changes"
+    assert facts["suite"] == f"suites/hurdles.yaml, `{digest_of({'name': 'hurdles'})[:12]}`"
+    assert facts["policy"] == "go1-parkour, checkpoint `cccccccccccc`"
+    assert facts["nw-eval"] == "0.1.0, commit `ffffffffffff` with changes"
     assert facts["versions"] == "mujoco 4.0.0"
 
 
@@ -303,10 +303,10 @@ def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(
 ) -> None:
     rows = [make_row("a", 0, 4)]
     own = dict(section(render(rows, {"a": 1}), "Provenance")[1:])
-    assert own["policy"] == "go1-parkour, checkpoint cccccccccccc"
+    assert own["policy"] == "go1-parkour, checkpoint `cccccccccccc`"
     far = PolicyInfo(name="far", checkpoint_digest="dd" * 32, origin="served dddddddddddddddd")
     served = dict(section(render(rows, {"a": 1}, policy=far), "Provenance")[1:])
-    assert served["policy"] == "far, served dddddddddddddddd"
+    assert served["policy"] == "far, served `dddddddddddddddd`"
 
 
 EVIL = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -13,9 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.reporting.markdown import escaped, markdown_table
-from nw_eval.reporting.tables import Table
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -24,7 +22,7 @@ MARK = "<!-- nw-eval: hurdles -->"
 PAGE = f"""{MARK}
 # REGRESSED: hurdles, go1-parkour
 
-* 1 scene below the bar: `hurdles/a_b` \\<b> \\*c\\*
+* 1 scene below the bar: hurdles/a_b \\<b\\> \\*c\\*
 
 | scene | replay                               |
 | ----- | ------------------------------------ |
@@ -135,9 +133,10 @@ def test_a_comment_is_written_once_and_then_written_over(post: Any, repository: 
     assert post(PAGE.replace("REGRESSED", "PASS")) == ""
     assert [method for method, _ in repository.asked] == ["GET", "POST", "GET", "PATCH"]
     _, own = repository.comments
-    assert own["body"].startswith(f"{MARK}\n# PASS: hurdles, go1-parkour")
-    link = "[This run](https://github.example/o/r/actions/runs/12)"
-    assert own["body"].rstrip().endswith(f"</details>\n\n{link}")
+    link = "[this run](https://github.example/o/r/actions/runs/12)"
+    told = f"**nw-eval**: what {link} of the pull request's own code reports."
+    assert own["body"].startswith(f"{MARK}\n{told}\n\n# PASS: hurdles, go1-parkour\n")
+    assert own["body"].endswith("\n</details>\n")
 
 
 def test_a_persons_comment_and_another_suites_are_left_alone(
@@ -183,42 +182,47 @@ def test_a_forks_run_comments_on_the_open_pull_request_at_its_commit(
 @pytest.mark.parametrize(
     ("page", "why"),
     [
-        (f"{MARK}\n<img src=x>", "would not write '<'"),
-        (f"{MARK}\n\\\\<b>", "would not write '<'"),
-        (f"{MARK}\n[click](javascript:x)", "would not write ']('"),
-        (f"{MARK}\n`a` @maintainer", "would not write '@m'"),
-        (f"{MARK}\n`\\` @maintainer `\\`", "would not write '@m'"),
-        (f"{MARK}\nsee https://evil.example", "would not write '://'"),
-        (f"{MARK}\n&#64;maintainer", "would not write '&#64;'"),
-        (f"{MARK}\nfixes #1", "would not write '#1'"),
-        (f"{MARK}\n<details><summary>x</summary>", "would not write '<'"),
-        (f"{MARK}\nturned \u202e round", "invisible characters"),
-        (f"{MARK}\n\x1b[2J", "invisible characters"),
-        ("# no mark", "no mark of nw-eval"),
-        (f"{MARK} <b>\nx", "no mark of nw-eval"),
-        (f"{MARK}\n" + "x" * 62_000, "no file of at most 62000 bytes"),
-        (f"{MARK}\n".encode() + b"\xff", "no UTF-8"),
+        (f"{MARK}\n<img src=x>", "hurdles -->: nw-eval would not write '<img src=x>'"),
+        (f"{MARK}\nfixes #1", "hurdles -->: nw-eval would not write 'fixes #1'"),
+        (f"{MARK}\nturned \u202e round", "hurdles -->: it has invisible characters"),
+        (f"{MARK}\n\x1b[2J", "hurdles -->: it has invisible characters"),
+        ("# no mark", "<!-- nw-eval -->: its first line is no mark of nw-eval"),
+        (f"{MARK} <b>\nx", "<!-- nw-eval -->: its first line is no mark of nw-eval"),
+        (f"{MARK}\n" + "x" * 62_000, "nw-eval-comment: no file of at most 62000 bytes"),
+        (f"{MARK}\n".encode() + b"\xff", "<!-- nw-eval -->: it is no UTF-8"),
     ],
 )
-def test_what_nw_eval_would_not_write_is_not_posted(
+def test_in_the_place_of_what_nw_eval_would_not_write_stands_a_sentence_with_the_runs_link(
     post: Any, repository: Repository, page: str, why: str
 ) -> None:
     said = post(page)
-    assert said.startswith("::warning title=nw-eval comment::nw-eval-comment: ")
+    assert said.startswith("::warning title=nw-eval comment::")
     assert why in said
-    assert repository.comments == []
+    (posted,) = repository.comments
+    mark, told, *text = posted["body"].splitlines()
+    assert mark == (MARK if "hurdles" in why else "<!-- nw-eval -->")
+    assert "[this run](https://github.example/o/r/actions/runs/12)" in told
+    refused = "The text of this run's comment is not shown: nw-eval would not have written it."
+    assert text == ["", f"{refused} The run has the report."]
 
 
-def test_a_link_in_the_place_of_a_comment_is_not_followed(
+def test_a_link_or_a_pipe_in_the_place_of_a_comment_is_not_read(
     post: Any, repository: Repository, tmp_path: Path
 ) -> None:
     secret = tmp_path / "secret"
-    secret.write_text(PAGE)
-    link = tmp_path / "comments" / "aa" / "comment.md"
-    link.parent.mkdir(parents=True)
-    link.symlink_to(secret)
-    assert "aa: no file of at most" in post(PAGE)
-    assert len(repository.comments) == 1
+    secret.write_text(PAGE.replace("hurdles, go1-parkour", "secret"))
+    for name in ("aa", "bb"):
+        (tmp_path / "comments" / name).mkdir(parents=True)
+    (tmp_path / "comments" / "aa" / "comment.md").symlink_to(secret)
+    os.mkfifo(tmp_path / "comments" / "bb" / "comment.md")
+    said = post(PAGE)
+    assert "aa: no file of at most" in said
+    assert "bb: no file of at most" in said
+    bodies = [comment["body"] for comment in repository.comments]
+    assert len(bodies) == 2
+    assert bodies[0].startswith("<!-- nw-eval -->\n")
+    assert bodies[1].startswith(MARK)
+    assert not any("secret" in body for body in bodies)
 
 
 def test_a_token_that_may_not_write_or_is_missing_is_a_warning(
@@ -229,14 +233,3 @@ def test_a_token_that_may_not_write_or_is_missing_is_a_warning(
     assert post(PAGE, token="").endswith("::there is no GITHUB_TOKEN\n")
     assert post(PAGE, {"schedule": "0"}).endswith("::the event is of no pull request\n")
     assert repository.comments == []
-
-
-def test_what_nw_eval_writes_of_strangers_names_is_posted(
-    post: Any, repository: Repository
-) -> None:
-    evil = "<b> @maintainer #12 `code` [a](http://b) &lt; \\<i> \x1b \u202e www.x :tada: ` ``@x"
-    table = Table(
-        title="x", columns=("name", "replay"), rows=((evil, evil),), code=frozenset({"replay"})
-    )
-    assert post(f"{MARK}\n# {escaped(evil)}\n\n{markdown_table(table)}\n") == ""
-    assert len(repository.comments) == 1

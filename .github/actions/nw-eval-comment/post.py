@@ -1,9 +1,10 @@
 """Posts the comments that nw-eval wrote on the pull request of an event; Python's library alone.
 
-The job that wrote them may have been a fork's, so nothing of them is believed: a text is posted
-only if it is one that `nw-eval run --comment` may have written, and on the pull request that
-GitHub's own event leads to. Whatever fails is a warning in the log: no comment is worth a red
-check.
+The job that wrote them may have been a fork's, so nothing of them is believed. A text is judged
+whole: each of its lines is taken apart, escaped again by nw-eval's own rules, and must come out as
+it was. What does not is replaced by a sentence. Every comment begins with lines of this script's,
+which say whose words follow and link to the run. It goes to the pull request that GitHub's own
+event leads to. Whatever fails is a warning in the log: no comment is worth a red check.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import stat
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,11 +27,25 @@ MARK = re.compile(r"<!-- nw-eval: [A-Za-z0-9][A-Za-z0-9_.-]{0,63} -->")
 OWN = ("<details><summary>The rest of the report</summary>", "</details>")
 """The HTML that nw-eval writes."""
 
-INERT = re.compile(r"\\.|`[^`\n]*`")
-"""What GitHub shows as it stands: a sign behind a backslash, and code."""
+TELLING = (
+    "The text of this run's comment is not shown: nw-eval would not have written it. "
+    "The run has the report."
+)
+"""What stands in the place of a text that is refused."""
 
-ACTS = re.compile(r"<|\]\(|\]:|@\w|#\d|\bgh-\d|://|\bwww\.|&#?\w+;|mailto:", re.IGNORECASE)
-"""What makes HTML, a link, a picture, a mention or a reference; nw-eval writes none of them."""
+UNNAMED = "<!-- nw-eval -->"
+"""The mark of a comment on a text whose own mark is none."""
+
+# How nw-eval escapes words: a copy of `nw_eval/reporting/markdown.py`, which is not checked out
+# where this script runs. A test holds the two together.
+ACTS = re.compile(
+    r"[@$]|#\d|gh-\d|://|mailto:|xmpp:|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
+    r"|(?<![^\W_])[0-9a-f]{7,}(?![^\W_])",
+    re.IGNORECASE,
+)
+MARKS = re.compile(r"[\\`*\[\]<>|~&]|(?<![^\W_])_|_(?![^\W_])")
+BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
+CODE = re.compile(r"`[^`\n]+`")
 
 
 class Refused(Exception):  # noqa: N818 - it is no error of this program.
@@ -46,28 +62,113 @@ def main(folder: Path, environment: dict[str, str]) -> None:
         raise Refused(f"no comment.md below {folder}")
     for file in files:
         try:
-            mark, text = checked(file)
-            github.post(number, mark, f"{mark}\n{text}\n\n[This run]({link})\n")
+            mark, text = text_of(content_of(file))
         except Refused as error:
             warn(f"{file.parent.name}: {error}")
+            mark, text = UNNAMED, TELLING
+        github.post(number, mark, body_of(mark, text, link))
 
 
-def checked(file: Path) -> tuple[str, str]:
-    """Return the mark and the text of a comment that nw-eval may have written."""
-    if file.is_symlink() or not file.is_file() or file.stat().st_size > MOST_BYTES:
+def body_of(mark: str, text: str, link: str) -> str:
+    """Return all that is posted: lines of this script's own, and then a text."""
+    told = f"**nw-eval**: what [this run]({link}) of the pull request's own code reports."
+    return f"{mark}\n{told}\n\n{text}\n"
+
+
+def content_of(file: Path) -> bytes:
+    """Return what is in a file that may be anything."""
+    facts = file.lstat()
+    if not stat.S_ISREG(facts.st_mode) or facts.st_size > MOST_BYTES:
         raise Refused(f"no file of at most {MOST_BYTES} bytes")
+    return file.read_bytes()
+
+
+def text_of(content: bytes) -> tuple[str, str]:
+    """Return the mark and the text of a comment, whatever the content of its file is."""
+    mark = UNNAMED
     try:
-        mark, _, text = file.read_text(encoding="utf-8").partition("\n")
-    except UnicodeDecodeError:
-        raise Refused("no UTF-8") from None
-    if not MARK.fullmatch(mark):
+        first, _, text = content.decode("utf-8").partition("\n")
+        mark = first if MARK.fullmatch(first) else UNNAMED
+        check(mark, text)
+    except (Refused, UnicodeDecodeError) as error:
+        warn(f"{mark}: {error if isinstance(error, Refused) else 'it is no UTF-8'}")
+        return mark, TELLING
+    return mark, text.strip("\n")
+
+
+def check(mark: str, text: str) -> None:
+    """Refuse a text that nw-eval does not write.
+
+    It writes headings, lists of one level, tables and sentences, with an empty line between two of
+    them, and folds the last ones at most once.
+    """
+    if mark == UNNAMED:
         raise Refused("its first line is no mark of nw-eval's")
     if not all(character.isprintable() for character in text.replace("\n", "")):
         raise Refused("it has invisible characters")
-    plain = "\n".join("" if line in OWN else line for line in text.split("\n"))
-    if found := ACTS.search(INERT.sub("", plain)):
-        raise Refused(f"nw-eval would not write {found[0]!r}")
-    return mark, text.rstrip()
+    begins, ends = OWN
+    blocks = [block for block in re.split(r"\n\n+", text.strip("\n")) if block]
+    folds = [block for block in blocks if block in OWN]
+    if folds not in ([], [begins, ends]) or (folds and blocks[-1] != ends):
+        raise Refused("its details do not begin once and end with it")
+    for block in blocks:
+        for piece in () if block in OWN else pieces_of(block):
+            if not is_ours(piece):
+                raise Refused(f"nw-eval would not write {piece[:100]!r}")
+
+
+def pieces_of(block: str) -> list[str]:
+    """Return the words of a list, a table, a heading or a sentence, without what makes it one."""
+    lines = block.split("\n")
+    if all(line.startswith("* ") for line in lines):
+        return [line[2:] for line in lines]
+    if lines[0].startswith("|"):
+        return cells_of(lines)
+    if len(lines) > 1:
+        raise Refused(f"nw-eval would not write {block[:100]!r}")
+    return [re.sub(r"^#{1,2} ", "", block)]
+
+
+def cells_of(lines: list[str]) -> list[str]:
+    """Return the cells of a table, without the line that rules it."""
+    rows = []
+    for line in lines:
+        if not (line.startswith("| ") and line.endswith(" |") and len(line) > 3):
+            raise Refused(f"nw-eval would not write {line[:100]!r}")
+        rows.append([cell.strip(" ") for cell in re.split(r"(?<!\\)\|", line[1:-1])])
+    ruled = len(rows) > 1 and all(re.fullmatch(r"-{2,}[-:]", cell) for cell in rows[1])
+    if not ruled or len({len(row) for row in rows}) != 1:
+        raise Refused("a table of it is none of nw-eval's")
+    return [cell for row in (rows[0], *rows[2:]) for cell in row]
+
+
+def is_ours(piece: str) -> bool:
+    """Whether words in Markdown are as nw-eval escapes them: as text, or all of them as code."""
+    if CODE.fullmatch(piece):
+        return code(plain_of(piece)) == piece
+    return escaped(" ".join(plain_of(word) for word in piece.split(" "))) == piece
+
+
+def plain_of(word: str) -> str:
+    """Return what a word, or a code span, was before it was escaped."""
+    if CODE.fullmatch(word):
+        return word[1:-1].replace("\\|", "|")
+    return re.sub(r"\\(.)", r"\1", word)
+
+
+def escaped(line: str) -> str:
+    """Return one line of words as nw-eval writes them in Markdown."""
+    line = " ".join(
+        code(word) if ACTS.search(word) else MARKS.sub(r"\\\g<0>", word) for word in line.split(" ")
+    )
+    begins = BEGINS.match(line)
+    return line if begins is None else f"{line[: begins.end() - 1]}\\{line[begins.end() - 1 :]}"
+
+
+def code(words: str) -> str:
+    """Return words as nw-eval writes code."""
+    line = re.sub(r"[`]|\\+(?=\|)", "'", words).replace("|", "\\|")
+    return f"`{line}`" if line else ""
 
 
 def pull_request_of(event: dict[str, Any], github: GitHub) -> tuple[int, str]:

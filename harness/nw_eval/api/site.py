@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ def write_site(
 ) -> WrittenSite:
     """Write a leaderboard: policies by suites and tasks, scenes with pictures, and all reports.
 
-    The same runs give the same bytes. A site that is there already is replaced; nothing else is.
+    Every page is written anew from rows that are checked. A run that is not as it was when it
+    ended, or holds links, is named and left out. The same runs give the same bytes. A site that is
+    there already is replaced; nothing else is.
 
     Args:
         runs: their folders, in any order.
@@ -68,7 +71,7 @@ def write_site(
         StoreError: the site cannot be written.
     """
     from nw_eval.api.running.comparisons import check_share
-    from nw_eval.api.running.reports import as_begun
+    from nw_eval.api.running.reports import as_published, fault_of
     from nw_eval.reporting.markdown import write_report
     from nw_eval.reporting.site.board import render_board
     from nw_eval.results.run_folder import open_run_folder
@@ -82,9 +85,9 @@ def write_site(
     left_out: list[str] = []
     for each in folders:
         try:
-            run = as_begun(each)
-        except StoreError as error:
-            left_out.append(f"{each.name}: {error}")
+            run = as_published(each)
+        except Exception as error:  # noqa: BLE001 - One run costs no other run its page.
+            left_out.append(f"{clean(each.name)}: {fault_of(error)}")
             continue
         if run.info.shard is not None:
             left_out.append(f"{each.name}: a part of a run; `nw-eval merge` makes it whole")
@@ -95,14 +98,15 @@ def write_site(
     judged.sort(
         key=lambda run: (str(run.info.suite.get("name", "")), run.info.policy.name, run.info.id)
     )
-    hrefs = {run.folder: _copied(run, folder, number) for number, run in enumerate(judged, 1)}
-    sections = _sections(judged, hrefs, left_out, confidence)
+    hrefs = _rendered(judged, folder, left_out)
+    shown = [run for run in judged if run.folder in hrefs]
+    sections = _sections(shown, hrefs, left_out, confidence)
     if pictures:
         drawn: dict[tuple[str, str], bytes | None] = {}
         sections = [replace(each, pictures=_pictures(each, drawn)) for each in sections]
     write_report(folder / PAGE, render_board(title, sections, left_out))
-    shown = sum(len(each.runs) for each in sections)
-    return WrittenSite(page=folder / PAGE, runs=shown, left_out=tuple(left_out))
+    runs_shown = sum(len(each.runs) for each in sections)
+    return WrittenSite(page=folder / PAGE, runs=runs_shown, left_out=tuple(left_out))
 
 
 def _emptied(out: Path) -> Path:
@@ -138,26 +142,22 @@ def _suite_of(run: RunReport) -> str:
     return str(run.info.suite.get("name", "suite"))
 
 
-def _copied(run: RunReport, site: Path, number: int) -> str:
-    """Copy a run's report, or write it, and return its address from the page."""
-    from nw_eval.api.running.reports import report
-    from nw_eval.results.run_folder import RunFolder
+def _rendered(judged: Sequence[RunReport], site: Path, left_out: list[str]) -> dict[Path, str]:
+    """Write a report of each run, and return its address from the page, by the run's folder."""
+    from nw_eval.api.running.reports import fault_of, write_anew
 
-    words = f"{_suite_of(run)}-{run.info.policy.name}"
-    slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
-    target = site / REPORTS / slug
-    own = RunFolder(path=run.folder).report_html
-    try:
-        target.mkdir()
-        if own.is_file():
-            shutil.copyfile(own, target / "report.html")
-            return f"{REPORTS}/{slug}/report.html"
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {error.filename}: {error.strerror}", fix="choose another folder"
-        ) from error
-    report(run.folder, out=target / "report.md")
-    return f"{REPORTS}/{slug}/report.html"
+    hrefs: dict[Path, str] = {}
+    for number, run in enumerate(judged, 1):
+        words = f"{_suite_of(run)}-{run.info.policy.name}"
+        slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
+        href = f"{REPORTS}/{slug}/report.html"
+        try:
+            write_anew(run, site / href, logs=True)
+        except Exception as error:  # noqa: BLE001 - As for reading it.
+            left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")
+        else:
+            hrefs[run.folder] = href
+    return hrefs
 
 
 def _sections(
@@ -167,6 +167,7 @@ def _sections(
     confidence: float,
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
+    from nw_eval.api.running.reports import fault_of
     from nw_eval.gate.side_by_side.compare import compared
     from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
     from nw_eval.reporting.site.board import BoardRun, BoardSection
@@ -174,7 +175,11 @@ def _sections(
     groups: list[list[tuple[RunReport, Entrant]]] = []
     notes: list[str] = []
     for run in judged:
-        entrant = entrant_of_run(run.folder.name, run.info, run.rows)
+        try:
+            entrant = entrant_of_run(run.folder.name, run.info, run.rows)
+        except Exception as error:  # noqa: BLE001 - As for reading it.
+            left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")
+            continue
         met = {name[0] for name in entrant.results}
         if lacking := sorted(set(entrant.key.scenes) - met):
             left_out.append(f"{run.folder.name}: it has no result from scene {lacking[0]}")

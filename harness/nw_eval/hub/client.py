@@ -7,17 +7,26 @@ fetched or pushed. It says who one is (`HF_TOKEN`, `hf auth login`) and which hu
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Generator
+import threading
+import time
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import FetchError, PrerequisiteError, UsageError
+from nw_eval.hub import limits
 from nw_eval.hub.reference import Reference
 
+SILENCE = 30.0
+"""Seconds without a byte after which a connection counts as broken."""
+
+_REDIRECTS = 8
 _WHO = "set HF_TOKEN, or log in with `hf auth login`"
 
 
@@ -85,6 +94,152 @@ def open_client(reference: Reference) -> Client:
     )
 
 
+class SlowError(Exception):
+    """A hub takes longer in all than it may, though its connection is not broken."""
+
+
+class Deadline:
+    """A time by which all is to be done.
+
+    Args:
+        seconds: from now on.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._end = seconds, time.monotonic() + seconds
+
+    @property
+    def left(self) -> float:
+        """Seconds, more than none.
+
+        Raises:
+            SlowError: it has passed.
+        """
+        left = self._end - time.monotonic()
+        if left <= 0.0:
+            raise SlowError(f"it takes over {self._seconds:.0f} s")
+        return left
+
+    def check(self) -> None:
+        """Go on.
+
+        Raises:
+            SlowError: it has passed.
+        """
+        _ = self.left
+
+
+@contextmanager
+def opened(
+    client: Client, url: str, headers: dict[str, str], deadline: Deadline
+) -> Generator[tuple[Any, ...]]:
+    """Give the answers to a request, redirects first; nothing of them is read but their headers.
+
+    Args:
+        client: of the hub.
+        url: what is asked for.
+        headers: besides those that say who asks.
+        deadline: for the headers.
+
+    Raises:
+        SlowError: the headers do not come in time.
+    """
+    session: Any = client.module.get_session()
+    known = client.utils.build_hf_headers(library_name="nw-eval")
+    # Compressed bytes have other places than those of the file, and no size before they are read.
+    known |= {"Accept-Encoding": "identity"} | headers
+    request = session.build_request("GET", url, headers=known, timeout=SILENCE)
+    answers: list[Any] = []
+    try:
+        while request is not None and len(answers) <= _REDIRECTS:
+            answers.append(_answer(session, request, deadline))
+            # Its body is not read; a redirect's may have no end.
+            request = answers[-1].next_request
+        yield tuple(answers)
+    finally:
+        for answer in answers:
+            answer.close()
+
+
+def _answer(session: Any, request: Any, deadline: Deadline) -> Any:
+    """Return the headers of an answer, in time: the library limits the silence between two bytes.
+
+    Raises:
+        SlowError: they do not come in time.
+        Exception: the library's own.
+    """
+    found: SimpleQueue[Any] = SimpleQueue()
+    gone = threading.Event()
+
+    def ask() -> None:
+        try:
+            answer = session.send(request, stream=True, follow_redirects=False)
+        except Exception as error:  # noqa: BLE001 - It is raised where it was asked.
+            found.put(error)
+            return
+        found.put(answer)
+        if gone.is_set():
+            answer.close()
+
+    left = min(deadline.left, limits.SECONDS)
+    threading.Thread(target=ask, name="hub", daemon=True).start()
+    try:
+        answer = found.get(timeout=left)
+    except Empty:
+        gone.set()
+        raise SlowError(f"no answer came within {left:.0f} s") from None
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+def chunks_of(answer: Any, most: int, deadline: Deadline) -> Iterator[bytes]:
+    """Yield the bytes of an answer as they come.
+
+    Raises:
+        ValueError: there are more than `most`.
+        SlowError: they do not come in time.
+    """
+    size = 0
+    for chunk in answer.iter_raw():
+        deadline.check()
+        size += len(chunk)
+        if size > most:
+            raise ValueError(f"an answer has over {most / 2**20:g} MiB")
+        yield chunk
+
+
+def json_of(client: Client, url: str, deadline: Deadline) -> tuple[Any, str | None]:
+    """Return what the hub answers, and the address of the next page; None if it is the last.
+
+    Raises:
+        ValueError: it is no JSON, has over `limits.JSON` bytes, or the next page lies elsewhere.
+        SlowError: it does not come in time.
+        Exception: the library's own, for what the hub refuses.
+    """
+    with opened(client, url, {}, deadline) as answers:
+        answer = answers[-1]
+        if answer.is_error:
+            raise_for(client, answer, deadline)
+        body = b"".join(chunks_of(answer, limits.JSON, deadline))
+        following = answer.links.get("next", {}).get("url")
+    if following is not None and not following.startswith(f"{client.endpoint}/"):
+        raise ValueError("the next page of its listing lies elsewhere")
+    return json.loads(body), following
+
+
+def raise_for(client: Client, answer: Any, deadline: Deadline) -> None:
+    """Raise the library's error for an answer that is a refusal.
+
+    The library reads all of such an answer for its words, so it is given one that is read.
+    """
+    body = b"".join(chunks_of(answer, limits.JSON, deadline))
+    kept = {name: word for name, word in answer.headers.items() if not name.startswith("content-")}
+    client.utils.hf_raise_for_status(
+        type(answer)(answer.status_code, headers=kept, content=body, request=answer.request)
+    )
+
+
 @contextmanager
 def worded(client: Client, reference: Reference) -> Generator[None]:
     """Let what the hub refuses, and what keeps one from it, be errors of ours.
@@ -130,7 +285,7 @@ def worded(client: Client, reference: Reference) -> Generator[None]:
             f"{reference.text} is not kept here, and HF_HUB_OFFLINE forbids the network",
             fix="unset HF_HUB_OFFLINE",
         ) from None
-    except errors.HTTPError as error:
+    except (errors.HTTPError, SlowError) as error:
         raise unreachable(client, reference, error) from None
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise FetchError(
@@ -141,9 +296,10 @@ def worded(client: Client, reference: Reference) -> Generator[None]:
 
 
 def unreachable(client: Client, reference: Reference, error: Exception) -> FetchError:
-    """Return the error of a network that is not there."""
+    """Return the error of a network that is not there, or too slow."""
+    what = "fetch all from" if isinstance(error, SlowError) else "reach"
     return FetchError(
-        f"{reference.text}: cannot reach {client.endpoint}: {_first_line(error)}",
+        f"{reference.text}: cannot {what} {client.endpoint}: {_first_line(error)}",
         fix="check the network, proxy and HF_ENDPOINT; what was fetched once needs none",
     )
 

@@ -6,23 +6,19 @@ import hashlib
 import os
 import time
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from nw_eval.amounts import in_words
+from nw_eval.clean import clean
 from nw_eval.errors import FetchError
-from nw_eval.hub.client import Client, unreachable
+from nw_eval.hub import limits
+from nw_eval.hub.client import Client, Deadline, chunks_of, opened, raise_for, unreachable
 from nw_eval.hub.listener import listener
 from nw_eval.hub.listing import RemoteFile
 from nw_eval.hub.reference import Reference
 
 _PAUSES = (0.5, 2.0, 8.0)
 """Seconds before each further attempt, as long as none brings a byte."""
-
-_SILENCE = 30.0
-"""Seconds without a byte after which a connection counts as broken."""
-
-_CHUNK = 2**18
-"""Bytes that are written at once: what a broken connection may cost."""
 
 _SHA1, _SHA256 = 40, 64  # hexadecimal digits
 
@@ -41,15 +37,17 @@ def download(
 
     Raises:
         FetchError: the network is lost, or what came is not what was announced.
+        SlowError: it comes too slowly.
         OSError: it cannot be written.
     """
-    url = client.url(reference, commit, file.path)
     pauses = list(_PAUSES)
     with part.open("ab") as out:
+        missing = file.size - _size(out, file)
+        deadline = Deadline(limits.SECONDS + missing / limits.SLOWEST)
         while (here := _size(out, file)) < file.size:
             broken: Exception | None = None
             try:
-                _append(client, url, file, out, here)
+                _append(client, reference, commit, file, out, here, deadline)
             except client.errors.HTTPError as error:
                 if isinstance(error, client.errors.HfHubHTTPError):
                     raise
@@ -74,23 +72,36 @@ def download(
         )
 
 
-def _append(client: Client, url: str, file: RemoteFile, out: BinaryIO, here: int) -> None:
+def _append(
+    client: Client,
+    reference: Reference,
+    commit: str,
+    file: RemoteFile,
+    out: BinaryIO,
+    here: int,
+    deadline: Deadline,
+) -> None:
     """Append what one connection brings of the bytes from `here` on, and no more than announced."""
-    headers = client.utils.build_hf_headers(library_name="nw-eval")
-    # Compressed bytes have other places than those of the file.
-    headers |= {"Accept-Encoding": "identity"}
-    if here:
-        headers["Range"] = f"bytes={here}-"
-    session: Any = client.module.get_session()
-    with session.stream("GET", url, headers=headers, timeout=_SILENCE) as response:
-        if response.status_code == 416:  # It says that there is nothing from there on.
+    url = client.url(reference, commit, file.path)
+    headers = {"Range": f"bytes={here}-"} if here else {}
+    with opened(client, url, headers, deadline) as answers:
+        for answer in answers:
+            if (given := answer.headers.get("X-Repo-Commit", commit)) != commit:
+                raise FetchError(
+                    f"{reference.text}: {client.endpoint} gives {file.path} of commit "
+                    f"{clean(given, at_most=60)}, not of {commit}",
+                    fix="check HF_ENDPOINT and proxy",
+                )
+        answer = answers[-1]
+        if answer.status_code == 416:  # It says that there is nothing from there on.
             out.truncate(0)
             return
-        client.utils.hf_raise_for_status(response)
-        if here and response.status_code != 206:  # Its answer is the whole file.
+        if answer.is_error:
+            raise_for(client, answer, deadline)
+        if here and answer.status_code != 206:  # Its answer is the whole file.
             out.truncate(0)
             here = 0
-        for chunk in response.iter_bytes(_CHUNK):
+        for chunk in chunks_of(answer, limits.BYTES, deadline):
             out.write(chunk[: file.size - here])
             here += len(chunk)
             listener().fetching(file.path, min(here, file.size), file.size)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.files.inside import OutsideError, checked
 from nw_eval.hub import limits
-from nw_eval.hub.client import Client
+from nw_eval.hub.client import Client, Deadline, json_of
 from nw_eval.hub.reference import Reference, is_commit
 
-_SECONDS = 15.0
-"""That the hub may take to say which commit a revision is."""
-
-
+_DIGITS = re.compile(r"[0-9a-fA-F]{7,40}")
 _IDENTITY = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 
 
@@ -38,18 +37,43 @@ def commit_of(client: Client, reference: Reference) -> str:
     """Return the commit that a reference means now: 40 hexadecimal digits.
 
     Raises:
+        SceneError, PolicyError: by the reference's kind: it names a commit, and the hub gives
+            another one.
         ValueError: the hub gives none.
+        SlowError: it takes too long.
     """
-    info: Any = client.api.repo_info(
-        reference.repository,
-        repo_type=reference.repository_type,
-        revision=reference.revision,
-        timeout=_SECONDS,
-    )
-    commit = str(info.sha)
+    wanted = reference.revision
+    url = f"{_address(client, reference)}/revision/{quote(wanted, safe='')}"
+    info, _ = json_of(client, url, Deadline(limits.SECONDS))
+    commit = str(info["sha"])
     if not is_commit(commit):
         raise ValueError(f"{clean(commit, at_most=60)!r} is no commit")
+    # So many hexadecimal digits are meant as a commit, or its beginning, whoever has a branch so.
+    if _DIGITS.fullmatch(wanted) and not commit.startswith(wanted.lower()):
+        raise reference.error(
+            f"{client.endpoint} gives commit {commit} for it",
+            fix="write the commit that is wanted in full, and check HF_ENDPOINT and proxy",
+        )
     return commit
+
+
+def _address(client: Client, reference: Reference) -> str:
+    return f"{client.endpoint}/api/{reference.repository_type}s/{reference.repository}"
+
+
+def _entries(client: Client, reference: Reference, commit: str) -> Iterator[dict[str, Any]]:
+    """Yield what the hub says of each file and folder."""
+    archive = reference.archive
+    below = "" if archive is None else f"/{quote(str(PurePosixPath(archive).parent))}"
+    url: str | None = f"{_address(client, reference)}/tree/{commit}{below}"
+    url = f"{url}?recursive={str(archive is None).lower()}&expand=false"
+    deadline = Deadline(limits.SECONDS)
+    for _ in range(limits.PAGES):
+        page, url = json_of(client, url, deadline)
+        yield from page
+        if url is None:
+            return
+    raise ValueError(f"its listing has over {limits.PAGES} pages")
 
 
 def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteFile, ...]:
@@ -60,26 +84,22 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
     Raises:
         SceneError, PolicyError: by the reference's kind: a name leaves the folder, there are too
             many files or too large ones, or the archive is missing.
-        ValueError: the hub gives a digest that is none.
+        ValueError: the hub gives a digest that is none, or a listing without an end.
+        SlowError: it takes too long.
     """
     archive = reference.archive
-    entries: Any = client.api.list_repo_tree(
-        reference.repository,
-        None if archive is None else str(PurePosixPath(archive).parent),
-        recursive=archive is None,
-        revision=commit,
-        repo_type=reference.repository_type,
-    )
     found: list[RemoteFile] = []
-    for entry in islice(entries, 4 * limits.FILES):
-        if getattr(entry, "size", None) is None or archive not in {None, entry.path}:
+    for entry in islice(_entries(client, reference, commit), 4 * limits.FILES):
+        path = str(entry["path"])
+        if entry["type"] != "file" or archive not in {None, path}:
             continue  # A folder, or another place's archive.
-        if any(part.startswith(".") for part in _checked(reference, entry.path).parts):
+        if any(part.startswith(".") for part in _checked(reference, path).parts):
             continue
-        identity = str(entry.blob_id if entry.lfs is None else entry.lfs.sha256)
+        large = entry.get("lfs")
+        identity = str(large["oid"] if large else entry["oid"])
         if not _IDENTITY.fullmatch(identity):  # It is to be the name of a file.
             raise ValueError(f"{clean(identity, at_most=80)!r} is no digest")
-        found.append(RemoteFile(path=entry.path, size=int(entry.size), identity=identity))
+        found.append(RemoteFile(path=path, size=int(entry["size"]), identity=identity))
     _check_amount(reference, found)
     return tuple(sorted(found, key=lambda file: file.path))
 

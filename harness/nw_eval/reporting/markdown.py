@@ -118,10 +118,15 @@ def markdown_table(table: Table) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-_ACTS = re.compile(r"@\w|#\d|\bgh-\d|://|\bwww\.|:(?:[+-]1|[\w-]*[a-z][\w-]*):", re.IGNORECASE)
-"""What GitHub makes a mention, a reference, a link or an emoji of, wherever it stands in a word."""
+_ACTS = re.compile(
+    r"[@$]|#\d|gh-\d|://|mailto:|xmpp:|www\.|:(?:[+-]1|100|1234|[\w-]*[a-z][\w-]*):"
+    r"|(?<![^\W_])[0-9a-f]{7,}(?![^\W_])",
+    re.IGNORECASE,
+)
+"""What GitHub makes a mention, a reference, a link, a formula, an emoji or a commit's link of,
+wherever it stands in a word. The action's `post.py` has a copy of these rules."""
 
-_MARKS = re.compile(r"[\\`*\[\]<>|~$&]|(?<![^\W_])_|_(?![^\W_])")
+_MARKS = re.compile(r"[\\`*\[\]<>|~&]|(?<![^\W_])_|_(?![^\W_])")
 """Signs of Markdown. Underscores within words are none in GitHub's, and names are full of them."""
 
 _BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
@@ -143,5 +148,6 @@ def escaped(words: str) -> str:
 
 
 def _code(words: str) -> str:
-    line = clean(words, at_most=_LONGEST).replace("|", "\\|").replace("`", "'")
+    # A backslash before a pipe would leave it to the renderer whether the cell ends there.
+    line = re.sub(r"[`]|\\+(?=\|)", "'", clean(words, at_most=_LONGEST)).replace("|", "\\|")
     return f"`{line}`" if line else ""

@@ -79,13 +79,16 @@ def _write_table(
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 
-def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> RunRows:
+def read_trials(
+    folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial], *, mend: bool = True
+) -> RunRows:
     """Return the rows of a run's planned trials; writes trials.parquet again if it is damaged.
 
     Args:
         folder: of the run.
         info: its run.json.
         trials: its plan.
+        mend: whether anything may be written.
 
     Raises:
         StoreError: neither copy of the rows is whole, or what is there is of another run.
@@ -106,7 +109,7 @@ def read_trials(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]
         remarks.append(contents.dropped)
     if others:
         remarks.append(_left_out(others))
-    if info.rows_digest:
+    if info.rows_digest and mend:
         remarks += _mended(folder, info, rows)
     return RunRows(rows=tuple(rows), remarks=tuple(remarks))
 

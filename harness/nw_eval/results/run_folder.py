@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
@@ -185,6 +188,59 @@ def open_run_folder(path: Path) -> RunFolder:
             fix="name one of the folders in reports/",
         )
     return folder
+
+
+_MOST_FILES, _MOST_BYTES = 500_000, 16 * 2**30
+"""Of what is read of a run's folder; a run of 200,000 trials has as many logs."""
+
+
+def check_plain(folder: RunFolder) -> None:
+    """Refuse a folder in which a file that is read is none of its own, or larger than any run's.
+
+    Those files are published. Others of the folder are not looked at. Logs may have a second name
+    in the cache: what they hold is compared with the rows.
+
+    Raises:
+        StoreError: one of them is a link, a device or a pipe, they are too many or too large, or
+            the folder cannot be read.
+    """
+    count = size = 0
+    try:
+        for path, facts in _read_files(folder):
+            fault, name = "", folder.relative(path)
+            if not stat.S_ISREG(facts.st_mode):
+                kind = "a symbolic link" if stat.S_ISLNK(facts.st_mode) else "no plain file"
+                fault = f"{name} is {kind}"
+            elif facts.st_nlink > 1 and path.suffix != ".mcap":
+                fault = f"{name} is a hard link: the file has another name, too"
+            count, size = count + 1, size + facts.st_size
+            if count > _MOST_FILES or size > _MOST_BYTES:
+                fault = f"it has over {_MOST_FILES:,} files or {_MOST_BYTES // 2**30} GiB"
+            if fault:
+                raise StoreError(
+                    f"{folder.path} is not published: {fault}", fix="publish the run's own folder"
+                )
+    except OSError as error:
+        raise StoreError(
+            f"cannot read {error.filename}: {error.strerror}", fix="check its rights"
+        ) from error
+
+
+def _read_files(folder: RunFolder) -> Iterator[tuple[Path, os.stat_result]]:
+    """Yield the files of a run that are read, and all that is no folder among them."""
+    single = (folder.run_json, folder.journal, folder.trials, folder.digests, folder.cause)
+    waiting = [*single, folder.logs, folder.cached, folder.path / "bank"]
+    while waiting:
+        path = waiting.pop()
+        try:
+            facts = path.lstat()
+        except FileNotFoundError:
+            continue
+        if stat.S_ISDIR(facts.st_mode) and path not in single:
+            with os.scandir(path) as entries:
+                waiting += [Path(entry.path) for entry in entries]
+        else:
+            yield path, facts
 
 
 def _slug(text: str) -> str:

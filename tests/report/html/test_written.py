@@ -100,7 +100,13 @@ def test_many_runs_get_one_page_with_trends_by_scene(
         ["new", "INCONCLUSIVE", "hurdles"],
         ["old", "PASS", "hurdles"],
     ]
-    assert [each.attributes["href"] for each in runs.all("a")] == ["old/report.html"]
+    links = [str(each.attributes["href"]) for each in runs.all("a")]
+    assert [re.sub(r"-[0-9a-f]{8}\.html", "", link) for link in links] == [
+        "index-runs/new",
+        "index-runs/old",
+    ]
+    old = read((Path("runs") / links[1]).read_text(encoding="utf-8"))
+    assert "PASS" in old.one("h1").text
     # The oldest first.
     assert [[line[0], *line[2:]] for line in trends.cells[1:]] == [
         ["all scenes", "-0.500", "1.000", "0.500"],

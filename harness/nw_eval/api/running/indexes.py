@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -39,17 +42,21 @@ class RunIndex:
 
 
 def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunIndex:
-    """Judge runs again as they were begun, and write a page over all; their own stay as they are.
+    """Judge runs again as they were begun, and write a page over all and one of each.
+
+    Nothing of the runs' own pages is shown or linked, as somebody else may have written them; they
+    stay as they are. A run that is not as it was when it ended is named, and not shown.
 
     Args:
         runs: their folders.
         out: where to write the page; if None, `index.html` in the folder that all of them lie in.
+            Those of the runs are in a folder beside it: of `index.html`, in `index-runs`.
 
     Raises:
         UsageError: one is no run's folder, or there is none.
         StoreError: the page cannot be written.
     """
-    from nw_eval.api.running.reports import as_begun
+    from nw_eval.api.running.reports import as_published, fault_of
     from nw_eval.reporting.html import render_index
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import open_run_folder
@@ -60,27 +67,33 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
     page = Path(os.path.commonpath([folder.parent for folder in folders])) / "index.html"
     page = out or page
     judged: list[RunReport] = []
+    listed: list[ListedRun] = []
     unread: list[str] = []
     for folder in folders:
         try:
-            judged.append(as_begun(folder))
-        except StoreError as error:
-            unread.append(f"{folder.name}: {error}")
-    write_report(page, render_index([_listed(each, page) for each in judged], unread))
+            run = as_published(folder)
+            listed.append(_listed(run, page))
+        except Exception as error:  # noqa: BLE001 - One run costs no other run its line.
+            unread.append(f"{clean(folder.name)}: {fault_of(error)}")
+        else:
+            judged.append(run)
+    write_report(page, render_index(listed, unread))
     return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page)
 
 
 def _listed(judged: RunReport, page: Path) -> ListedRun:
-    """Return a run as the page lists it, with a link that holds wherever both are moved to."""
+    """Return a run as the page lists it, once its own page is written beside it."""
+    from nw_eval.api.running.reports import write_anew
     from nw_eval.reporting.html import ListedRun
-    from nw_eval.results.run_folder import RunFolder
 
-    folder = RunFolder(path=judged.folder)
-    own = next((path for path in (folder.report_html, folder.report_md) if path.is_file()), None)
-    relative = None if own is None else os.path.relpath(own, page.resolve().parent)
+    # Two runs of one name lie in two folders.
+    digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]
+    name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', judged.folder.name)[:80]}-{digest}.html"
+    beside = f"{page.stem}-runs"
+    write_anew(judged, page.with_name(beside) / name, logs=False)
     return ListedRun(
         folder=str(judged.typed_folder),
-        href=None if relative is None else quote(relative.replace(os.sep, "/")),
+        href=quote(f"{beside}/{name}"),
         info=judged.info,
         verdict=judged.verdict,
     )

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import IncomparableError
+from nw_eval.clean import clean
+from nw_eval.errors import IncomparableError, NwEvalError, StoreError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,6 +151,44 @@ def as_begun(run: str | Path) -> RunReport:
         return replace(judged, verdict=without_bank(judged.verdict, str(error)))
 
 
+def as_published(run: Path) -> RunReport:
+    """Judge a run as `as_begun`, where somebody else may have written its folder.
+
+    Its rows are those of its journal, and the folder is as `nw-eval verify --offline` has it; logs
+    may be absent. No link is followed, nothing is written there, and nothing outside is read.
+
+    Raises:
+        UsageError: it is no run's folder.
+        StoreError: a file of it is none of its own, damaged, or not as it was when the run ended.
+    """
+    from nw_eval.api.running.against.banks import kept_bank
+    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.gate.baseline.combine import without_bank
+    from nw_eval.results.evidence.check import check_files
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import check_plain, open_run_folder
+
+    folder = open_run_folder(run)
+    check_plain(folder)
+    info = read_run_info(folder.run_json)
+    suite = saved_suite(info)
+    files, _ = check_files(folder, info, {trial.id for trial in saved_trials(info, suite)})
+    logs = (f"{folder.logs.name}/", f"{folder.cached.name}/")
+    for each in files.findings:
+        if each.what != "missing" or not each.file.startswith(logs):
+            where = f"{each.file} ({each.trial})" if each.trial else each.file
+            about = f": {each.about}" if each.about else ""
+            raise StoreError(
+                f"{where} is {each.what}{about}", fix=f"nw-eval verify --offline {typed(run)}"
+            )
+    try:
+        bank = kept_bank(folder, info, elsewhere=False)
+    except IncomparableError as error:
+        judged = _judged(folder, info, suite, lambda: None, mend=False)
+        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
+    return _judged(folder, info, suite, lambda: bank, mend=False)
+
+
 def judge(
     run: str | Path,
     *,
@@ -188,7 +227,12 @@ def judge(
 
 
 def _judged(
-    folder: RunFolder, info: RunInfo, suite: Suite, bank: Callable[[], Against | None]
+    folder: RunFolder,
+    info: RunInfo,
+    suite: Suite,
+    bank: Callable[[], Against | None],
+    *,
+    mend: bool = True,
 ) -> RunReport:
     """Return the verdict on the rows of a run's plan."""
     from concurrent.futures import ThreadPoolExecutor
@@ -199,7 +243,7 @@ def _judged(
     # A process of its own reads the bank, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(bank)
-        found = read_trials(folder, info, saved_trials(info, suite))
+        found = read_trials(folder, info, saved_trials(info, suite), mend=mend)
     return judged_rows(folder, info, suite, opened.result(), found)
 
 
@@ -254,6 +298,48 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     for path, text in texts.items():
         write_report(path, text)
     return replace(judged, page=page, html=html, evidence=evidence)
+
+
+def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
+    """Write the HTML page of a run of `as_published`; nothing of its folder's pages is read.
+
+    Args:
+        judged: the run.
+        path: of the page.
+        logs: whether to show what its logs hold, as far as its rows have their digests. Pictures
+            are made anew of what confined processes read.
+
+    Raises:
+        StoreError: the page cannot be written, or cause.json is damaged.
+    """
+    from nw_eval.api.running.evidence.gather import gather_evidence
+    from nw_eval.gate.cause.file import read_cause_file
+    from nw_eval.reporting.html import render_html
+    from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.reporting.markdown import write_report
+    from nw_eval.results.run_folder import RunFolder
+
+    folder = RunFolder(path=judged.folder)
+    absent = (
+        "Paths and clips are not on this page; `nw-eval report` on the run's folder shows them."
+    )
+    evidence = LogEvidence(remarks=(absent,))
+    if logs:
+        known = [row if row.mcap_sha256 else replace(row, mcap_path="") for row in judged.rows]
+        evidence = gather_evidence(folder, known)
+    cause = read_cause_file(folder.cause)
+    facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    write_report(path, render_html(*facts, evidence, cause))
+
+
+def fault_of(error: Exception) -> str:
+    """Return in words what keeps a run of somebody else's from being shown.
+
+    Whatever its files do to those who read them, the pages of other runs are to be written.
+    """
+    if isinstance(error, NwEvalError):
+        return str(error)
+    return clean(f"{type(error).__name__}: {error}", at_most=300)
 
 
 def _pages(out: Path) -> tuple[Path, Path]:

@@ -12,10 +12,9 @@ from io import BytesIO
 from pathlib import PurePath
 from typing import Any
 
-from PIL import Image
-
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.pictures import open_picture
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers.tracked import TrackedRun
 
@@ -58,7 +57,7 @@ def _moving(key: str, clip: Clip) -> Any:
     tensors: Any = import_module("tensorboard.util.tensor_util")
     Summary: Any = import_module("tensorboard.compat.proto.summary_pb2").Summary
     picture = BytesIO()
-    with Image.open(BytesIO(clip.data)) as frames:
+    with open_picture(BytesIO(clip.data)) as frames:
         frames.save(picture, "GIF", save_all=True)
     parts = [str(clip.width).encode(), str(clip.height).encode(), picture.getvalue()]
     about = metadata.create_summary_metadata(None, _code(clean(clip.caption)))

@@ -13,6 +13,7 @@ from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.inside import inside
+from nw_eval.files.pictures import open_picture
 from nw_eval.twin.appearance.options import AppearanceOptions
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
 from nw_eval.twin.gaussians.photo import Photo
@@ -97,7 +98,7 @@ def _mask(shot: PlacedShot, folder: Path, size: tuple[int, int]) -> NDArray[np.b
         return None
     path = inside(folder, shot.mask)
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             return _nearest(np.asarray(image.convert("L")) > 0, size)
     except _DAMAGE as error:
         raise SceneError(f"{path} cannot be read: {error}", fix="calibrate again") from None

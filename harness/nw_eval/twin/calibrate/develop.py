@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nw_eval.errors import SceneError, StoreError
+from nw_eval.files.pictures import open_picture
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package
@@ -167,7 +168,7 @@ def _shot(
     side: int,
 ) -> PlacedShot:
     cv2 = package("cv2")
-    with Image.open(one.path) as image:
+    with open_picture(one.path) as image:
         picture = flattening.develop(np.asarray(image.convert("RGB")))
     width, height = flattening.size
     share = min(1.0, side / max(width, height))
@@ -214,7 +215,7 @@ def _developed_mask(one: Photograph, flattening: Flattening) -> NDArray[np.uint8
         return None
     mask = np.full(flattening.size[::-1], 255, np.uint8)
     if one.mask is not None:
-        with Image.open(one.mask) as image:
+        with open_picture(one.mask) as image:
             mask = flattening.develop(np.asarray(image.convert("L")), nearest=True).copy()
     if flattening.known is not None:
         mask[~flattening.known] = 0

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from nw_eval.errors import SceneError
+from nw_eval.files.pictures import KINDS, open_picture
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
@@ -125,14 +126,14 @@ def _why(path: Path, error: Exception) -> str:
     if path.suffix.lower() in _NOT_READ:
         return f"{path.suffix[1:].upper()} is not read here: export as JPEG"
     if isinstance(error, UnidentifiedImageError):
-        return "not a picture, or damaged"
+        return f"no {KINDS}, or damaged"
     return str(error)
 
 
 def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: bool) -> Photograph:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             if image.width * image.height > _MOST_PIXELS:
                 raise ValueError(
                     f"{image.width * image.height / 1e6:.0f} million pixels, of "
@@ -194,7 +195,7 @@ def _mask(one: Found, target: Path, size: tuple[int, int], working: Path) -> Pat
     if one.mask is None:
         return None
     try:
-        with Image.open(one.mask) as image:
+        with open_picture(one.mask) as image:
             found = image.size
             kept = np.asarray(image.convert("L")) > 0 if found == size else None
     except DAMAGE as error:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.pictures import open_picture
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.twin.capture.capture import Capture, PlacedShot
 
@@ -174,7 +175,7 @@ def read_picture(shot: PlacedShot, folder: Path) -> NDArray[np.uint8]:
     path = folder / shot.file
     try:
         path = inside(folder, shot.file)
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             if image.size != (shot.camera.width, shot.camera.height):
                 raise SceneError(
                     f"{path} has {image.size} pixels, its camera "

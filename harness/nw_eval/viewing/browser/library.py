@@ -9,7 +9,11 @@ from io import StringIO
 from typing import Any
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.viewing.browser.guard import Opened, servers_are_guarded
+from nw_eval.viewing.browser.guard import (
+    Opened,
+    library_tells_in_lines,
+    servers_are_guarded,
+)
 
 HOST = "127.0.0.1"
 """The page listens at this machine's own address only."""
@@ -58,6 +62,7 @@ def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
     """
     check_server(port)  # viser would try a thousand other ports.
     viser = _viser()
+    library_tells_in_lines()
     # It draws a box round its address, whatever it is told.
     with servers_are_guarded(opened) as guarded, redirect_stdout(StringIO()):
         try:

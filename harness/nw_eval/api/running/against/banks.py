@@ -39,15 +39,21 @@ def wanted_bank(request: Request, suite: Suite) -> Against | None:
     return _opened(find_bank(reference, suite=suite.name))
 
 
-def kept_bank(folder: RunFolder, info: RunInfo) -> Against | None:
+def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
     """Return the bank that a run was begun with, from the copy in its folder, or where it was.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        elsewhere: whether the path that run.json names may be read.
 
     Raises:
         IncomparableError: it is in neither place, or not as it was.
     """
     if info.baseline is None:
         return None
-    for path in (folder.bank(info.baseline.name), Path(info.baseline.path)):
+    places = [folder.bank(info.baseline.name), *([Path(info.baseline.path)] if elsewhere else [])]
+    for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
             against = _latest.get((path.name, digest)) or _opened(path)
             return against.of_run(info.baseline)

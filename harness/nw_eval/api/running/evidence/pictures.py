@@ -77,10 +77,11 @@ def _thinned(messages: deque[LoggedMessage]) -> list[LoggedMessage]:
 
 def _photo(data: bytes) -> Image:
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-    from PIL.Image import open as open_picture
+
+    from nw_eval.files.pictures import open_picture
 
     message = CompressedImage.FromString(data)
-    with open_picture(BytesIO(message.data), formats=("JPEG", "PNG")) as picture:
+    with open_picture(BytesIO(message.data), ("JPEG", "PNG")) as picture:
         _bound(picture.width, picture.height)
         return sized(picture)
 

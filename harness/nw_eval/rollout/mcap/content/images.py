@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from nw_eval.clean import clean
+from nw_eval.files.pictures import open_picture
 from nw_eval.rollout.mcap.stamps import stamp
 from nw_eval.sensors.drawing.palette import PALETTE
 
@@ -78,7 +79,7 @@ def image_of(message: CompressedImage | RawImage) -> NDArray[Any]:
     if isinstance(message, RawImage):
         return _pixels(message)
     try:
-        with PillowImage.open(BytesIO(message.data), formats=("JPEG", "PNG")) as image:
+        with open_picture(BytesIO(message.data), ("JPEG", "PNG")) as image:
             _bound(image.width, image.height)
             is_ours = image.mode in {"L", "P", "RGB"}
             return np.asarray(image if is_ours else image.convert("RGB"))

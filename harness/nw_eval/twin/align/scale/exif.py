@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, UnidentifiedImageError
 
+from nw_eval.files.pictures import open_picture
 from nw_eval.scenes.scene import Vector
 from nw_eval.twin.align.scale.positions import east_north_up
 
@@ -28,7 +29,7 @@ def gps_positions(photographs: Mapping[str, Path]) -> dict[str, Vector]:
 def _geodetic(path: Path) -> Vector | None:
     """Return latitude and longitude in degrees and height in metres."""
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             gps = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         latitude = _degrees(gps[ExifTags.GPS.GPSLatitude])
         longitude = _degrees(gps[ExifTags.GPS.GPSLongitude])

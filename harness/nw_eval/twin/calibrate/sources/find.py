@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PIL import Image
-
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import what_is
+from nw_eval.files.pictures import open_picture
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import DAMAGE
 from nw_eval.twin.calibrate.sources.colmap import colmap_in
@@ -58,7 +57,7 @@ def find_source(path: Path, working: Path, *, frames: int, say: Say) -> Footage:
 
 def _size(path: Path) -> tuple[int, int] | None:
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             return image.size
     except DAMAGE:
         return None

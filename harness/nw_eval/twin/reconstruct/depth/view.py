@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import UnidentifiedImageError
 
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.pictures import open_picture
 from nw_eval.twin.capture import PlacedShot, read_picture
 from nw_eval.twin.reconstruct.packages import package
 
@@ -79,7 +80,7 @@ def _mask(shot: PlacedShot, folder: Path) -> NDArray[np.uint8] | None:
     if shot.mask is None:
         return None
     try:
-        with Image.open(inside(folder, shot.mask)) as image:
+        with open_picture(inside(folder, shot.mask)) as image:
             if image.size != (shot.camera.width, shot.camera.height):
                 raise SceneError(
                     f"{shot.mask} has {image.size} pixels, its camera "

@@ -1,0 +1,39 @@
+"""Opens pictures that may be anybody's: of the kinds that cameras write, and of no other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "AVIF")
+"""Of photographs and masks, as Pillow names them."""
+
+KINDS = "JPEG, PNG, TIFF, BMP, WebP or AVIF"
+"""The same for people."""
+
+
+def open_picture(source: Path | IO[bytes], formats: Sequence[str] = FORMATS) -> Image:
+    """Open a picture by what its bytes are, whatever its name says; its pixels are read later.
+
+    Left to itself, Pillow tries every kind that it knows. It starts Ghostscript, a program that the
+    file itself steers, for PostScript under any name.
+
+    Args:
+        source: a file, by its path or open for reading in binary.
+        formats: kinds that are tried, as Pillow names them.
+
+    Raises:
+        PIL.UnidentifiedImageError: it is of no such kind, or damaged.
+        OSError: it cannot be read.
+        Exception: whatever else Pillow raises at damaged files, such as ValueError, SyntaxError and
+            PIL.Image.DecompressionBombError.
+    """
+    from PIL import Image
+
+    Image.init()
+    # Older Pillows know no AVIF, and raise KeyError at a name that they do not know.
+    return Image.open(source, formats=[name for name in formats if name in Image.OPEN])
