@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.stats.bank import order_of_starts
+from nw_eval.stats.bank import order_of_starts, order_of_trials
 
 
 def order(starts: int = 60, **changes: str) -> list[int]:
@@ -35,3 +35,31 @@ def test_any_start_is_as_likely_first_as_any_other() -> None:
     # Mean 500, standard deviation 20.
     assert counts.min() > 420
     assert counts.max() < 580
+
+
+def all_trials(starts: int, candidate: str = "candidate", scenes: str = "abcd"):
+    return order_of_trials(list(scenes), starts, candidate_digest=candidate, suite_digest="suite")
+
+
+def test_all_pairs_of_a_scene_and_a_start_come_once_and_scenes_in_no_fixed_order() -> None:
+    drawn = all_trials(50)
+    assert sorted(drawn) == [(scene, start) for scene in range(4) for start in range(50)]
+    first = [all_trials(50, f"candidate {number}")[0] for number in range(400)]
+    counts = [sum(scene == place for place, _ in first) for scene in range(4)]
+    assert max(abs(count - 100) for count in counts) < 40  # Four and a half standard deviations.
+    assert len({start for _, start in first}) > 45
+    # Nor is a round of the scenes hidden in it.
+    assert sum(len({scene for scene, _ in drawn[i : i + 4]}) == 4 for i in range(0, 200, 4)) < 20
+
+
+def test_each_scene_meets_its_starts_in_the_order_that_it_has_alone() -> None:
+    drawn = all_trials(50)
+    for place, scene in enumerate("abcd"):
+        alone = order_of_starts(50, candidate_digest="candidate", suite_digest="suite", scene=scene)
+        assert [start for where, start in drawn if where == place] == alone
+
+
+def test_scenes_left_out_and_starts_added_do_not_change_the_order_of_the_others() -> None:
+    drawn = all_trials(50)
+    assert all_trials(50, scenes="abc") == [pair for pair in drawn if pair[0] < 3]
+    assert all_trials(20) == [pair for pair in drawn if pair[1] < 20]

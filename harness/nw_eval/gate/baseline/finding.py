@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.comparison import Basis
+from nw_eval.gate.baseline.comparison import Basis, Claim
 from nw_eval.gate.baseline.rounds import Rounds, scores_of
 from nw_eval.results.bank import Panel, Stratum
 from nw_eval.stats import Interval
@@ -74,6 +74,7 @@ def find(
     basis: Basis,
     gate: Gate,
     *,
+    claim: Claim,
     alone: bool = False,
 ) -> Finding:
     """Return what whole rounds show.
@@ -84,6 +85,7 @@ def find(
         panel: of the baseline.
         basis: what the panel is to the rounds.
         gate: margins, errors and tiers.
+        claim: of which starts it is to hold. Of fresh ones no draw leaves less for the rest.
         alone: whether to ask what drops of each stratum its own trials do not rule out.
 
     Raises:
@@ -102,8 +104,9 @@ def find(
             fix="lower max_drop, or compare with a better policy",
         )
     bank, known = Bank.of(scores), rounds.known(judged, panel)
+    if claim != "panel":
+        bank = bank.fresh()
     if basis == "fresh":  # Nothing is known of these starts but the scene.
-        bank = Bank(means=bank.means)
         known = np.broadcast_to(bank.means, known.shape)
     candidate = rounds.scores(judged)
     alphas = {"alpha_pass": 1.0 - gate.confidence, "alpha_regr": gate.false_alarm}

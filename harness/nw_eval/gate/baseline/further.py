@@ -61,8 +61,9 @@ def _more(
     bank = Bank.of(np.array([scores_of(panel, stratum) for stratum in judged]))
     # With more rounds than this a claim of fresh starts would not hold.
     most = found.starts if found.claim == "panel" else found.starts // TIMES
+    if found.claim != "panel":
+        bank = bank.fresh()
     if found.basis == "fresh":
-        bank = Bank(means=bank.means)
         known = np.broadcast_to(bank.means, (max(most, rounds.count), len(judged)))
     else:
         known = _drawn(judged, rounds, panel, run)[: max(most, rounds.count)]

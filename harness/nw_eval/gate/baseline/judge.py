@@ -68,7 +68,7 @@ def compare(
     claim = claim_of(run, bank, basis, budget)
     left = that_left(rows, gate)
     rounds = whole_rounds(rows, run, strata, left=left)
-    finding = find(rounds, judged, panel, basis, gate, alone=foresee)
+    finding = find(rounds, judged, panel, basis, gate, claim=claim, alone=foresee)
     used = rounds.first(finding.rounds)
     parting = waypoints(finding.worst, used, panel)
     scenes = [

@@ -9,31 +9,52 @@ from nw_eval.stats.bank.curve import (
     progress_at,
     rounds_for,
 )
-from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide
+from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide, most_false_alarms
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
-from nw_eval.stats.bank.interval import drop_interval, scene_drop_intervals
-from nw_eval.stats.bank.order import order_of_starts
+from nw_eval.stats.bank.interval import drop_interval, drop_interval_after, scene_drop_intervals
+from nw_eval.stats.bank.order import order_of_starts, order_of_trials
 from nw_eval.stats.bank.outlook import progress_after
 from nw_eval.stats.bank.panel import Bank
 from nw_eval.stats.bank.simulate import GateRules
+from nw_eval.stats.bank.trials import (
+    CRITICAL_TRIALS,
+    Looks,
+    Rules,
+    TrialRuling,
+    Trials,
+    looks,
+    settle,
+    settle_all,
+)
 
 __all__ = [
+    "CRITICAL_TRIALS",
     "SUSPECT",
     "Bank",
     "CurvePoint",
     "Evidence",
     "GateRules",
+    "Looks",
     "Margins",
     "Progress",
+    "Rules",
     "Ruling",
+    "TrialRuling",
+    "Trials",
     "Values",
     "decide",
     "drop_interval",
+    "drop_interval_after",
+    "looks",
+    "most_false_alarms",
     "operating_curve",
     "order_of_starts",
+    "order_of_trials",
     "over_rounds",
     "progress_after",
     "progress_at",
     "rounds_for",
     "scene_drop_intervals",
+    "settle",
+    "settle_all",
 ]

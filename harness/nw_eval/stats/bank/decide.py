@@ -118,5 +118,36 @@ def look(
     return Look(convicts=convicts, passes=enough & ~waits.any(axis=-1), named=named, waits=waits)
 
 
+def most_false_alarms(
+    *,
+    bar: float | None,
+    bar_critical: bool,
+    baseline: float | None,
+    critical: int,
+    scenes: int,
+) -> float:
+    """Return how often a gate convicts wrongly at most: the sum of what its parts do.
+
+    A policy is convicted wrongly if it is above the bar, in every critical scene too, dropped by
+    `tolerate` at most, and in no critical scene by more than scene_drop. By Boole's inequality the
+    parts together err with the sum of their probabilities at most.
+
+    Args:
+        bar: 1 - confidence of the absolute bar, None without one.
+        bar_critical: whether critical scenes are judged alone by it, which share another of these.
+        baseline: alpha_regr of the gate against a baseline, None without one.
+        critical: scenes of it that convict alone. Each is named wrongly with alpha_regr / S.
+        scenes: S.
+
+    Raises:
+        ValueError: there are more critical scenes than scenes.
+    """
+    if not 0 <= critical <= scenes:
+        raise ValueError(f"{critical} critical scenes of {scenes}")
+    by_bar = 0.0 if bar is None else bar * (2 if bar_critical else 1)
+    by_baseline = 0.0 if baseline is None else baseline * (1 + critical / max(scenes, 1))
+    return min(1.0, by_bar + by_baseline)
+
+
 def _which(scenes: Truths) -> tuple[int, ...]:
     return tuple(np.flatnonzero(scenes).tolist())

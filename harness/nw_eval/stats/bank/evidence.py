@@ -7,6 +7,7 @@ z_max of `panel`:
     REGRESSED  "the drop is at most tolerate"        y = z_max - z   n = z_max - (B - tolerate)
     scene s    "its drop is at most scene_drop"      y = 1 - c       n = 1 - (B_s - scene_drop)
 
+(beside a concurrent control, where b is no part of a bank: y = 1 - c + b, n = 1 + scene_drop),
 so that a factor is 1 + k (z - m_r) / (m_r - z_min), or 1 + k (m_r - z) / (z_max - m_r), where m_r
 is the mean of z that the null leaves for the rest. The first two are means over beta in {0, 1/2}
 and bet on all scenes at once; a scene's bets on its own trials. A mean of such processes is one.
@@ -23,9 +24,8 @@ import numpy as np
 from nw_eval.stats.bank.panel import Bank, Floats, Places, check_successes
 from nw_eval.stats.bank.wealth import Bets, Wealth
 
-_BETAS = (0.0, 0.5)
-_UP = Bets(shares=(0.4, 0.6, 0.8, 0.95), weights=(0.2, 0.2, 0.4, 0.2))
-_DOWN = Bets(shares=(0.05, 0.1, 0.2, 0.4, 0.8), weights=(0.2, 0.2, 0.2, 0.2, 0.2))
+UP = Bets(shares=(0.4, 0.6, 0.8, 0.95), weights=(0.2, 0.2, 0.4, 0.2))
+DOWN = Bets(shares=(0.05, 0.1, 0.2, 0.4, 0.8), weights=(0.2, 0.2, 0.2, 0.2, 0.2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +80,11 @@ class Evidence:
         A baseline that nowhere scores max_drop cannot be undercut by so much: E_pass is infinite
         from the start, and says nothing of the candidate.
         """
-        floors = 1.0 - (bank.means - margins.scene_drop)
         return cls(
             bank=bank,
             passed=against_at_least(bank, np.array(margins.max_drop)),
             regressed=against_at_most(bank, np.array(margins.tolerate)),
-            scenes=Wealth.before(floors, bank.starts, _DOWN),
+            scenes=Wealth.before(scene_nulls(bank, margins), bank.starts, DOWN),
         )
 
     def after(self, candidate: Floats, baseline: Floats) -> Evidence:
@@ -119,7 +118,7 @@ class Evidence:
             self,
             passed=after_each(self.passed, above(self.bank, worst, baseline)),
             regressed=after_each(self.regressed, below(self.bank, best, baseline)),
-            scenes=self.scenes.after((1.0 - best)[..., None]),
+            scenes=self.scenes.after(scene_losses(self.bank, best, baseline)[..., None]),
         )
 
     def only(self, which: Places) -> Evidence:
@@ -174,24 +173,46 @@ def against_at_least(bank: Bank, drop: Floats) -> Gamblers:
         bank: of the baseline.
         drop: shape (); or, of one bank without leading axes, any shape: so many nulls apart.
     """
-    nulls = [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in _BETAS]
-    return tuple(Wealth.before(null, bank.starts, _UP) for null in nulls)
+    return tuple(Wealth.before(null, bank.starts, UP) for null in nulls_at_least(bank, drop))
 
 
 def against_at_most(bank: Bank, drop: Floats) -> Gamblers:
     """Return who bets against "the drop is at most this"; drops as for `against_at_least`."""
-    nulls = [bank.most(beta)[..., 0] - (bank.mean[..., 0] - drop) for beta in _BETAS]
-    return tuple(Wealth.before(null, bank.starts, _DOWN) for null in nulls)
+    return tuple(Wealth.before(null, bank.starts, DOWN) for null in nulls_at_most(bank, drop))
+
+
+def nulls_at_least(bank: Bank, drop: Floats | float) -> list[Floats]:
+    """Return n of "the drop is at least this" for each beta; drops as for `against_at_least`."""
+    return [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in bank.betas]
+
+
+def nulls_at_most(bank: Bank, drop: Floats | float) -> list[Floats]:
+    """Return n of "the drop is at most this" for each beta; drops as for `against_at_least`."""
+    return [bank.most(beta)[..., 0] - (bank.mean[..., 0] - drop) for beta in bank.betas]
 
 
 def above(bank: Bank, candidate: Floats, baseline: Floats) -> list[Floats]:
     """Return z - z_min of a round for each beta, shape (S,): what PASS is won by."""
-    return [bank.adjusted(candidate, baseline, beta) - bank.least(beta) for beta in _BETAS]
+    return [bank.adjusted(candidate, baseline, beta) - bank.least(beta) for beta in bank.betas]
 
 
 def below(bank: Bank, candidate: Floats, baseline: Floats) -> list[Floats]:
     """Return z_max - z of a round for each beta, shape (S,): what REGRESSED is won by."""
-    return [bank.most(beta) - bank.adjusted(candidate, baseline, beta) for beta in _BETAS]
+    return [bank.most(beta) - bank.adjusted(candidate, baseline, beta) for beta in bank.betas]
+
+
+def scene_nulls(bank: Bank, margins: Margins) -> Floats:
+    """Return n of each scene alone, shape (S,): 1 less the least mean of c that its null allows."""
+    return (
+        1.0
+        - ((0.0 if bank.paired else bank.means) - margins.scene_drop)
+        + np.zeros_like(bank.means)
+    )
+
+
+def scene_losses(bank: Bank, candidate: Floats, baseline: Floats) -> Floats:
+    """Return y = 1 - c, or 1 - (c - b) beside a control: what a scene's evidence is won by."""
+    return 1.0 - (candidate - baseline if bank.paired else candidate)
 
 
 def after_each(gamblers: Gamblers, values: Sequence[Floats]) -> Gamblers:

@@ -25,6 +25,8 @@ import numpy as np
 
 from nw_eval.stats.bank.decide import Truths
 from nw_eval.stats.bank.evidence import (
+    DOWN,
+    UP,
     Gamblers,
     above,
     after_each,
@@ -32,8 +34,12 @@ from nw_eval.stats.bank.evidence import (
     against_at_most,
     below,
     mean_of,
+    nulls_at_least,
+    nulls_at_most,
 )
 from nw_eval.stats.bank.panel import Bank, Floats, Places
+from nw_eval.stats.bank.trials import Trials, above_at, below_at
+from nw_eval.stats.bank.wealth import Bets, along
 from nw_eval.stats.interval import Interval
 
 _PARTS, _TIMES = 32, 6
@@ -76,6 +82,50 @@ def drop_interval(
         _TIMES,
     )
     return Interval(float(lows[0]), float(highs[0]))
+
+
+def drop_interval_after(
+    bank: Bank, trials: Trials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
+) -> Interval:
+    """Return the drops of mean success that are not ruled out after T trials of the random order.
+
+    Args:
+        bank: of the baseline, or `Bank.control`, without leading axes.
+        trials: those that the evidence on the mean rests on, shape (T,).
+        alpha_pass: probability, at most, that the high end is below the true drop.
+        alpha_regr: probability, at most, that the low end is above it.
+
+    Returns:
+        An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials.
+
+    Raises:
+        ValueError: there are more trials than pairs of a scene and a start.
+    """
+    high = 1.0 if bank.paired else float(bank.mean[0])
+    low = -1.0 if bank.paired else high - 1.0
+    if not len(trials.scenes):
+        return Interval(low, high)
+    ups, downs = above_at(bank, trials.counted(0.0)), below_at(bank, trials.counted(1.0))
+    pairs = bank.starts * len(bank.means)
+
+    def last(values: list[Floats], nulls: list[Floats], bets: Bets) -> Floats:
+        each = [
+            along(np.broadcast_to(y, (*null.shape, len(y))), null, pairs, bets)[..., -1]
+            for y, null in zip(values, nulls, strict=True)
+        ]
+        return np.mean(each, axis=0)
+
+    def not_too_small(drops: Floats) -> Truths:
+        return ~(last(downs, nulls_at_most(bank, drops), DOWN) >= 1.0 / alpha_regr)
+
+    def too_large(drops: Floats) -> Truths:
+        return last(ups, nulls_at_least(bank, drops), UP) >= 1.0 / alpha_pass
+
+    ends = [
+        float(_first(holds, np.array([low]), np.array([high]), _TIMES)[0])
+        for holds in (not_too_small, too_large)
+    ]
+    return Interval(min(ends), max(ends))
 
 
 def scene_drop_intervals(

@@ -1,8 +1,9 @@
-"""In which order the starts of a scene are drawn from the bank."""
+"""In which order starts are drawn from the bank: in each scene, and of all scenes together."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import lru_cache
 from hashlib import sha256
 
@@ -23,12 +24,42 @@ def order_of_starts(
         suite_digest: of the suite.
         scene: its name.
     """
-    return list(_ranked(starts, json.dumps([candidate_digest, suite_digest, scene])))
+    ranks = _ranks(starts, json.dumps([candidate_digest, suite_digest, scene]))
+    return sorted(range(starts), key=ranks.__getitem__)
+
+
+def order_of_trials(
+    scenes: Sequence[str], starts: int, *, candidate_digest: str, suite_digest: str
+) -> list[tuple[int, int]]:
+    """Return all S x M pairs of a scene and a start of it in the order in which they are drawn.
+
+    They are one simple random sample without replacement, as far as scores go: whoever has the
+    smaller sha256 comes first, whatever its scene. Within a scene the starts come as in
+    `order_of_starts`. Scenes that are left out, or starts that are added to a bank, do not change
+    the order of the others.
+
+    Args:
+        scenes: their names, shape (S,), each once.
+        starts: M.
+        candidate_digest: of the policy that is judged.
+        suite_digest: of the suite.
+
+    Returns:
+        Pairs of the place of a scene among `scenes` and the index of a start, shape (S M, 2).
+    """
+    drawn = [
+        (rank, place, start)
+        for place, scene in enumerate(scenes)
+        for start, rank in enumerate(
+            _ranks(starts, json.dumps([candidate_digest, suite_digest, scene]))
+        )
+    ]
+    return [(place, start) for _, place, start in sorted(drawn)]
 
 
 @lru_cache(maxsize=4096)  # Who plans a run, who judges it and who words it ask for the same.
-def _ranked(starts: int, drawn_by: str) -> tuple[int, ...]:
-    """Return 0 .. M - 1 by the sha256 of the JSON list of what draws them, and the start."""
+def _ranks(starts: int, drawn_by: str) -> tuple[bytes, ...]:
+    """Return for 0 .. M - 1 the sha256 of the JSON list of what draws them, and the start."""
     beginning = sha256(drawn_by.removesuffix("]").encode())
 
     def rank(start: int) -> bytes:
@@ -36,4 +67,4 @@ def _ranked(starts: int, drawn_by: str) -> tuple[int, ...]:
         one.update(f", {start}]".encode())
         return one.digest()
 
-    return tuple(sorted(range(starts), key=rank))
+    return tuple(map(rank, range(starts)))

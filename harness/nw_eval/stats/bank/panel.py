@@ -6,7 +6,7 @@ its mean over the starts of scene s, and B the mean of all B_s; c_si is the cand
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -27,7 +27,11 @@ class Bank:
     means: Floats
     """B_s, shape (S,); leading axes, if any, are panels that know nothing of each other."""
     starts: float = inf
-    """M; infinite where starts are drawn afresh, so that no draw leaves less for the rest."""
+    """M; infinite for a claim about fresh starts, so that no draw leaves less for the rest."""
+    paired: bool = False
+    """Whether b is what the baseline's policy scored beside the candidate, from the same start and
+    on the same machine (a concurrent control). Then c - b alone counts, and no mean of a bank: z =
+    c - b + B, which is 1 + c - b above its least, whatever B is."""
 
     def __post_init__(self) -> None:
         if self.means.ndim < 1 or not self.means.shape[-1]:
@@ -41,6 +45,20 @@ class Bank:
         """Return the bank of the baseline's successes b_si on the whole panel, shape (S, M)."""
         check_successes(scores)
         return cls(means=scores.mean(axis=-1), starts=scores.shape[-1])
+
+    @classmethod
+    def control(cls, scenes: int) -> Bank:
+        """Return what stands for the bank of a concurrent control of S scenes: no mean of it."""
+        return cls(means=np.ones(scenes), paired=True)
+
+    def fresh(self) -> Bank:
+        """Return the bank for a claim about fresh starts: M is infinite."""
+        return replace(self, starts=inf)
+
+    @property
+    def betas(self) -> tuple[float, ...]:
+        """How much of a start's own difficulty is used, once for each gambler."""
+        return (1.0,) if self.paired else (0.0, 0.5)
 
     @property
     def mean(self) -> Floats:

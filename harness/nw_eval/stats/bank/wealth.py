@@ -18,6 +18,12 @@ inequality reaches 1 / alpha, at any of the rounds, with probability at most alp
 
 What is left cannot have a mean below 0: where n_r is, the null is impossible and E infinite.
 
+With M infinite nothing is ever used up, n_r = n, and no null is impossible. That is what a claim
+about fresh starts needs: the starts that were drawn are then a sample, and say nothing certain of
+those that were not. On a panel that is finite after all it is at least as cautious (`trials`).
+
+Where N is 1 the draws are those of one box, one number at a time: `along` has E after each of them.
+
 Source: I. Waudby-Smith and A. Ramdas, "Confidence sequences for sampling without replacement",
 NeurIPS 33 (2020), arXiv 2006.04347; J. Ville, "Etude critique de la notion de collectif" (1939).
 Boxes of unequal means are by the inequality above, as in `stats.betting`.
@@ -120,3 +126,36 @@ class Wealth:
         left = self.starts - self.rounds
         owed = self.rounds * self.null - self.total
         return self.null + owed / left if left else owed
+
+
+def along(values: Floats, null: Floats, starts: float, bets: Bets) -> Floats:
+    """Return E after each of T draws of one number, shape (..., T).
+
+    It is what `Wealth.after` makes of them one by one, for all T at once.
+
+    Args:
+        values: y in the order drawn, shape (..., T).
+        null: n, shape (...).
+        starts: M, how many numbers the box has; T at most.
+        bets: shares of the wealth.
+
+    Raises:
+        ValueError: there are more draws than numbers.
+    """
+    count = values.shape[-1]
+    if count > starts:
+        raise ValueError(f"{count} draws of {starts} numbers")
+    rest = after = np.broadcast_to(null[..., None], values.shape)
+    if starts < inf:
+        drawn = np.arange(count)
+        sums = np.cumsum(values, axis=-1)
+        before = np.concatenate([np.zeros_like(sums[..., :1]), sums[..., :-1]], axis=-1)
+        rest = null[..., None] + (drawn * null[..., None] - before) / (starts - drawn)
+        owed, left = (drawn + 1) * null[..., None] - sums, starts - drawn - 1
+        after = np.where(left, null[..., None] + owed / np.maximum(left, 1), owed)
+    won = (values - np.maximum(rest, 0.0)) / np.maximum(rest, _SMALLEST)
+    mixed = np.zeros(values.shape)
+    with np.errstate(over="ignore"):
+        for share, weight in zip(bets.shares, bets.weights, strict=True):
+            mixed += weight * np.minimum(np.cumprod(1.0 + share * won, axis=-1), _MOST)
+    return np.where(after < -_TOLERANCE, inf, mixed)

@@ -1,0 +1,421 @@
+"""The gate trial by trial: evidence after each of them, and what it settles.
+
+All S x M pairs of a scene and a start are drawn as one random sample without replacement
+(`order_of_trials`), and the gate looks after each trial, in that order. The nulls and the numbers y
+are those of `evidence`; here one box has all the pairs' numbers, z is centred by scene already, and
+each null is bet against by `wealth.along`. A scene's own bets are settled when a trial of it is.
+
+**The rule.** REGRESSED once E_regr >= 1 / alpha_regr, or once a critical scene is named: E_s >=
+S / alpha_regr. It comes first where one trial does both. Once E_pass >= 1 / alpha_pass the drop of
+the mean is below max_drop beyond doubt, and stays so: by Ville's inequality a null may be rejected
+for good at the first look that refutes it. Then only scenes can be left to settle. PASS waits for
+those that are suspect (E_s >= SUSPECT and not named) and for critical ones that have had fewer than
+CRITICAL_TRIALS trials. From there on the order is gone through for trials of these scenes alone:
+how many trials a scene has may depend on anything that is known, so that E_s stays valid, and the
+evidence on the mean takes no part. Waiting makes PASS rarer, and no other error more frequent.
+
+**The same trials whatever the number of workers.** Which trials are judged follows from the order
+and from the results of those before. Workers may run ahead in the order (`TrialRuling.ahead`); what
+they find beyond the trial that settles it is not judged. So no batch has to be waited for, and the
+number of trials that are judged is the least that there can be.
+
+**Validity.** With M finite, `wealth` has the proof (N = 1, one box of S M numbers): the claim is of
+these starts only. With M infinite the null's mean is not moved by what was drawn. Were scenes drawn
+with replacement and starts afresh, that would be the case of M infinite in `wealth`. Pairs are
+drawn without replacement, which makes sums vary less: a product of 1 + k (y - n) / n over t draws
+still has at most the expectation 1 (Maclaurin's inequality for elementary symmetric means;
+Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evidence *ever* reaches
+1 / alpha is then bounded by no theorem here: it was enumerated for small panels and simulated on
+real ones, and happens less often than alpha. A claim about fresh starts takes the baseline's means
+for true; what a small baseline errs in them is part of the simulation (docs/gate.md).
+
+A randomised last look (U / alpha in place of 1 / alpha at the end of the budget, U uniform) would
+be valid too. It turns 0 to 8 of 100 undecided gates into a verdict (simulated), and makes it wrong
+to go on with more trials after it: it is not used.
+
+Source: I. Waudby-Smith and A. Ramdas, arXiv 2006.04347; W. Hoeffding, "Probability inequalities for
+sums of bounded random variables", JASA 58 (1963).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from nw_eval.stats.bank.decide import SUSPECT, Truths
+from nw_eval.stats.bank.evidence import (
+    DOWN,
+    UP,
+    Margins,
+    nulls_at_least,
+    nulls_at_most,
+    scene_losses,
+    scene_nulls,
+)
+from nw_eval.stats.bank.panel import Bank, Floats, Places, check_successes
+from nw_eval.stats.bank.wealth import along
+from nw_eval.words import Tier
+
+CRITICAL_TRIALS = 4
+"""Trials of each critical scene, at least, before a PASS. The mean of 64 scenes may pass before
+half of them have been met: a critical one that always fails was then convicted in 24 %, and is with
+this in all (simulated). Where nothing fell it takes 1 to 3 trials more for each critical scene."""
+
+_Word = Literal["PASS", "REGRESSED", "undecided"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trials:
+    """Trials in the order in which they were drawn; leading axes are gates apart.
+
+    Raises:
+        ValueError: shapes differ, or a success is not between 0 and 1.
+    """
+
+    scenes: Places
+    """Place of the scene among those of the bank, shape (..., T)."""
+    candidate: Floats
+    """c, shape (..., T). NaN is a trial that has no result: it counts as 0 in E_pass and as 1 in
+    E_regr and E_s, so that no verdict gains by what is missing."""
+    baseline: Floats
+    """b of the same starts, shape (..., T): from the bank, or of a control. There NaN has no result
+    either, and counts the other way round."""
+
+    def __post_init__(self) -> None:
+        shapes = {self.scenes.shape, self.candidate.shape, self.baseline.shape}
+        if len(shapes) > 1:
+            raise ValueError(f"trials of shapes {sorted(shapes)}")
+        for values in (self.candidate, self.baseline):
+            check_successes(values[~np.isnan(values)])
+
+    def only(self, which: Places, count: int) -> Trials:
+        """Return the first trials of some of the gates, by their places along the first axis."""
+        cut = np.s_[which, :count]
+        return Trials(
+            scenes=self.scenes[cut], candidate=self.candidate[cut], baseline=self.baseline[cut]
+        )
+
+    def counted(self, missing: float) -> Trials:
+        """Return the trials with this success of the candidate where it is missing.
+
+        A control's is then 1 less it: what is missing speaks for the same side in both arms.
+        """
+        return replace(
+            self,
+            candidate=np.where(np.isnan(self.candidate), missing, self.candidate),
+            baseline=np.where(np.isnan(self.baseline), 1.0 - missing, self.baseline),
+        )
+
+
+class Looks(NamedTuple):
+    """E-values after each trial."""
+
+    passed: Floats
+    """E_pass, shape (..., T)."""
+    regressed: Floats
+    """E_regr, shape (..., T)."""
+    own: Floats
+    """E_s of the trial's own scene after it, shape (..., T)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """By what a gate decides."""
+
+    tiers: tuple[Tier, ...]
+    """Of the scenes, shape (S,), none of them informational.
+
+    Raises:
+        ValueError: one is; or an alpha is not between 0 and 1.
+    """
+    margins: Margins = field(default_factory=Margins)
+    alpha_pass: float = 0.05
+    """Probability, at most, that a drop of max_drop or more passes."""
+    alpha_regr: float = 0.01
+    """Probability, at most, that a drop of `tolerate` or less is convicted by the mean; and, at
+    most, that any scene is named where none dropped by more than scene_drop."""
+
+    def __post_init__(self) -> None:
+        for alpha in (self.alpha_pass, self.alpha_regr):
+            if not 0.0 < alpha < 1.0:
+                raise ValueError(f"alpha {alpha} is not between 0 and 1; write 0.05 for 5 %")
+        if "informational" in self.tiers:
+            place = self.tiers.index("informational")
+            raise ValueError(f"scene {place} is informational and not judged")
+
+    @property
+    def critical(self) -> frozenset[int]:
+        """Scenes that are judged alone too, by place."""
+        return frozenset(place for place, tier in enumerate(self.tiers) if tier == "critical")
+
+    @property
+    def names_at(self) -> float:
+        """E_s from which a scene is named."""
+        return len(self.tiers) / self.alpha_regr
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialRuling:
+    """What was found in a gate, and by which trials."""
+
+    word: _Word
+    mean: int
+    """How many trials, from the first in the order, the evidence on the mean rests on."""
+    followed: tuple[int, ...]
+    """Trials after those, by place in the order, that were judged for their scenes alone."""
+    named: tuple[int, ...]
+    """Scenes that fell, whatever the word, by place."""
+    waits_for: tuple[int, ...]
+    """Scenes that alone hold back a PASS that the mean allows."""
+    ahead: tuple[int, ...]
+    """Trials that come next if none of them settles it, by place in the order, those that have
+    ended already among them; none once it is settled or the budget is spent. W workers run those of
+    the first W that have not ended: further ahead more would be run for nothing."""
+
+    @property
+    def trials(self) -> int:
+        """How many were judged."""
+        return self.mean + len(self.followed)
+
+
+def looks(bank: Bank, trials: Trials, margins: Margins) -> Looks:
+    """Return the evidence after each trial.
+
+    Args:
+        bank: of the baseline, or `Bank.control`; its means have the leading axes of the trials.
+        trials: in the order drawn, shape (..., T).
+        margins: drops that the nulls allow.
+
+    Raises:
+        ValueError: there are more trials than pairs of a scene and a start.
+    """
+    _check_baseline(bank, trials)
+    means = np.broadcast_to(bank.means, (*trials.scenes.shape[:-1], bank.means.shape[-1]))
+    worst, best = trials.counted(0.0), trials.counted(1.0)
+    pairs = bank.starts * means.shape[-1]
+    up, down = (
+        [along(y, null, pairs, bets) for y, null in zip(values, nulls, strict=True)]
+        for values, nulls, bets in (
+            (above_at(bank, worst), nulls_at_least(bank, margins.max_drop), UP),
+            (below_at(bank, best), nulls_at_most(bank, margins.tolerate), DOWN),
+        )
+    )
+    losses = scene_losses(bank, best.candidate, best.baseline)
+    floors = np.broadcast_to(scene_nulls(bank, margins), means.shape)
+    return Looks(
+        passed=np.mean(up, axis=0),
+        regressed=np.mean(down, axis=0),
+        own=_own(trials.scenes, losses, floors, bank.starts),
+    )
+
+
+def settle(
+    bank: Bank, trials: Trials, rules: Rules, known: Sequence[bool] | Truths | None = None
+) -> TrialRuling:
+    """Return what the trials that are known so far settle.
+
+    Args:
+        bank: of the baseline, or `Bank.control`, without leading axes.
+        trials: all of the budget in the order drawn, shape (T,).
+        rules: of the gate.
+        known: which of them have ended, shape (T,), with a result or without any; all if None. Of
+            one that has not nothing is looked at, nor of any that comes after it and would only be
+            judged if it settled nothing.
+
+    Raises:
+        ValueError: the tiers are not those of the bank; or as `looks`.
+    """
+    _check(bank, rules)
+    budget = len(trials.scenes)
+    ended = np.ones(budget, dtype=bool) if known is None else np.array(known, dtype=bool)
+    count = budget if ended.all() else int(ended.argmin())
+    every = looks(
+        bank,
+        replace(trials, candidate=np.where(ended, trials.candidate, np.nan)),
+        rules.margins,
+    )
+    return _rule(trials.scenes, every, count, ended, rules)
+
+
+def _rule(scenes: Places, every: Looks, count: int, ended: Truths, rules: Rules) -> TrialRuling:
+    """Return the ruling on one gate.
+
+    Args:
+        scenes: of all trials of the budget, shape (T,).
+        every: evidence after each, shape (T,); where it has not ended, or one before it that would
+            be judged, nothing is looked at.
+        count: trials that have ended before the first that has not.
+        ended: which have, shape (T,).
+        rules: of the gate.
+    """
+    falls = every.own[:count] >= rules.names_at
+    alone = falls & np.isin(scenes[:count], list(rules.critical))
+    convicts = _first((every.regressed[:count] >= 1.0 / rules.alpha_regr) | alone)
+    passes = _first(every.passed[:count] >= 1.0 / rules.alpha_pass)
+    mean = min(count, convicts + 1, passes + 1)
+    found = _Scenes(rules)
+    for scene, own in zip(scenes[:mean].tolist(), every.own[:mean].tolist(), strict=True):
+        found.meet(scene, own)
+    word: _Word = "undecided"
+    followed, ahead = list[int](), list[int]()
+    if convicts < mean:
+        word = "REGRESSED"
+    elif passes < mean:
+        followed, ahead = found.follow(scenes, every.own, ended, mean)
+        word = "REGRESSED" if found.convicted else "undecided" if found.waits else "PASS"
+    else:
+        ahead = list(range(count, len(scenes)))
+    return TrialRuling(
+        word=word,
+        mean=mean,
+        followed=tuple(followed),
+        named=tuple(sorted(found.named)),
+        waits_for=tuple(sorted(found.waits)) if word == "undecided" else (),
+        ahead=tuple(ahead),
+    )
+
+
+class _Scenes:
+    """What is known of single scenes, trial after trial."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._met = [0] * len(rules.tiers)
+        self._own = [1.0] * len(rules.tiers)
+        self.named = set[int]()
+        self.waits = set[int]()
+        """Scenes that hold back a PASS, once it is asked for."""
+
+    @property
+    def convicted(self) -> bool:
+        """Whether a critical scene is named."""
+        return not self.named.isdisjoint(self._rules.critical)
+
+    def meet(self, scene: int, own: float) -> None:
+        """Take note of a trial, after which E_s of its scene is `own`."""
+        self._met[scene] += 1
+        self._own[scene] = own
+        if own >= self._rules.names_at:
+            self.named.add(scene)
+
+    def follow(
+        self, scenes: Places, own: Floats, ended: Truths, begin: int
+    ) -> tuple[list[int], list[int]]:
+        """Judge trials from place `begin` on for the scenes that hold back a PASS, till none does.
+
+        Returns:
+            Those that were judged; and those that come next, if it ends for want of one.
+        """
+        self.waits = {scene for scene in range(len(self._met)) if self._is_waited_for(scene)}
+        followed = list[int]()
+        for place in range(begin, len(scenes)):
+            scene = int(scenes[place])
+            if self.convicted or not self.waits:
+                break
+            if scene not in self.waits:
+                continue
+            if not ended[place]:
+                rest = np.isin(scenes[place:], list(self.waits))
+                return followed, (place + np.flatnonzero(rest)).tolist()
+            followed.append(place)
+            self.meet(scene, float(own[place]))
+            if not self._is_waited_for(scene):
+                self.waits.discard(scene)
+        return followed, []
+
+    def _is_waited_for(self, scene: int) -> bool:
+        if scene in self.named:
+            return False
+        few = scene in self._rules.critical and self._met[scene] < CRITICAL_TRIALS
+        return few or self._own[scene] >= SUSPECT
+
+
+def settle_all(bank: Bank, trials: Trials, rules: Rules) -> list[TrialRuling]:
+    """Return how gates end of which every trial is known: `settle` of each, and much faster.
+
+    Args:
+        bank: means of shape (S,), or (gates, S) for a bank of each.
+        trials: shape (gates, T).
+        rules: of all gates.
+    """
+    _check(bank, rules)
+    gates, budget = trials.scenes.shape
+    means = np.broadcast_to(bank.means, (gates, bank.means.shape[-1]))
+    found: dict[int, TrialRuling] = {}
+    going, count = np.arange(gates), min(64, budget)
+    while going.size:
+        cut = trials.only(going, count)
+        every = looks(replace(bank, means=means[going]), cut, rules.margins)
+        for row, gate in enumerate(going.tolist()):
+            one = Looks(every.passed[row], every.regressed[row], every.own[row])
+            ruling = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
+            if count == budget or ruling.word != "undecided":
+                found[gate] = ruling
+        going = np.array([gate for gate in going.tolist() if gate not in found], dtype=np.intp)
+        count = min(2 * count, budget)
+    return [found[gate] for gate in range(gates)]
+
+
+def above_at(bank: Bank, trials: Trials) -> list[Floats]:
+    """Return z - z_min of each trial for each beta, shape (..., T): what PASS is won by."""
+    return [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
+
+
+def below_at(bank: Bank, trials: Trials) -> list[Floats]:
+    """Return z_max - z of each trial for each beta, shape (..., T): what REGRESSED is won by."""
+    return [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
+
+
+def _centred(bank: Bank, trials: Trials, beta: float) -> Floats:
+    """Return z, shape (..., T): `Bank.adjusted`, of one scene a trial."""
+    if bank.means.ndim == 1:
+        means = bank.means[trials.scenes]
+    else:
+        means = np.take_along_axis(bank.means, trials.scenes, axis=-1)
+    known = means + beta * (trials.baseline - means)
+    return trials.candidate - known + bank.mean
+
+
+def _own(scenes: Places, losses: Floats, nulls: Floats, starts: float) -> Floats:
+    """Return E_s of each trial's scene after it, shape (..., T).
+
+    Args:
+        scenes: shape (..., T).
+        losses: y of the scene's own bets, shape (..., T).
+        nulls: n of each scene, shape (..., S).
+        starts: M.
+    """
+    shape, count = scenes.shape, scenes.shape[-1]
+    flat = scenes.reshape(-1, count)
+    values, null = losses.reshape(-1, count), nulls.reshape(-1, nulls.shape[-1])
+    order = np.argsort(flat, axis=-1, kind="stable")
+    sorted_scenes = np.take_along_axis(flat, order, axis=-1)
+    begins = np.ones(flat.shape, dtype=bool)
+    begins[:, 1:] = sorted_scenes[:, 1:] != sorted_scenes[:, :-1]
+    places = np.arange(count)
+    visits = places - np.maximum.accumulate(np.where(begins, places, 0), axis=-1)
+    rows = np.arange(len(flat))[:, None]
+    table = np.zeros((*null.shape, int(visits.max(initial=0)) + 1))
+    table[rows, sorted_scenes, visits] = np.take_along_axis(values, order, axis=-1)
+    evidence = along(table, null, starts, DOWN)
+    found = np.empty(flat.shape)
+    np.put_along_axis(found, order, evidence[rows, sorted_scenes, visits], axis=-1)
+    return found.reshape(shape)
+
+
+def _first(holds: Truths) -> int:
+    """Return where something holds first; the length if nowhere."""
+    return int(holds.argmax()) if holds.any() else len(holds)
+
+
+def _check(bank: Bank, rules: Rules) -> None:
+    if len(rules.tiers) != bank.means.shape[-1]:
+        raise ValueError(f"{len(rules.tiers)} tiers for {bank.means.shape[-1]} scenes")
+
+
+def _check_baseline(bank: Bank, trials: Trials) -> None:
+    if not bank.paired and np.isnan(trials.baseline).any():
+        raise ValueError("a bank has a result from every start; one is missing")

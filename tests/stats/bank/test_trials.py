@@ -1,0 +1,352 @@
+"""The gate trial by trial: its evidence, its rule, and that the same trials are judged always."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations, product
+from math import inf
+
+import numpy as np
+import pytest
+from gate_cells import HURDLES, scores_of
+
+from nw_eval.stats.bank import (
+    CRITICAL_TRIALS,
+    SUSPECT,
+    Bank,
+    Margins,
+    Rules,
+    TrialRuling,
+    Trials,
+    drop_interval_after,
+    looks,
+    most_false_alarms,
+    settle,
+    settle_all,
+)
+from nw_eval.words import Tier
+
+BASELINE = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
+CANDIDATE = np.array([[1.0, 0.5, 0.5], [0.5, 0.5, 0.0]])
+EXACT = float(BASELINE.mean() - CANDIDATE.mean())
+"""The true drop: 1/6."""
+
+
+def one_scene(candidate: list[float], baseline: float = 1.0) -> Trials:
+    return Trials(
+        scenes=np.zeros(len(candidate), dtype=np.intp),
+        candidate=np.array(candidate),
+        baseline=np.full(len(candidate), baseline),
+    )
+
+
+def all_orders(baseline: np.ndarray, candidate: np.ndarray) -> Trials:
+    """Every order in which all pairs of a scene and a start can be drawn."""
+    pairs = list(product(range(baseline.shape[0]), range(baseline.shape[1])))
+    orders = np.array(list(permutations(pairs)))
+    scenes, starts = orders[..., 0], orders[..., 1]
+    return Trials(
+        scenes=scenes, candidate=candidate[scenes, starts], baseline=baseline[scenes, starts]
+    )
+
+
+def simulated(seed: int, gates: int, drop: float = 0.06) -> tuple[Bank, Trials]:
+    """Gates on hurdles of a policy that falls in some trials; budgets of 160 trials."""
+    rng, (scores, _) = np.random.default_rng(seed), scores_of(HURDLES)
+    order = np.argsort(rng.random((gates, scores.size)), axis=1)[:, :160]
+    scenes, starts = order // scores.shape[1], order % scores.shape[1]
+    falls = rng.random(order.shape) < np.where(scenes == 3, 0.4, drop)
+    known = scores[scenes, starts]
+    return Bank.of(scores).fresh(), Trials(
+        scenes=scenes, candidate=np.where(falls, 0.0, known), baseline=known
+    )
+
+
+def tiers(scenes: int = 16, *critical: int) -> tuple[Tier, ...]:
+    return tuple("critical" if s in critical else "supporting" for s in range(scenes))
+
+
+def cut(trials: Trials, gate: int) -> Trials:
+    return Trials(
+        scenes=trials.scenes[gate],
+        candidate=trials.candidate[gate],
+        baseline=trials.baseline[gate],
+    )
+
+
+def test_the_published_figures_of_one_scene_hold_trial_by_trial() -> None:
+    perfect = Bank(means=np.ones(1))
+    found = looks(perfect, one_scene([1.0] * 40), Margins(max_drop=0.10))
+    assert found.passed[[0, 9, 19, 29, 39]].round(4).tolist() == [
+        1.0789,
+        2.1732,
+        4.8890,
+        11.3300,
+        26.9165,
+    ]
+    for scores, evidence in (([0.0] * 2, 221.7623), ([1.0, 0.0], 4.5427), ([0.5], 4.8631)):
+        assert looks(perfect, one_scene(scores), Margins()).regressed[-1].round(4) == evidence
+    own = looks(perfect, one_scene([0.0, 0.0, 0.0]), Margins(scene_drop=0.10)).own
+    assert own.round(4).tolist() == [3.7900, 20.3905, 136.1127]
+
+
+def test_over_all_orders_of_a_panel_at_the_margin_evidence_is_fair_after_every_trial() -> None:
+    drawn = all_orders(BASELINE, CANDIDATE)
+    assert drawn.scenes.shape == (720, 6)
+    bank = Bank(means=np.broadcast_to(BASELINE.mean(axis=1), (720, 2)), starts=3)
+    margins = Margins(max_drop=EXACT, tolerate=EXACT, scene_drop=EXACT)
+    found = looks(bank, drawn, margins)
+    # The mean is 1 as long as nothing is all but used up, and never more.
+    for evidence in (found.passed, found.regressed):
+        assert evidence[:, :3].mean(axis=0) == pytest.approx(1.0, abs=1e-9)
+        assert evidence.mean(axis=0).max() <= 1.0 + 1e-9
+    for scene in (0, 1):
+        last = np.where(drawn.scenes == scene, found.own, np.nan)[:, :3]
+        rows = ~np.isnan(last).all(axis=1)
+        mean = np.nanmean(np.where(drawn.scenes[:, :1] == scene, last[:, :1], np.nan))
+        assert rows.any()
+        assert mean == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("starts", [3, inf])
+@pytest.mark.parametrize("seed", range(12))
+def test_over_all_orders_evidence_seldom_convinces_of_what_is_not_so(
+    starts: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    baseline, candidate = rng.choice([0.0, 0.5, 1.0, 1.0], (2, 2, 3))
+    if not candidate.mean() <= baseline.mean():
+        baseline, candidate = candidate, baseline
+    drop = float(baseline.mean() - candidate.mean())
+    drawn = all_orders(baseline, candidate)
+    bank = Bank(means=np.broadcast_to(baseline.mean(axis=1), (720, 2)), starts=starts)
+    found = looks(bank, drawn, Margins(max_drop=drop, tolerate=drop))
+    for evidence in (found.passed, found.regressed):
+        assert evidence.mean(axis=0).max() <= 1.0 + 1e-9
+        highest = evidence.max(axis=1)
+        for least in (1.2, 1.5, 2.0, 4.0, 20.0):
+            assert (highest >= least).mean() <= 1.0 / least
+
+
+def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_never() -> None:
+    drawn = all_orders(BASELINE, CANDIDATE)
+    means = np.broadcast_to(BASELINE.mean(axis=1), (720, 2))
+    margins = Margins(max_drop=EXACT + 0.01, tolerate=EXACT - 0.01)
+    panel = looks(Bank(means=means, starts=3), drawn, margins)
+    assert np.isinf(panel.passed[:, -1]).all()
+    assert np.isinf(panel.regressed[:, -1]).all()
+    fresh = looks(Bank(means=means, starts=3).fresh(), drawn, margins)
+    assert max(fresh.passed.max(), fresh.regressed.max()) < 10.0
+
+
+def test_gates_that_are_settled_together_end_as_each_alone() -> None:
+    bank, trials = simulated(seed=1, gates=40)
+    rules = Rules(tiers=tiers(16, 3, 5))
+    alone = [settle(bank, cut(trials, gate), rules) for gate in range(40)]
+    together = settle_all(bank, trials, rules)
+    for one, other in zip(alone, together, strict=True):
+        assert replace(one, ahead=()) == replace(other, ahead=())
+    assert len({ruling.word for ruling in alone}) > 1
+    assert any(ruling.followed for ruling in alone)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 8, 64])
+def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int) -> None:
+    bank, every = simulated(seed=2, gates=12)
+    rules = Rules(tiers=tiers(16, 3, 5))
+    for gate in range(12):
+        trials = cut(every, gate)
+        rng = np.random.default_rng([gate, workers])
+        known = np.zeros(160, dtype=bool)
+        running = set[int]()
+        while True:
+            hidden = replace(trials, candidate=np.where(known, trials.candidate, 0.0))
+            ruling = settle(bank, hidden, rules, known)
+            if not ruling.ahead:
+                break
+            window = ruling.ahead[:workers]
+            running.update(place for place in window if not known[place])
+            assert len(running) <= 2 * workers
+            # Whichever ends first: workers differ in speed.
+            done = int(rng.choice(sorted(running)))
+            running.discard(done)
+            known[done] = True
+        assert replace(ruling, ahead=()) == replace(settle(bank, trials, rules), ahead=())
+        judged = {*range(ruling.mean), *ruling.followed}
+        started = set(np.flatnonzero(known).tolist()) | running
+        assert judged <= started
+        # Too many only by what ran beside the trial that settled the mean, or a scene.
+        settled = 1 + len(set(trials.scenes[list(ruling.followed)].tolist()))
+        assert len(started) <= ruling.trials + settled * (workers - 1)
+
+
+def test_of_a_trial_that_has_not_ended_nothing_is_looked_at() -> None:
+    bank, every = simulated(seed=3, gates=1)
+    trials, rules = cut(every, 0), Rules(tiers=tiers())
+    known = np.arange(160) != 20
+    ruling = settle(bank, trials, rules, known)
+    assert (ruling.word, ruling.mean, ruling.ahead[:2]) == ("undecided", 20, (20, 21))
+    assert (
+        settle(
+            bank, replace(trials, candidate=np.where(known, trials.candidate, 1.0)), rules, known
+        )
+        == ruling
+    )
+
+
+def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() -> None:
+    # Four scenes, of which the last fails twice, and then no more.
+    scenes = np.tile(np.arange(4), 60)
+    candidate = np.ones(240)
+    candidate[[3, 7]] = 0.0
+    trials = Trials(scenes=scenes, candidate=candidate, baseline=np.ones(240))
+    margins, bank = Margins(max_drop=0.4), Bank(means=np.ones(4))
+    ruling = settle(bank, trials, Rules(tiers=tiers(4), margins=margins))
+    passed = looks(bank, trials, margins)
+    first = int((passed.passed >= 20.0).argmax())
+    assert (ruling.word, ruling.mean, ruling.named) == ("PASS", first + 1, ())
+    assert ruling.followed
+    assert set(scenes[list(ruling.followed)].tolist()) == {3}
+    before = [place for place in range(first + 1) if scenes[place] == 3]
+    assert passed.own[before[-1]] >= SUSPECT > passed.own[ruling.followed[-1]]
+    # One that goes on failing is named, and the mean passes in spite of it.
+    fails = replace(trials, candidate=np.where(scenes == 3, 0.0, 1.0))
+    margins = Margins(max_drop=0.6, tolerate=0.5)
+    ruling = settle(bank, fails, Rules(tiers=tiers(4), margins=margins))
+    assert (ruling.word, ruling.named) == ("PASS", (3,))
+    assert settle(bank, fails, Rules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
+
+
+def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back() -> None:
+    scenes = np.tile(np.arange(4), 60)
+    candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
+    rules = Rules(tiers=tiers(4), margins=Margins(max_drop=0.4))
+    bank, ones = Bank(means=np.ones(4)), np.ones(240)
+    whole = Trials(scenes=scenes, candidate=candidate, baseline=ones)
+    mean = settle(bank, whole, rules).mean
+    short = Trials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
+    ruling = settle(bank, short, rules)
+    assert (ruling.word, ruling.waits_for, ruling.ahead) == ("undecided", (3,), ())
+
+
+def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
+    # Sixty-four scenes: the mean passes before half of them have been met.
+    rng = np.random.default_rng(5)
+    scenes = np.concatenate([rng.permutation(64) for _ in range(20)])
+    ones = np.ones(len(scenes))
+    trials, bank = Trials(scenes=scenes, candidate=ones, baseline=ones), Bank(means=np.ones(64))
+    last = int(scenes[63])
+    plain = settle(bank, trials, Rules(tiers=tiers(64)))
+    assert plain.trials == 37
+    assert last not in scenes[:37]
+    careful = settle(bank, trials, Rules(tiers=tiers(64, last)))
+    assert (careful.word, careful.mean) == ("PASS", 37)
+    assert scenes[list(careful.followed)].tolist() == [last] * CRITICAL_TRIALS
+    failing = replace(trials, candidate=np.where(scenes == last, 0.0, 1.0))
+    assert settle(bank, failing, Rules(tiers=tiers(64))).word == "PASS"
+    ruling = settle(bank, failing, Rules(tiers=tiers(64, last)))
+    assert (ruling.word, ruling.named) == ("REGRESSED", (last,))
+
+
+def test_what_is_missing_helps_no_verdict() -> None:
+    bank, trials = simulated(seed=6, gates=30)
+    holes = np.random.default_rng(6).random(trials.candidate.shape) < 0.2
+    missing = looks(
+        bank, replace(trials, candidate=np.where(holes, np.nan, trials.candidate)), Margins()
+    )
+    for score in (0.0, 1.0):
+        filled = replace(trials, candidate=np.where(holes, score, trials.candidate))
+        found = looks(bank, filled, Margins())
+        assert (missing.passed <= found.passed * (1 + 1e-9)).all()
+        assert (missing.regressed <= found.regressed * (1 + 1e-9)).all()
+        assert (missing.own <= found.own * (1 + 1e-9)).all()
+    control = Bank.control(16)
+    missing = looks(
+        control, replace(trials, baseline=np.where(holes, np.nan, trials.baseline)), Margins()
+    )
+    for score in (0.0, 1.0):
+        found = looks(
+            control, replace(trials, baseline=np.where(holes, score, trials.baseline)), Margins()
+        )
+        assert (missing.passed <= found.passed * (1 + 1e-9)).all()
+        assert (missing.regressed <= found.regressed * (1 + 1e-9)).all()
+        assert (missing.own <= found.own * (1 + 1e-9)).all()
+
+
+def test_beside_a_control_only_the_difference_of_the_two_arms_counts() -> None:
+    control = Bank.control(1)
+    ties = looks(control, one_scene([0.3] * 40, baseline=0.3), Margins(max_drop=0.10))
+    perfect = looks(Bank(means=np.ones(1)), one_scene([1.0] * 40), Margins(max_drop=0.10))
+    assert ties.passed == pytest.approx(perfect.passed)
+    # z = 1 + c - a, against 1 + tolerate from above and 1 + scene_drop in the scene.
+    found = looks(control, one_scene([0.25], baseline=0.75), Margins(tolerate=0.02, scene_drop=0.1))
+    shares = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+    assert found.regressed[0] == pytest.approx(np.mean(1 + shares * (1.5 - 1.02) / 1.02))
+    assert found.own[0] == pytest.approx(np.mean(1 + shares * (1.5 - 1.1) / 1.1))
+
+
+def test_interval_and_verdict_do_not_contradict_each_other() -> None:
+    bank, every = simulated(seed=7, gates=25)
+    for which in (bank, Bank.control(16)):
+        words = set[str]()
+        for gate in range(25):
+            trials, rules = cut(every, gate), Rules(tiers=tiers())
+            ruling = settle(which, trials, rules)
+            first = Trials(
+                scenes=trials.scenes[: ruling.mean],
+                candidate=trials.candidate[: ruling.mean],
+                baseline=trials.baseline[: ruling.mean],
+            )
+            found = drop_interval_after(which, first)
+            words.add(ruling.word)
+            assert (found.low > 0.02 - 1e-7) == (ruling.word == "REGRESSED")
+            if ruling.word == "PASS":
+                assert found.high < 0.10 + 1e-7
+        assert "PASS" in words
+    nothing = Trials(scenes=np.zeros(0, dtype=np.intp), candidate=np.ones(0), baseline=np.ones(0))
+    whole = drop_interval_after(Bank(means=np.array([0.9])), nothing)
+    assert (whole.low, whole.high) == (pytest.approx(-0.1), pytest.approx(0.9))
+
+
+def test_the_parts_of_a_gate_err_together_with_the_sum_at_most() -> None:
+    def parts(**changed: float | bool | None) -> float:
+        gate = {"bar": 0.05, "bar_critical": True, "baseline": 0.01, "critical": 4, "scenes": 16}
+        return most_false_alarms(**{**gate, **changed})  # type: ignore[arg-type]
+
+    assert parts() == pytest.approx(0.05 + 0.05 + 0.01 + 0.0025)
+    assert parts(bar=None) == pytest.approx(0.0125)
+    assert parts(critical=0, bar_critical=False) == pytest.approx(0.06)
+    assert parts(baseline=None) == pytest.approx(0.10)
+    with pytest.raises(ValueError, match="17 critical scenes of 16"):
+        parts(critical=17)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: one_scene([1.2]), "success 1.2"),
+        (lambda: replace(one_scene([1.0]), baseline=np.ones(2)), "trials of shapes"),
+        (lambda: Rules(tiers=("informational",)), "scene 0 is informational"),
+        (lambda: Rules(tiers=("critical",), alpha_regr=1.0), "alpha 1.0"),
+        (
+            lambda: settle(Bank(means=np.ones(2)), one_scene([1.0]), Rules(tiers=tiers(1))),
+            "1 tiers for 2 scenes",
+        ),
+        (
+            lambda: looks(Bank(means=np.ones(1)), one_scene([1.0], baseline=np.nan), Margins()),
+            "one is missing",
+        ),
+        (
+            lambda: looks(Bank(means=np.ones(1), starts=2), one_scene([1.0] * 3), Margins()),
+            "3 draws of 2 numbers",
+        ),
+    ],
+)
+def test_what_cannot_be_judged_is_refused_by_name(make, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        make()
+
+
+def test_a_ruling_counts_the_trials_of_both_its_parts() -> None:
+    ruling = TrialRuling(word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=())
+    assert ruling.trials == 39
