@@ -1,15 +1,22 @@
-"""What the baseline scored, as rows: what its own policy would score again, bit for bit."""
+"""What the baseline scored: as rows, and beside trials of its own policy that run again."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from nw_eval.results.bank import SavedBank
+from nw_eval.errors import StoreError
+from nw_eval.gate.baseline.comparison import Recheck
+from nw_eval.gate.baseline.holding.sentinel import watch
+from nw_eval.plural import plural
+from nw_eval.results.bank import Panel, SavedBank, Start, trajectory
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
-from nw_eval.suite.model import new_suite
+from nw_eval.suite.model import Gate, new_suite
 from nw_eval.suite.trials import expand
+
+_NAMED = 3  # trials that the sentences name before they say "and more"
 
 _FROM_START = (
     *("success", "completed", "outcome", "end_reason"),
@@ -67,3 +74,99 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
         }
         rows.append(from_dict(known))
     return tuple(rows)
+
+
+def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Recheck:
+    """Compare trials of the baseline's own policy with what the baseline says of these starts.
+
+    On a class of machine that the baseline has been run on, values and bits must be equal. On
+    another one bits may be others. Then nothing is taken over, and only scores that are out of line
+    (`sentinel.watch`) speak against the baseline.
+
+    Args:
+        rows: of the run, whose policy is the baseline's by its digests, on the pinned panel.
+        run: what they are of.
+        bank: of the baseline.
+        gate: margins and errors.
+
+    Raises:
+        StoreError: a row is of no start of the baseline.
+    """
+    seen = bank.panel_of(machine_of(run))
+    done = [row for row in rows if row.status == "ok"]
+    differing = differences(done, seen or bank.panels[0])
+    if seen is None and differing:  # Its bits may be those of another of the baseline's machines.
+        others = (differences(done, panel) for panel in bank.panels[1:])
+        differing = next((found for found in others if not found), differing)
+    ran = {(row.scene, row.perturbation) for row in done if not row.cached}
+    strata = {(row.scene, row.perturbation) for row in rows}
+    planned = sum(run.planned.values())
+    wrong: tuple[str, ...] = ()
+    if differing and seen is not None:
+        count = f"{len(differing)} of {plural(len(done), 'trial')}"
+        more = plural(len(differing) - _NAMED, "more trial")
+        wrong = (
+            f"the baseline {bank.manifest.name} is not what its own policy does: {count} differ",
+            *differing[:_NAMED],
+            *(
+                [f"and {more}; `nw-eval baseline verify` names all"]
+                if len(differing) > _NAMED
+                else []
+            ),
+        )
+    elif differing and len(done) == len(rows):
+        wrong = watch(rows, run, bank, gate, arm="candidate").moved
+    return Recheck(
+        compared=len(done),
+        ran=sum(not row.cached for row in done),
+        equal=not differing,
+        differing=wrong,
+        taken_over=run.is_recheck
+        and run.stopped_after is not None
+        and not differing
+        and 0 < planned == len(done)
+        and ran == strata,
+    )
+
+
+def difference(row: Row, start: Start) -> str | None:
+    """Return what of a trial is not as the baseline says, both values of each; None if nothing.
+
+    Args:
+        row: with a result.
+        start: what the baseline says of it.
+    """
+    pairs = [(name, getattr(start, name), getattr(row, name)) for name in _FROM_START]
+    parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
+    if not parts and trajectory(row) != start.trajectory:
+        parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
+    if not parts:
+        return None
+    cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
+    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts)}"
+
+
+def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
+    """Return a sentence for each trial that differs from a baseline, by scene and start.
+
+    Args:
+        rows: with results, of the baseline's own policy.
+        panel: what the baseline says.
+
+    Raises:
+        StoreError: a row is of no start of the baseline.
+    """
+    found: list[tuple[Start, str]] = []
+    for row in rows:
+        starts = panel.by_stratum.get((row.scene, row.perturbation), ())
+        if not 0 <= row.seed_index < len(starts):
+            raise StoreError(
+                f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
+                "its scene",
+                fix="judge the run against the baseline that it was begun with",
+            )
+        start = starts[row.seed_index]
+        if (text := difference(row, start)) is not None:
+            found.append((start, text))
+    found.sort(key=lambda item: (item[0].stratum, item[0].seed_index))
+    return tuple(text for _, text in found)

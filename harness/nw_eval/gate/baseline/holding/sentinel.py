@@ -25,7 +25,7 @@ from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats.bank import Bank, Ruling, decide, over_rounds
 from nw_eval.suite.model import Gate
-from nw_eval.words import Tier
+from nw_eval.words import Arm, Tier
 
 _NAMED = 3  # scenes that a sentence names before it says "and more"
 
@@ -42,7 +42,9 @@ class Sentinel:
     """Why it is open, in sentences, for when no more rounds come."""
 
 
-def watch(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Sentinel:
+def watch(
+    rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate, *, arm: Arm = "baseline"
+) -> Sentinel:
     """Compare the baseline's trials on this class of machine with the first panel of its bank.
 
     Args:
@@ -50,13 +52,14 @@ def watch(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Sen
         run: theirs.
         bank: which has no panel of this class of machine.
         gate: margins, errors and tiers; scenes that are informational need only have equal bits.
+        arm: whose rows they are: the candidate's, where it is the baseline's own policy.
 
     Raises:
         StoreError: a row is not of the baseline's run.
     """
     panel = bank.panels[0]
     strata = [stratum for stratum in panel.by_stratum if stratum[0] in run.scenes]
-    rounds = whole_rounds(rows, run, strata, "baseline")
+    rounds = whole_rounds(rows, run, strata, arm)
     if rounds.count and _is_alike(rounds, panel):
         return Sentinel(checked="bits")
     judged = [stratum for stratum in strata if gate.tier(stratum[0]) != "informational"]
