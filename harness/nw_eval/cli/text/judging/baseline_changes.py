@@ -74,7 +74,9 @@ def _verified(verified: VerifiedBaseline) -> Iterator[str]:
     yield from verified.differing
     yield from (f"no result now: {fault}" for fault in verified.faults)
     if verified.differing:
-        yield f"INVALID: {len(verified.differing)} rows of baseline {name} differ"
+        count = len(verified.differing)
+        verb = "differs" if count == 1 else "differ"
+        yield f"INVALID: {plural(count, 'row')} of baseline {name} {verb}"
         if not verified.has_panel:
             yield (
                 "it has not been run on this class of machine, whose bits may be others: run it "

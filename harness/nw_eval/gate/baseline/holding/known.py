@@ -16,7 +16,7 @@ from nw_eval.results.row import Row, from_dict
 from nw_eval.suite.model import Gate, new_suite
 from nw_eval.suite.trials import expand
 
-_NAMED = 3  # trials that the sentences name before they say "and more"
+_NAMED = 3  # trials, and values of each, that the sentences name
 
 _FROM_START = (
     *("success", "completed", "outcome", "end_reason"),
@@ -94,25 +94,20 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
     """
     seen = bank.panel_of(machine_of(run))
     done = [row for row in rows if row.status == "ok"]
+    # The very panel that `known_rows` takes results from.
     differing = differences(done, seen or bank.panels[0])
-    if seen is None and differing:  # Its bits may be those of another of the baseline's machines.
-        others = (differences(done, panel) for panel in bank.panels[1:])
-        differing = next((found for found in others if not found), differing)
     ran = {(row.scene, row.perturbation) for row in done if not row.cached}
     strata = {(row.scene, row.perturbation) for row in rows}
     planned = sum(run.planned.values())
     wrong: tuple[str, ...] = ()
     if differing and seen is not None:
         count = f"{len(differing)} of {plural(len(done), 'trial')}"
-        more = plural(len(differing) - _NAMED, "more trial")
+        more = len(differing) - _NAMED
+        rest = f"and {plural(more, 'more trial')}; `nw-eval baseline verify` names all"
         wrong = (
             f"the baseline {bank.manifest.name} is not what its own policy does: {count} differ",
             *differing[:_NAMED],
-            *(
-                [f"and {more}; `nw-eval baseline verify` names all"]
-                if len(differing) > _NAMED
-                else []
-            ),
+            *([rest] if more > 0 else []),
         )
     elif differing and len(done) == len(rows):
         wrong = watch(rows, run, bank, gate, arm="candidate").moved
@@ -143,7 +138,8 @@ def difference(row: Row, start: Start) -> str | None:
     if not parts:
         return None
     cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
-    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts)}"
+    # The first says most: the others follow from it.
+    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts[:_NAMED])}"
 
 
 def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
