@@ -70,6 +70,7 @@ def row_of(trial, reached=4, **changes):
         "success": None if is_error else reached / 4,
         "waypoints_reached": reached or 0,
         "waypoints_total": 4,
+        "waypoint_times": tuple(map(float, range(reached or 0))),
         "steps": 200,
         "sim_s": 4.0,
         "physics_s": 0.5,

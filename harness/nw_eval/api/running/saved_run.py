@@ -44,6 +44,7 @@ def continued(run: Path, request: Request) -> Plan:
     """
     from nw_eval.api.running.against.banks import resumed_bank
     from nw_eval.api.running.plans import plan_of
+    from nw_eval.results.journal import has_begun
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite import draft_of, draft_suite
@@ -68,10 +69,13 @@ def continued(run: Path, request: Request) -> Plan:
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
+    draft = None if request.suite is None else draft_suite(request.suite)
+    if draft is not None and draft.suite is not None and has_begun(folder.journal):
+        _check_gate(run, suite, draft.suite)
     against = resumed_bank(folder, info, suite, request)
-    if request.suite is not None:
+    if draft is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
-        plan = plan_of(whole, draft_suite(request.suite), card=card, against=against)
+        plan = plan_of(whole, draft, card=card, against=against)
     else:
         plan = plan_of(
             whole,
@@ -82,6 +86,28 @@ def continued(run: Path, request: Request) -> Plan:
             against=against,
         )
     return _as_drawn(plan, folder, info)
+
+
+def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
+    """Refuse to judge a run by other rules than it was begun with.
+
+    More rounds are no other rules: what is claimed holds at any look.
+
+    Raises:
+        IncomparableError: a setting of the gate is another one; naming each, then and now.
+    """
+    then, given = (suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, now))
+    changed = [
+        f"gate.{name} is {given.get(name)}, it was begun with {then.get(name)}"
+        for name in sorted({*then, *given})
+        if then.get(name) != given.get(name)
+    ]
+    if changed:
+        raise IncomparableError(
+            f"cannot resume {run} with another gate: {'; '.join(changed)}",
+            fix="resume it without naming a suite, or start a new run, which takes its trials from "
+            "the cache",
+        )
 
 
 def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:

@@ -65,7 +65,10 @@ class Attempts:
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
-        self._finished = {name for name, row in latest.items() if row.status == "ok"}
+        # A log that could not be written is written when the run goes on.
+        self._lost = {name: row for name, row in latest.items() if row.lost_its_log}
+        done = {name for name, row in latest.items() if row.status == "ok"}
+        self._finished = done - self._lost.keys()
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
@@ -173,6 +176,9 @@ class Attempts:
             folder=self._folder,
             host=ended.host,
         )
+        lost = self._lost.pop(name, None)
+        if lost is not None and row.status == "ok" and lost.digest != row.digest:
+            return self._as_before(ended.job, lost)
         self._journal.append(row)
         self._known.ended(ended.job, row)
         if row.status == "error":
@@ -180,6 +186,16 @@ class Attempts:
         if ended.result.mcap_error:
             self._listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
         return row
+
+    def _as_before(self, job: TrialJob, lost: Row) -> Row:
+        """Return the result that a trial had when its log was lost: a later one does not count."""
+        if job.mcap is not None:
+            job.mcap.unlink(missing_ok=True)  # It is of the other result.
+        self._listener.message(
+            f"trial {lost.trial_id} came out otherwise than before, when its log was lost: its "
+            "first result stands, without a log"
+        )
+        return lost
 
     def _announce_retry(self, row: Row) -> None:
         self._listener.message(
