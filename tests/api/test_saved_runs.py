@@ -85,6 +85,7 @@ def row(trial, reached=4, **changes):
         "wall_s": 2.0,
         "checkpoint_digest": CHECKPOINT,
         "scene_digest": trial.scene_digest,
+        "mcap_path": f"mcap/{trial.scene}/{trial.id}.mcap",
     }
     return Row(**{**columns, **changes})
 

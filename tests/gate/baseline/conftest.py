@@ -180,5 +180,6 @@ def _row(run: RunInfo, stratum: Stratum, index: int, value: float | None) -> Row
         wall_s=2.0,
         checkpoint_digest=run.policy.checkpoint_digest,
         scene_digest="dd" * 32,
+        mcap_path=f"mcap/{scene}/{index}.mcap",
         error_text="signal 11" if value is None else "",
     )
