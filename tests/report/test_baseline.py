@@ -161,7 +161,7 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
 def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(
     page: Make,
 ) -> None:
-    again = Recheck(compared=2, ran=2, equal=True, differing=(), taken_over=True)
+    again = Recheck(compared=2, ran=2, equal=True, differing=(), settled=True, taken_over=True)
     same = replace(
         FOUND, basis="same", word="PASS", rounds=1, drop=None, interval=None, curve=None,
         again=again, reasons=("the same policy",),

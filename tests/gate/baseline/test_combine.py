@@ -163,6 +163,9 @@ def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_
     verdict = judged_by(bank, rows, here, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 16)
     assert "16 run again, with other bits, and nothing taken over" in headline(verdict, here)
+    assert verdict.against is not None
+    assert verdict.against.again is not None
+    assert verdict.against.again.settled is False, "eight rounds are too few to say so"
     # The bar is for what ran: the file's scores are of no use to a policy that fails here.
     low = drawn_rows(here, dict.fromkeys("ab", [0.0] * 8))
     assert judged_by(bank, low, here, gate).verdict == "INVALID"

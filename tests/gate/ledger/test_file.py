@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from typing import IO, TYPE_CHECKING, Any
 
@@ -140,6 +142,31 @@ def test_gates_that_end_at_once_all_get_their_line(tmp_path: Path, entries: list
         list(gates.map(lambda entry: append_entry(path, entry), entries[:2] * 20))
     found = read_ledger(path).entries
     assert [found.count(entry) for entry in entries[:2]] == [20, 20]
+
+
+APPEND = """
+import sys
+from pathlib import Path
+from nw_eval.gate.ledger.entry import LedgerEntry
+from nw_eval.gate.ledger.file import append_entry
+
+entry = LedgerEntry.model_validate_json(Path(sys.argv[2]).read_text())
+for _ in range(25):
+    append_entry(Path(sys.argv[1]), entry)
+"""
+
+
+def test_processes_that_share_a_ledger_lose_no_line(tmp_path: Path, entries: list) -> None:
+    path = tmp_path / "l.jsonl"
+    processes: list[subprocess.Popen[bytes]] = []
+    for number, entry in enumerate(entries):
+        (own := tmp_path / f"{number}.json").write_text(entry.model_dump_json())
+        command = [sys.executable, "-c", APPEND, str(path), str(own)]
+        processes.append(subprocess.Popen(command))
+    assert [process.wait() for process in processes] == [0, 0, 0, 0]
+    found = read_ledger(path)
+    assert found.dropped is None
+    assert [found.entries.count(entry) for entry in entries] == [25, 25, 25, 25]
 
 
 def test_a_line_that_another_machine_writes_over_is_added_once_more(

@@ -45,6 +45,9 @@ class Recheck:
     """Sentences, where the baseline is not what its policy does: which trials differ and in what,
     or, on a class of machine that the baseline has not seen, in what its scores are out of line.
     Where there are any the run is INVALID."""
+    settled: bool
+    """Whether it is known what the baseline is to these trials: always but where bits are others,
+    and it is open yet whether scores are in line."""
     taken_over: bool
     """Whether the other results are the baseline's: all trials that were to run again did, at
     least one of each scene, and are equal."""

@@ -110,7 +110,9 @@ class Contest:
                 return False
             errors = any(row.status == "error" for row in rows)
             if errors or found.again.equal or found.again.differing:
-                return True  # Bits of a class of machine that the bank has not seen are left.
+                return True
+            if not found.again.settled:  # Bits are others, and scores may be.
+                return False
         planned = Counter(row.scene for row in rows)
         return settled(judge(rows, self._plan.suite.gate, planned, against=found), found)
 

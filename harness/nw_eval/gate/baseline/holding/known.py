@@ -99,7 +99,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
     ran = {(row.scene, row.perturbation) for row in done if not row.cached}
     strata = {(row.scene, row.perturbation) for row in rows}
     planned = sum(run.planned.values())
-    wrong: tuple[str, ...] = ()
+    wrong, settled = tuple[str, ...](), True
     if differing and seen is not None:
         count = f"{len(differing)} of {plural(len(done), 'trial')}"
         more = len(differing) - _NAMED
@@ -110,12 +110,14 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
             *([rest] if more > 0 else []),
         )
     elif differing and len(done) == len(rows):
-        wrong = watch(rows, run, bank, gate, arm="candidate").moved
+        sentinel = watch(rows, run, bank, gate, arm="candidate")
+        wrong, settled = sentinel.moved, not sentinel.open
     return Recheck(
         compared=len(done),
         ran=sum(not row.cached for row in done),
         equal=not differing,
         differing=wrong,
+        settled=settled,
         taken_over=run.is_recheck
         and run.stopped_after is not None
         and not differing
