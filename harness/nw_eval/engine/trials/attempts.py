@@ -65,10 +65,8 @@ class Attempts:
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
-        # A log that could not be written is written when the run goes on.
+        self._finished = {name for name, row in latest.items() if row.status == "ok"}
         self._lost = {name: row for name, row in latest.items() if row.lost_its_log}
-        done = {name for name, row in latest.items() if row.status == "ok"}
-        self._finished = done - self._lost.keys()
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
@@ -80,7 +78,7 @@ class Attempts:
 
     def finished_of(self, jobs: Iterable[TrialJob]) -> int:
         """Return how many of the jobs had a result when the run began."""
-        return sum(job.trial.id in self._finished for job in jobs)
+        return sum(self._is_finished(job) for job in jobs)
 
     def rows_of(self, jobs: Iterable[TrialJob]) -> tuple[Row, ...]:
         """Return the latest rows of jobs, in their order; of those that have one."""
@@ -96,13 +94,18 @@ class Attempts:
             jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
         """
-        todo = [job for job in jobs if job.trial.id not in self._finished]
+        todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
         new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
         self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts)
         if interrupts.requested is None:
             self._take_over(at_last=True)
             self._run(self._known.unconfirmed(), interrupts)
+
+    def _is_finished(self, job: TrialJob) -> bool:
+        """Whether a trial had a result when the run began, and the log that it is to have."""
+        name = job.trial.id
+        return name in self._finished and not (name in self._lost and job.mcap is not None)
 
     def _run(self, todo: Sequence[TrialJob], interrupts: Interrupts) -> None:
         # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
