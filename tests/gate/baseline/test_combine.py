@@ -8,6 +8,7 @@ import pytest
 from nw_eval.errors import IncomparableError
 from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined, judge_run, settled
+from nw_eval.gate.baseline.holding.sentinel import watch
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.reporting import headline
 from nw_eval.results.bank import trajectory
@@ -171,6 +172,25 @@ def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_
     assert judged_by(bank, low, here, gate).verdict == "INVALID"
     low = drawn_rows(here, dict.fromkeys("ab", [0.5] * 8))
     assert judged_by(bank, low, here, Gate(success_rate=0.9)).verdict in {"REGRESSED", "INVALID"}
+
+
+def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine(
+    make_run: Make, make_bank: Make, drawn_rows: Make
+) -> None:
+    run, gate = of_the_baseline_itself(make_run, ran=0.01)
+    rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
+    forged = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    elsewhere = run.model_copy(update={"engine": {**run.engine, "cpu": "haswell"}})
+    verdict = judged_by(forged, rows, elsewhere, gate)
+    assert verdict.verdict == "INVALID"
+    assert "the same bits, other results" in verdict.reasons[0]
+    assert verdict.reasons[1].startswith("scene a start ")
+    assert "success 0.5, the baseline's 1.0" in verdict.reasons[1]
+    # Of another candidate's baseline the sentinel finds it: its own policy ran from these starts.
+    own = [replace(row, arm="baseline") for row in rows]
+    seen = watch(own, elsewhere, forged, gate)
+    assert seen.checked is None
+    assert "the same bits, other results" in seen.moved[0]
 
 
 def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forged(

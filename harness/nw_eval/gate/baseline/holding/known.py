@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from nw_eval.errors import StoreError
 from nw_eval.gate.baseline.comparison import Recheck
-from nw_eval.gate.baseline.holding.sentinel import watch
+from nw_eval.gate.baseline.holding.sentinel import FROM_START, difference, watch
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start, trajectory
+from nw_eval.results.bank import Panel, SavedBank, Start
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
@@ -18,10 +18,6 @@ from nw_eval.suite.trials import expand
 
 _NAMED = 3  # trials, and values of each, that the sentences name
 
-_FROM_START = (
-    *("success", "completed", "outcome", "end_reason"),
-    *("waypoints_reached", "waypoints_total"),
-)
 _NO_TIMES = dict.fromkeys(("physics_s", "render_s", "policy_s", "log_s", "wall_s"), 0.0)
 
 
@@ -69,7 +65,7 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
             "checkpoint_digest": run.policy.checkpoint_digest,
             "scene_digest": trial.scene_digest,
             "cached": True,
-            **{name: getattr(start, name) for name in _FROM_START},
+            **{name: getattr(start, name) for name in FROM_START},
             **_NO_TIMES,
         }
         rows.append(from_dict(known))
@@ -124,24 +120,6 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
         and 0 < planned == len(done)
         and ran == strata,
     )
-
-
-def difference(row: Row, start: Start) -> str | None:
-    """Return what of a trial is not as the baseline says, both values of each; None if nothing.
-
-    Args:
-        row: with a result.
-        start: what the baseline says of it.
-    """
-    pairs = [(name, getattr(start, name), getattr(row, name)) for name in _FROM_START]
-    parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
-    if not parts and trajectory(row) != start.trajectory:
-        parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
-    if not parts:
-        return None
-    cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
-    # The first says most: the others follow from it.
-    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts[:_NAMED])}"
 
 
 def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
