@@ -74,6 +74,9 @@ class Request:
     baseline_policy: str | None = None
     """The bank's own policy, for a machine that the bank has not seen; where the bank says when
     absent."""
+    recheck: int | None = None
+    """Starts of each scene that run again, drawn when the run begins, where the policy is the
+    bank's own and the rest is taken over from the bank; 1 when absent."""
     panel: PanelKind | None = None
     """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""
@@ -122,6 +125,8 @@ class Request:
             )
         if checked.time_limit is not None and not checked.time_limit > 0.0:
             raise _unusable("time_limit", values, "give seconds, more than 0")
+        if checked.recheck is not None and checked.recheck < 1:
+            raise _unusable("recheck", values, "give at least 1")
         _ = checked.part  # It raises.
         _ = checked.memory_bytes  # Likewise.
         return checked

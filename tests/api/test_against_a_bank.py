@@ -6,6 +6,7 @@ All of them are of the shipped policy in two scenes, four seconds each, in this 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 from dataclasses import replace
@@ -16,18 +17,21 @@ import numpy as np
 import pytest
 
 from nw_eval import api
+from nw_eval.api.running.plans import rechecked
 from nw_eval.cli import main
 from nw_eval.cli.text.judging.forecast import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.trials.attempts import Attempts
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.files.shipped import shipped
+from nw_eval.reporting import headline
 from nw_eval.results.bank.build import bank_of_run
 from nw_eval.results.bank.file import read_bank, write_bank
 from nw_eval.results.journal import read_journal
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.suite import load_suite
+from nw_eval.suite.trials import wanted
 
 SUITE = """\
 nw-eval: 1
@@ -188,28 +192,122 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_at_th
         api.run(None, resume=project / "cut", in_process=True)
 
 
-def test_the_policy_of_the_bank_passes_without_a_trial_by_what_the_bank_holds(capsys):
+def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
     with pytest.raises(SystemExit) as caught:
         main(["run", "quick.yaml", "--baseline", "shipped", "--out", "same"])
     assert caught.value.code == 0
     out, err = capsys.readouterr()
-    assert "go1-parkour is the policy of baseline shipped: nothing to run" in err
-    assert "PASS" in out
+    assert "go1-parkour is the policy of baseline shipped: 1 start of each scene run again" in err
     judged = api.report("same")
-    assert (judged.rows, judged.info.stopped_after) == ((), 0)
-    assert judged.verdict.against.basis == "same"
+    over = "taken over from the baseline, 2 run again and equal"
+    assert f"PASS · baseline shipped is the same policy · {over}" in " ".join(out.split())
+    assert sorted(row.scene for row in judged.rows) == [
+        "hurdles/one_low_carpet",
+        "hurdles/two_logs_park",
+    ]
+    assert (judged.info.stopped_after, judged.verdict.against.basis) == (1, "same")
     whole = api.report("whole").verdict
     assert (judged.verdict.effect, judged.verdict.interval) == (whole.effect, whole.interval)
     assert judged.verdict.n == 8
-    assert "the same policy" in Path("same/report.md").read_text()
-    assert "it is known: " in Path("same/report.md").read_text()
-    assert "Where the time went" not in Path("same/report.md").read_text()
-    assert not Path("same/mcap").exists()
+    for page in ("report.md", "report.html"):
+        assert over in Path("same", page).read_text()
+    assert api.verify("same").exit_code == 0, "the trials that ran are found and run again"
     assert api.run(None, resume=Path("same")).verdict == judged.verdict
+
+    three = api.run("quick.yaml", baseline="shipped", recheck=3, in_process=True, out=Path("three"))
+    assert len(three.rows) == 6
+    assert "6 run again and equal" in headline(three.verdict, three.info)
+    with pytest.raises(UsageError, match="--recheck 0: give at least 1"):
+        api.run("quick.yaml", baseline="shipped", recheck=0)
+    with pytest.raises(IncomparableError, match="has 4 starts in each scene, 5 rounds draw more"):
+        api.run("quick.yaml", baseline="shipped", recheck=5, in_process=True)
 
     strict = SUITE.replace("success_rate: 0.05", "success_rate: 0.97")
     Path("quick.yaml").write_text(strict)
     assert api.run("quick.yaml", baseline="shipped", out=Path("below")).exit_code == 1
+
+
+def as_the_policy(run):
+    """What writes into a bank that the policy of a run is its own, with perfect results."""
+
+    def change(bank):
+        own = {
+            name: getattr(run.info.policy, name) for name in ("card_digest", "checkpoint_digest")
+        }
+        policy = bank.manifest.policy.model_copy(update=own)
+        best = {"success": 1.0, "completed": True, "outcome": "completed"}
+        starts = tuple(
+            replace(start, **best, waypoints_reached=start.waypoints_total)
+            for start in bank.panels[0].starts
+        )
+        manifest = bank.manifest.model_copy(update={"policy": policy})
+        return replace(bank, manifest=manifest, panels=(replace(bank.panels[0], starts=starts),))
+
+    return change
+
+
+@pytest.mark.parametrize("all_rounds", [False, True])
+@pytest.mark.parametrize("place", ["here", "elsewhere"])
+def test_a_bank_that_claims_to_be_the_candidates_own_is_invalid_once_a_start_has_run(
+    place, all_rounds
+):
+    claim = as_the_policy(api.report("plain"))
+    forged(claim if place == "here" else lambda bank: elsewhere(claim(bank)))
+    # Twelve starts are enough for the tests of a class of machine that the bank has not seen.
+    Path("quick.yaml").write_text(SUITE.replace("max_drop: 0.5", "max_drop: 0.2, false_alarm: 0.3"))
+    shown = against(all_rounds=all_rounds)
+    assert shown.rows, "some of it ran"
+    assert shown.verdict.verdict == "INVALID"
+    assert shown.exit_code == 5
+    text = " ".join(shown.verdict.reasons)
+    if place == "here":
+        assert "is not what its own policy does" in text
+        assert re.search(r"scene hurdles/\S+ start [0-3]: success 0\S*, the baseline's 1.0", text)
+    else:
+        assert "scores worse here" in text
+
+
+def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_which():
+    drawn = {
+        tuple(trial.id for trial in wanted(rechecked(plan, seed).trials, 1))
+        for plan in [api.plan("quick.yaml", baseline="shipped")]
+        for seed in range(20)
+    }
+    assert len(drawn) > 5
+    first = api.run("quick.yaml", baseline="shipped", in_process=True, out=Path("first"))
+    assert first.info.is_recheck
+    more = api.run(None, resume=Path("first"), recheck=3, in_process=True)
+    assert {row.trial_id for row in first.rows} < {row.trial_id for row in more.rows}
+
+
+def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["baseline", "verify", str(BANK), "--suite", "quick.yaml", "--share", "25%"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert "run again: 2 of 2 trials as the baseline says, values and bits, drawn from 8" in out
+
+    def one_wrong(bank):
+        first = bank.panels[0].starts[0]
+        starts = (
+            replace(first, success=0.0, waypoints_reached=0, completed=False, outcome="fell"),
+        )
+        panel = replace(bank.panels[0], starts=(*starts, *bank.panels[0].starts[1:]))
+        return replace(bank, panels=(panel,))
+
+    forged(one_wrong)
+    before = sorted(Path().rglob("*"))
+    with pytest.raises(SystemExit) as caught:
+        main(["baseline", "verify", str(BANK), "--suite", "quick.yaml", "--trials", "8"])
+    assert caught.value.code == 5
+    out = capsys.readouterr().out
+    assert out.startswith("scene hurdles/one_low_carpet start 0: success ")
+    assert "INVALID: 1 row of baseline shipped differs" in out
+    assert "run again: 7 of 8 trials" in out
+    assert sorted(Path().rglob("*")) == before, "nothing is written into the project"
+    forged(as_the_policy(api.report("plain")))
+    with pytest.raises(IncomparableError, match="cannot be verified here: policy c"):
+        api.verify_baseline(BANK, suite="quick.yaml", policy="go1-parkour")
 
 
 def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(capsys):
@@ -218,13 +316,27 @@ def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(
             ["run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d"]
         )
     assert caught.value.code == 0
-    assert "nothing to run" not in capsys.readouterr().err
+    assert "taken over" not in capsys.readouterr().out
     judged = api.report("d")
     assert (len(judged.rows), judged.info.stopped_after) == (2, None)
     assert judged.verdict.against.basis == "same"
+    assert "2 run again and equal" in headline(judged.verdict, judged.info)
     known = {row.seed: row.state_digest for row in api.report("whole").rows}
     assert all(known[row.seed] == row.state_digest for row in judged.rows)
     assert judged.verdict.verdict == "PASS"
+
+
+def test_what_runs_again_runs_though_the_cache_of_trials_has_its_results(tmp_path, monkeypatch):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "1")
+    api.run("quick.yaml", baseline="none", workers=1, out=Path("kept"))
+    again = api.run("quick.yaml", baseline="shipped", workers=1, out=Path("again"))
+    assert [row.cached for row in again.rows] == [False, False]
+    every = api.run("quick.yaml", baseline="shipped", workers=1, all_rounds=True, recheck=2)
+    ran = [row.scene for row in every.rows if not row.cached]
+    assert len(every.rows) == 8
+    assert min(ran.count(scene) for scene in set(ran)) == 2
+    assert "8 compared and equal, 4 of them run again" in headline(every.verdict, every.info)
 
 
 def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
@@ -328,6 +440,27 @@ def test_other_bits_need_a_bank_large_enough_for_a_sample():
     with pytest.raises(IncomparableError, match="has 4 starts in each scene; 4 rounds need 12"):
         against()
     assert not (Path("run") / "mcap" / "hurdles").exists(), "no trial of the candidate"
+
+
+@pytest.mark.parametrize("same_bits", [True, False])
+def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_and_is_not_invalid(
+    same_bits,
+):
+    def change(bank):
+        starts = tuple(replace(start, trajectory="0" * 16) for start in bank.panels[0].starts)
+        panel = bank.panels[0] if same_bits else replace(bank.panels[0], starts=starts)
+        return elsewhere(replace(bank, panels=(panel,)))
+
+    forged(change)
+    judged = against(policy=None)
+    assert judged.verdict.verdict == "PASS"
+    found = judged.verdict.against.again
+    assert (found.equal, found.taken_over) == (same_bits, same_bits)
+    assert judged.verdict.n == (8 if same_bits else len(judged.rows))
+    assert not Path("run/baseline").exists(), "its own trials show what the bank is here"
+    if not same_bits:
+        told = headline(judged.verdict, judged.info)
+        assert "run again, with other bits, and nothing taken over" in told
 
 
 def test_where_the_bank_s_scores_are_out_of_line_the_run_is_invalid(capsys):
@@ -440,11 +573,12 @@ def test_parts_run_all_rounds_and_are_judged_against_their_bank_once_they_are_me
     assert merged.verdict.against.word == "PASS"
 
 
-def test_parts_of_the_baselines_own_policy_have_nothing_to_run_and_pass_together():
+def test_parts_of_the_baselines_own_policy_run_and_are_compared_with_it_once_they_are_merged():
     parts = parts_of(2, policy="go1-parkour")
-    assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 0), ("RAN", 0)]
+    assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 2), ("RAN", 2)]
     merged = api.merge(["part-1", "part-2"], out="merged")
-    assert (merged.verdict.verdict, len(merged.rows)) == ("PASS", 0)
+    assert (merged.verdict.verdict, len(merged.rows)) == ("PASS", 4)
+    assert "4 run again and equal" in headline(merged.verdict, merged.info)
 
 
 @pytest.mark.nightly

@@ -18,6 +18,8 @@ from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
 from nw_eval.results.row import from_dict, rows_digest, to_dict
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.view.loading import open_shelf
+from nw_eval.view.sources import kind_of
 
 SUITE = """\
 nw-eval: 1
@@ -68,6 +70,18 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
         assert "2 of 5 results are from earlier runs" in page.read_text()
     for row in more.rows:
         assert (more.folder / row.mcap_path).stat().st_size == row.mcap_bytes
+    # The pages name a log as RUN/mcap/SCENE/TRIAL.mcap, whether its trial was taken over or not.
+    for row in more.rows:
+        named = more.folder / "mcap" / row.scene / f"{row.trial_id}.mcap"
+        assert named.is_file() is not row.cached
+        assert kind_of(str(named), policy=None, scene=None) == "log"
+        assert list(open_shelf(named).logs) == [row.trial_id]
+    taken = next(row for row in more.rows if row.cached)
+    named = more.folder / "mcap" / taken.scene / f"{taken.trial_id}.mcap"
+    assert api.replay(named).is_identical
+    assert api.foxglove_layout(named)
+    with pytest.raises(UsageError, match="nosuch"):
+        api.replay(named.with_stem("nosuch"))
     gated = api.judge(more.folder)
     assert rows_digest(gated.rows) == rows_digest(more.rows)
 

@@ -276,7 +276,7 @@ def test_what_no_field_takes_is_refused_by_its_option(changes, option):
 
 def test_the_same_words_after_run_and_check_are_the_same_request():
     words = "hurdles --robot go2 -p stand --checkpoint w.onnx -n 3 --seed 6 --record none"
-    words += " --baseline shipped --baseline-policy stand --panel pinned --shard 1/2"
+    words += " --baseline shipped --baseline-policy stand --panel pinned --shard 1/2 --recheck 2"
     words += " --time-limit 7 --memory-limit 2GB --render cuda --collision triangles --allow-code"
     arguments = [*words.split(), "--scenes", "gaps/*", "flat/*"]
     run, check = (parse([verb, *arguments], description="") for verb in ("run", "check"))

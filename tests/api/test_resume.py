@@ -154,3 +154,32 @@ def test_a_run_is_not_resumed_on_another_kind_of_processor(project, monkeypatch)
         api.run(None, resume=project / "run", trials=2)
     assert caught.value.exit_code == 5
     assert (project / "run" / "journal.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("gate", "said"),
+    [
+        ("{success_rate: 0.1}", "gate.success_rate is 0.1, it was begun with 0.3"),
+        ("{success_rate: 0.3, confidence: 0.5}", "gate.confidence is 0.5, it was begun with 0.95"),
+        ("{}", "gate.success_rate is None, it was begun with 0.3"),
+        (
+            "{success_rate: 0.3, tiers: {'*': informational}}",
+            "gate.tiers is {'*': 'informational'}",
+        ),
+    ],
+)
+def test_a_run_is_not_resumed_to_be_judged_by_other_rules_than_it_was_begun_with(
+    project, gate, said
+):
+    api.run("quick.yaml", out=project / "run", trials=1)
+    own = SUITE[SUITE.index("gate:") :]
+    (project / "quick.yaml").write_text(SUITE.replace(own, f"gate: {gate}\n"))
+    with pytest.raises(IncomparableError) as caught:
+        api.run("quick.yaml", resume=project / "run")
+    assert "with another gate" in caught.value.message
+    assert said in caught.value.message
+    assert caught.value.exit_code == 5
+    # More rounds are no other rules, and without a suite the run is judged as it was begun.
+    (project / "quick.yaml").write_text(SUITE.replace("0.3}", "0.3, rounds: 30}"))
+    assert api.run("quick.yaml", resume=project / "run", trials=2).verdict.bar == 0.3
+    assert api.run(None, resume=project / "run").verdict.bar == 0.3

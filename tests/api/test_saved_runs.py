@@ -75,6 +75,7 @@ def row(trial, reached=4, **changes):
         "success": reached / 4,
         "waypoints_reached": reached,
         "waypoints_total": 4,
+        "waypoint_times": tuple(map(float, range(reached))),
         "steps": 200,
         "sim_s": 4.0,
         "physics_s": 0.5,
@@ -84,6 +85,7 @@ def row(trial, reached=4, **changes):
         "wall_s": 2.0,
         "checkpoint_digest": CHECKPOINT,
         "scene_digest": trial.scene_digest,
+        "mcap_path": f"mcap/{trial.scene}/{trial.id}.mcap",
     }
     return Row(**{**columns, **changes})
 
@@ -287,3 +289,21 @@ def test_no_number_of_a_suite_in_run_json_is_no_number(saved):
     folder.run_json.write_text(json.dumps(info))
     with pytest.raises(StoreError, match=r"run\.json is damaged"):
         api.report(folder.path)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [api.report, api.judge, api.read_rows, lambda run: api.compare([run, run])],
+    ids=["report", "gate", "rows", "compare"],
+)
+def test_rows_that_contradict_themselves_are_refused_though_all_their_sums_fit(saved, read):
+    rows = [row(trial(index)) for index in range(6)]
+    free = {"waypoints_reached": 0, "waypoints_total": 0, "waypoint_times": ()}
+    folder = saved([replace(rows[0], **free), *rows[1:]])
+    assert api.verify(folder.path, offline=True).files.findings == (), "the sums fit"
+    with pytest.raises(StoreError) as caught:
+        read(folder.path)
+    assert "the row of trial hurdles-one-000 contradicts itself" in caught.value.message
+    assert "success 1.0 of a trail without waypoints" in caught.value.message
+    site = api.write_site([folder.path], folder.path.with_name("site"))
+    assert site.exit_code != 0, "nothing of it is published"

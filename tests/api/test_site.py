@@ -80,6 +80,7 @@ def row_of(trial, policy, checkpoint, *, done):
         success=1.0 if done else 0.0,
         waypoints_reached=4 if done else 0,
         waypoints_total=4,
+        waypoint_times=(0.2, 0.4, 0.6, 0.8) if done else (),
         steps=50,
         checkpoint_digest=checkpoint,
         scene_digest=trial.scene_digest,

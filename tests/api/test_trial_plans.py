@@ -106,6 +106,7 @@ def row(trial: Any) -> Row:
         success=success,
         waypoints_reached=reached(trial.index),
         waypoints_total=4,
+        waypoint_times=tuple(map(float, range(reached(trial.index)))),
         steps=200,
         sim_s=4.0,
         physics_s=0.5,

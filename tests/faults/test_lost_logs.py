@@ -65,6 +65,26 @@ def test_a_folder_that_cannot_be_made_costs_the_logs_and_not_the_trials(tiny_run
     assert len([text for text in run.ears.messages if "log is lost" in text]) == 2
 
 
+def test_lost_logs_are_in_report_and_verification_and_are_made_when_the_run_goes_on(tmp_path):
+    suite, folder = tmp_path / "suite.yaml", tmp_path / "run"
+    suite.write_text(SUITE.replace("trials: 1", "trials: 2"))
+    folder.mkdir()
+    (folder / "mcap").write_text("in the way")
+    lost = api.run(suite, out=folder, workers=1)
+    told = "2 logs lost, which could not be written (first that of flat-carpet_room-000)"
+    assert any(reason.startswith(told) for reason in lost.verdict.reasons)
+    for page in (lost.page, lost.html):
+        assert told in page.read_text()
+    assert [told in each for each in api.verify(folder, offline=True).files.remarks] == [True]
+    (folder / "mcap").unlink()
+    made = api.run(None, resume=folder, workers=1)
+    assert rows_digest(made.rows) == rows_digest(lost.rows)
+    assert len(list(folder.glob("mcap/**/*.mcap"))) == 2
+    assert not any("lost" in reason for reason in made.verdict.reasons)
+    checked = api.verify(folder, offline=True)
+    assert (checked.files.findings, checked.files.remarks, checked.files.logs) == ((), (), 2)
+
+
 def test_a_splat_that_only_the_log_wants_costs_the_log_and_not_the_trial(
     tiny_run, tmp_path, monkeypatch
 ):

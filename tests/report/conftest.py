@@ -74,6 +74,7 @@ def make_row() -> Callable[..., Row]:
             "success": None if reached is None else reached / 4,
             "waypoints_reached": reached or 0,
             "waypoints_total": 4,
+            "waypoint_times": tuple(map(float, range(reached or 0))),
             "steps": 200,
             "sim_s": 4.0,
             "physics_s": 0.5,

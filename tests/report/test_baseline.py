@@ -13,7 +13,7 @@ from rich.console import Console
 
 from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.baseline.comparison import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
 from nw_eval.stats import Interval
 from nw_eval.stats.bank import CurvePoint
@@ -158,16 +158,23 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
     assert "same starts), fresh |" in " ".join(fresh.split())
 
 
-def test_the_same_policy_needed_no_trial(page: Make) -> None:
+def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(
+    page: Make,
+) -> None:
+    again = Recheck(compared=2, ran=2, equal=True, differing=(), settled=True, taken_over=True)
     same = replace(
-        FOUND, basis="same", word="PASS", rounds=0, drop=None, interval=None, curve=None,
-        reasons=("the same policy",), scenes=(replace(FINE, candidate=None, trials=0),),
+        FOUND, basis="same", word="PASS", rounds=1, drop=None, interval=None, curve=None,
+        again=again, reasons=("the same policy",),
     )  # fmt: skip
-    first, _, second, _, reason, *_ = page(same, rows=0).splitlines()
-    assert first.startswith("# PASS \u00b7 baseline shipped is the same policy \u00b7 0 trials")
-    assert second == "Checkpoint and card are those of the baseline, so no trial had to run."
-    assert reason == "* the same policy"
-    assert table(page(same, rows=0))[1][:5] == ["a friction 0.6", "0", "0.900", "none", ""]
+    text = page(same)
+    over = "taken over from the baseline, 2 run again and equal"
+    assert text.startswith(f"# PASS \u00b7 baseline shipped is the same policy \u00b7 {over}")
+    assert "Results that did not run again are what the baseline's file says." in text
+    assert "Against the baseline a drop" not in text
+    other = replace(same, again=replace(again, equal=False, taken_over=False))
+    text = page(other)
+    assert "2 run again, with other bits, and nothing taken over" in text
+    assert "Results that did not run again" not in text
 
 
 def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(

@@ -17,6 +17,7 @@ from nw_eval.results.row import (
     from_dict,
     from_dicts,
     rows_digest,
+    self_contradiction,
     texts_of,
     to_dict,
 )
@@ -252,3 +253,49 @@ def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
 def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], times: Any) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         from_dict({**to_dict(make_row()), "waypoint_times": times})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {
+                "success": 1.0,
+                "completed": True,
+                "outcome": "completed",
+                "waypoints_reached": 0,
+                "waypoints_total": 0,
+                "waypoint_times": (),
+            },
+            "success 1.0 of a trail without waypoints",
+        ),
+        ({"success": 0.9}, "success 0.9 with 3 of 4 waypoints reached"),
+        ({"outcome": "completed"}, "completed is False and the outcome completed"),
+        (
+            {"success": 1.0, "completed": True, "waypoints_reached": 4},
+            "completed is True and the outcome fell",
+        ),
+        ({"waypoint_times": ()}, "0 waypoint_times of 3 waypoints reached"),
+        ({"waypoint_times": (1.0, 3.0, 2.0)}, "waypoint_times go back"),
+        ({"waypoint_times": (1.0, 2.0, 5.0)}, "a waypoint reached at 5.000 s of 4.000 s"),
+        ({"steps": 100}, "100 steps, 50 a second, in 4.000 s"),
+        ({"contact_s": 4.5}, "4.500 s in contact of 4.000 s"),
+        ({"coverage_min": 0.9, "coverage_mean": 0.5}, "coverage_min 0.9 and coverage_mean 0.5"),
+        ({"coverage_min": 0.9}, "coverage_min 0.9 and coverage_mean None"),
+        ({"coverage_min": 0.9, "coverage_mean": 1.5}, "coverage_mean 1.5"),
+        (
+            {
+                "status": "error",
+                "outcome": "crashed",
+                "success": None,
+                "completed": True,
+            },
+            "an error is completed",
+        ),
+    ],
+)
+def test_a_row_whose_values_are_right_alone_and_make_no_result_together_says_so(
+    make_row: Callable[..., Row], changes: dict[str, Any], said: str
+) -> None:
+    assert self_contradiction(make_row()) is None
+    assert self_contradiction(make_row(**changes)) == said

@@ -57,6 +57,7 @@ class Composite:
     inputs: dict[str, str]
     work: Path
     environment: dict[str, str]
+    event: dict[str, Any] = field(default_factory=dict)
     outputs: dict[str, dict[str, str]] = field(default_factory=dict)
     used: list[dict[str, Any]] = field(default_factory=list)
     codes: dict[str, int] = field(default_factory=dict)
@@ -137,7 +138,16 @@ class Composite:
             return self.inputs[name]
         if found := re.fullmatch(r"steps\.(\w+)\.outputs\.([\w-]+)", expression):
             return self.outputs.get(found[1], {}).get(found[2], "")
-        return known[expression]
+        return known[expression] if expression in known else self._of_event(expression)
+
+    def _of_event(self, expression: str) -> Any:
+        """Return what the event says, and nothing where it does not."""
+        github, event, *keys = expression.split(".")
+        assert (github, event) == ("github", "event")
+        value: Any = self.event
+        for key in keys:
+            value = value.get(key, "") if isinstance(value, dict) else ""
+        return value
 
 
 @pytest.fixture

@@ -23,6 +23,7 @@ scenes:
 record: none
 gate: {success_rate: 0.9}
 """
+TAKE = "Take baselines from the base branch"
 
 
 def test_inputs_are_options_and_outputs_are_the_verdicts_whatever_their_letters(
@@ -39,7 +40,7 @@ def test_inputs_are_options_and_outputs_are_the_verdicts_whatever_their_letters(
     outputs = action.run(leave_out="Install")
     assert outputs["verdict"] == "INCONCLUSIVE", action.log
     # A comment needs a token, which is missing here: a warning.
-    assert action.codes == {"Run and judge": 3, "Comment on the pull request": 0}
+    assert action.codes == {TAKE: 0, "Run and judge": 3, "Comment on the pull request": 0}
     assert "::warning title=nw-eval comment::there is no GITHUB_TOKEN" in action.log
     assert outputs["exit-code"] == "3"
     assert (outputs["trials"], outputs["effect"]) == ("1", "0.000000")
@@ -59,11 +60,117 @@ def test_an_error_before_a_verdict_keeps_nothing_and_says_its_code(
 ) -> None:
     action = composite("nw-eval", {"suite": "nosuch", "cache": "false", "comment": "true"})
     outputs = action.run(leave_out="Install")
-    assert action.codes == {"Run and judge": 2}
+    assert action.codes == {TAKE: 0, "Run and judge": 2}
     assert (outputs["verdict"], outputs["exit-code"]) == ("", "2")
     assert "::error title=nw-eval::no suite 'nosuch'" in action.log
     assert [each["uses"] for each in action.used] == ["actions/setup-python"]
     assert not (tmp_path / "temp" / "nw-eval" / "comment.md").exists()
+
+
+def git(folder: Path, *words: str) -> str:
+    """Run git as a person without a home."""
+    who = ("-c", "user.name=Someone", "-c", "user.email=someone@example.org")
+    done = subprocess.run(
+        ["git", *who, *words], cwd=folder, check=True, capture_output=True, text=True
+    )
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def pull_request(tmp_path: Path) -> tuple[Path, str]:
+    """A clone of one commit, as a checkout makes it, of a branch that brings baselines; its base.
+
+    The branch changes one, adds one, removes one, and changes a table that nobody committed.
+    """
+    upstream, workspace = tmp_path / "upstream", tmp_path / "workspace"
+    own = upstream / "reports" / "baselines" / "tiny"
+    own.mkdir(parents=True)
+    (upstream / "tiny.yaml").write_text(SUITE)
+    (own / "changed.parquet").write_bytes(b"of the base")
+    (own / "removed.parquet").write_bytes(b"of the base")
+    git(upstream, "init", "--quiet", "--initial-branch=main")
+    git(upstream, "config", "uploadpack.allowReachableSHA1InWant", "true")
+    git(upstream, "add", ".")
+    git(upstream, "commit", "--quiet", "-m", "base")
+    base = git(upstream, "rev-parse", "HEAD")
+    git(upstream, "checkout", "--quiet", "-b", "theirs")
+    (own / "changed.parquet").write_bytes(b"forged")
+    (own / "removed.parquet").unlink()
+    (own / "*.parquet").write_bytes(b"forged")
+    (upstream / "beside.parquet").write_bytes(b"forged")
+    (upstream / "linked.parquet").symlink_to("tiny.yaml")
+    (upstream / "tiny.yaml").write_text(SUITE + "# theirs\n")
+    git(upstream, "add", "--all")
+    git(upstream, "commit", "--quiet", "-m", "theirs")
+    git(
+        tmp_path,
+        "clone",
+        "--quiet",
+        "--depth=1",
+        "--branch=theirs",
+        f"file://{upstream}",
+        "workspace",
+    )
+    (workspace / "parts").mkdir()
+    (workspace / "parts" / "trials.parquet").write_bytes(b"of a part")
+    return workspace, base
+
+
+def baselines(workspace: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(workspace.rglob("*.parquet"))}
+
+
+def test_a_pull_request_is_judged_by_the_baselines_of_its_base_branch(
+    composite: Any, pull_request: tuple[Path, str]
+) -> None:
+    workspace, base = pull_request
+    action = composite("nw-eval", {"suite": "nosuch", "cache": "false"})
+    action.event = {"pull_request": {"base": {"sha": base}}}
+    action.run(leave_out="Install")
+    assert action.codes[TAKE] == 0, action.log
+    assert baselines(workspace) == {
+        "changed.parquet": b"of the base",
+        "removed.parquet": b"of the base",
+        "trials.parquet": b"of a part",
+    }
+    assert "as in the base branch: reports/baselines/tiny/changed.parquet" in action.log
+    assert "not in the base branch, removed: beside.parquet" in action.log
+    assert (workspace / "tiny.yaml").read_text().endswith("# theirs\n"), "the rest is theirs"
+
+
+def test_a_push_keeps_its_baselines_and_so_does_a_pull_request_that_asks_for_them(
+    composite: Any, pull_request: tuple[Path, str]
+) -> None:
+    workspace, base = pull_request
+    before = baselines(workspace)
+    for inputs, event in (
+        ({}, {}),
+        ({"baseline-from": "checkout"}, {"pull_request": {"base": {"sha": base}}}),
+    ):
+        action = composite("nw-eval", {"suite": "nosuch", "cache": "false", **inputs})
+        action.event = event
+        action.run(leave_out="Install")
+        assert action.codes["Run and judge"] == 2, "the suite is none, and that is all"
+        assert baselines(workspace) == before
+
+
+@pytest.mark.parametrize("fault", ["no base", "no repository", "no such word"])
+def test_without_the_base_branch_nothing_is_judged(
+    composite: Any, pull_request: tuple[Path, str], fault: str
+) -> None:
+    workspace, base = pull_request
+    inputs = {"suite": "tiny.yaml", "policy": "stand", "cache": "false"}
+    if fault == "no such word":
+        inputs["baseline-from"] = "here"
+    if fault == "no repository":
+        (workspace / ".git").rename(workspace / "git")
+    action = composite("nw-eval", inputs, GIT_CEILING_DIRECTORIES=str(workspace.parent))
+    sha = "0" * 40 if fault == "no base" else base
+    action.event = {"pull_request": {"base": {"sha": sha}}}
+    outputs = action.run(leave_out="Install")
+    assert action.codes[TAKE] != 0
+    assert "Run and judge" not in action.codes
+    assert outputs["verdict"] == ""
 
 
 SHARED = {"suite": "tiny.yaml", "policy": "stand", "rounds": "2", "cache": "false"}
@@ -79,7 +186,7 @@ def run_part(composite: Any, workspace: Path, job: dict[str, Any]) -> None:
     # A part is kept, and there is nothing of it to comment on.
     _, part = action.used
     assert part["name"] == name
-    assert action.codes == {"Run and judge": 0}
+    assert action.codes == {TAKE: 0, "Run and judge": 0}
     (workspace / "parts").mkdir(exist_ok=True)
     (workspace / part["path"]).rename(workspace / "parts" / name)
 
@@ -98,7 +205,7 @@ def test_jobs_that_share_a_suite_are_planned_and_one_that_is_missing_is_no_pass(
     merging = composite("nw-eval", {**SHARED, "parts": "parts"})
     outputs = merging.run(leave_out="Install")
     assert (outputs["verdict"], outputs["exit-code"]) == ("", "4")
-    assert merging.codes == {"Merge and judge": 4}
+    assert merging.codes == {TAKE: 0, "Merge and judge": 4}
     assert "there is no part 2 of 2 (1 trial, first flat-carpet_room-0" in merging.log
     assert [each["uses"] for each in merging.used] == ["actions/setup-python"]
 
@@ -113,7 +220,7 @@ def test_jobs_that_share_a_suite_come_to_one_verdict(composite: Any, tmp_path: P
     outputs = merging.run(leave_out="Install")
     assert (outputs["verdict"], outputs["trials"]) == ("REGRESSED", "2"), merging.log
     assert outputs["report-path"] == "reports/merged"
-    assert merging.codes == {"Merge and judge": 1}
+    assert merging.codes == {TAKE: 0, "Merge and judge": 1}
     assert [each.get("name") for each in merging.used] == [None, "nw-eval", "nw-eval-comment"]
 
 

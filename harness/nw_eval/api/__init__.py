@@ -15,6 +15,7 @@ from nw_eval.api.baselines.listed import (
     show_baseline,
 )
 from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
+from nw_eval.api.baselines.verified import VerifiedBaseline, verify_baseline
 from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.blaming.cause import FoundCause, find_cause
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
@@ -107,6 +108,7 @@ __all__ = [
     "Surfaces",
     "SweptSuite",
     "TrialPlan",
+    "VerifiedBaseline",
     "VerifiedRun",
     "WarmUp",
     "WrittenSite",
@@ -167,6 +169,7 @@ __all__ = [
     "sweep",
     "take_over",
     "verify",
+    "verify_baseline",
     "verify_cache",
     "warmup",
     "write_site",

@@ -42,7 +42,7 @@ def replay(
     """
     from nw_eval.rollout.replaying.apart import replay_apart
 
-    _check_file(log)
+    log = _found(log)
     _check_video(video)
     return replay_apart(
         log,
@@ -92,7 +92,7 @@ def take_over(
     """
     from nw_eval.rollout.replaying.takeover.apart import take_over_apart
 
-    _check_file(log)
+    log = _found(log)
     _check_video(video)
     return take_over_apart(
         log,
@@ -121,7 +121,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
     from nw_eval.viewing.foxglove import layout, layout_json
     from nw_eval.viewing.shown import shown_in_log
 
-    _check_file(log)
+    log = _found(log)
     shown = shown_in_log(LogReader(log))
     if out is not None:
         with atomic_path(out) as temporary:
@@ -143,7 +143,7 @@ def rerun_layout(log: Path, out: Path) -> Path:
     """
     from nw_eval.viewing.recording.layout import write_layout
 
-    _check_file(log)
+    log = _found(log)
     return write_layout(log, out)
 
 
@@ -163,7 +163,7 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
     """
     from nw_eval.viewing.recording.write import write_recording
 
-    _check_file(log)
+    log = _found(log)
     return write_recording(log, out)
 
 
@@ -179,11 +179,19 @@ def _check_video(video: Path | None) -> None:
     video_library()
 
 
-def _check_file(log: Path) -> None:
-    from nw_eval.errors import UsageError
+def _found(log: Path) -> Path:
+    """Return where a log lies, which may be that of a trial that was taken over.
 
-    if not log.is_file():
+    Raises:
+        UsageError: there is none.
+    """
+    from nw_eval.errors import UsageError
+    from nw_eval.results.run_folder import taken_over_log
+
+    found = taken_over_log(log)
+    if not found.is_file():
         raise UsageError(
             f"{log} is {'a folder' if log.is_dir() else 'no file'}",
             fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
         )
+    return found

@@ -8,6 +8,9 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 from nw_eval.engine.machine.cores import worker_count
+from nw_eval.engine.provenance import engine_of
+from nw_eval.results.bank.manifest import machine_in
+from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
@@ -63,7 +66,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         plan: what would be run.
         workers: processes; one for each core if None.
     """
-    trials = Counter(trial.scene for trial in plan.trials if not plan.is_baseline)
+    trials = Counter(trial.scene for trial in wanted(plan.trials, _rounds(plan)))
     return Forecast(
         suite=plan.suite,
         policy=plan.bundle,
@@ -76,6 +79,14 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         baseline=None if plan.against is None else plan.against.info.name,
         minutes=minutes_of(trials.total(), plan, workers=workers),
     )
+
+
+def _rounds(plan: Plan) -> int | None:
+    """Return after how many rounds a run ends whose results are a bank's; None = of no such run."""
+    machine = machine_in(engine_of(plan.render))
+    if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
+        return None
+    return 1 if plan.request.recheck is None else plan.request.recheck
 
 
 def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> float:

@@ -31,11 +31,11 @@ _SECONDS_MORE = 90.0
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnOrder:
-    """The order in which another policy met the starts of a bank.
+    """An order of the starts of a bank that is not the policy's own.
 
     Attributes:
         starts: of the bank, in each scene.
-        candidate: for whom it was drawn, by its `key`.
+        candidate: for whom it was drawn, by the `key` of another policy, or `recheck_key`.
     """
 
     starts: int
@@ -55,7 +55,10 @@ class Plan:
     """Which part of a run it is; None: all of it."""
     against: Against | None = None
     is_baseline: bool = False
-    """Whether the policy to be judged is the bank's own, on the bank's starts: nothing is run."""
+    """Whether the policy to be judged is the bank's own, on the bank's starts, of which only some
+    need run again."""
+    again: frozenset[str] = frozenset()
+    """Trials that run though the cache of trials has their results."""
     drawn: DrawnOrder | None = None
     """Whose order the trials are in, if not in one of the policy's own."""
     arm: Arm = "candidate"
@@ -87,7 +90,7 @@ class Plan:
     @property
     def renders(self) -> bool:
         """Whether any trial may render."""
-        return not self.is_baseline and needs_splats(self.bundle.card, self.suite.record)
+        return needs_splats(self.bundle.card, self.suite.record)
 
     @property
     def time_limit(self) -> float:

@@ -70,7 +70,6 @@ def run_info(
         drawn_for=None if plan.drawn is None else plan.drawn.candidate,
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
-        stopped_after=0 if plan.is_baseline else None,
         workers=default_workers() if workers is None else workers,
         renderer=_renderer(plan.render),
         fence=fence_of(

@@ -78,7 +78,7 @@ def judge(
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
     capped = over_the_cap(rows, left, gate)
-    word, reasons = _compare(bounds, scores, gate, alone=against is None)
+    word, reasons = _compare(bounds, scores, gate, against)
     if holes := _holes(rows, scores, gate):
         word, reasons = "INFRASTRUCTURE", holes
     elif capped:
@@ -174,15 +174,17 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
 
 
 def _compare(
-    bounds: Interval, scores: Sequence[SceneScore], gate: Gate, *, alone: bool
+    bounds: Interval, scores: Sequence[SceneScore], gate: Gate, against: Comparison | None
 ) -> tuple[Word, list[str]]:
     """Return what the bounds of mean success say, and one reason."""
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
         total = plural(sum(item.n for item in scores), "trial")
-        judged = "nothing was judged" if alone else "no bar was judged"
-        return "RAN", [f"{total} ran and {judged}: the suite sets no gate.success_rate"]
+        judged = "nothing was judged" if against is None else "no bar was judged"
+        is_taken = against is not None and against.again is not None and against.again.taken_over
+        did = "are the baseline's" if is_taken else "ran"
+        return "RAN", [f"{total} {did} and {judged}: the suite sets no gate.success_rate"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:

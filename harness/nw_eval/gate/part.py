@@ -34,7 +34,7 @@ def of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
     word, reasons = verdict.verdict, verdict.reasons
     if run.baseline is not None and run.baseline.moved:
         word, reasons = "INVALID", run.baseline.moved
-    elif word == "RAN" or run.stopped_after == 0:  # No trial, where nothing had to run.
-        word, reasons = "RAN", ()
+    elif word == "RAN":
+        reasons = ()
     whole = f"{run.shard}: `nw-eval merge` puts all parts together, and judges the whole"
     return replace(verdict, verdict=word, reasons=(*reasons, whole), per_scene=scores)

@@ -9,6 +9,11 @@ _SAME = (
     "Checkpoint and card are the baseline's, by their digests: the simulator gives the same policy "
     "the same bits, so that no trial could tell the two apart."
 )
+_TAKEN_OVER = (
+    "Results that did not run again are what the baseline's file says. Which starts ran again was "
+    "drawn when the run began. Each trial that ran again shows a file that is wrong in a share p "
+    "of its starts with probability p; `nw-eval baseline verify` runs any share of them."
+)
 _CURVE = (
     "What this gate does with policies that it has not met is simulated: in every scene their odds "
     "of reaching the next waypoint are lower by one factor, and nothing ties a trial to that of "
@@ -19,7 +24,8 @@ _CURVE = (
 def against_baseline(found: Comparison) -> tuple[str, ...]:
     """Return the sentences that apply to a comparison."""
     if found.basis == "same":
-        return (_SAME,)
+        is_taken_over = found.again is not None and found.again.taken_over
+        return (_SAME, _TAKEN_OVER) if is_taken_over else (_SAME,)
     return (_errors(found), _claim(found), *([_CURVE] if found.curve else ()))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.baseline.comparison import Comparison, Recheck
 from nw_eval.gate.baseline.foresee import in_a_sentence
 from nw_eval.gate.outlook import percent
 from nw_eval.gate.verdict import Verdict
@@ -39,15 +39,13 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
     if run.shard is not None:
         return "A part of a run speaks for nothing but its own trials."
-    if verdict.effect is None and verdict.against is not None and verdict.against.basis == "same":
-        return "Checkpoint and card are those of the baseline, so no trial had to run."
     if verdict.effect is None:
         return "No trial has a result, so nothing can be said."
     sentence = (
         f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
         f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"
     )
-    if verdict.whole and _met_all(run):
+    if verdict.whole and _met_all(verdict, run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
         sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
@@ -81,11 +79,21 @@ def _against(found: Comparison | None) -> list[str]:
     if found is None:
         return []
     if found.drop is None or found.interval is None:
+        if found.again is not None and found.again.differing:
+            return [f"baseline {found.bank} is not what its own policy does"]
         same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
-        return [f"baseline {found.bank} {same}"]
+        return [f"baseline {found.bank} {same}", *_again(found.again)]
     span = f"at least {found.interval.low:z.3f}, at most {found.interval.high:z.3f}"
     drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:z.3f} ({span})"
     return [f"{drop} in {found.rounds} of {plural(found.budget, 'round')}"]
+
+
+def _again(again: Recheck | None) -> list[str]:
+    """Return how many trials of the baseline's own policy ran again, and what came of it."""
+    if again is None:
+        return []
+    over = "taken over from the baseline, " if again.taken_over else ""
+    return [f"{over}{again.in_words}"]
 
 
 def _panel(run: RunInfo) -> str:
@@ -95,10 +103,13 @@ def _panel(run: RunInfo) -> str:
     return kind if seed is None else f"{kind} (seed {seed})"
 
 
-def _met_all(run: RunInfo) -> bool:
+def _met_all(verdict: Verdict, run: RunInfo) -> bool:
     """Whether success is that of all starts of the panel, not only of those that were drawn."""
+    again = None if verdict.against is None else verdict.against.again
+    if again is not None and again.taken_over:
+        return True
     rounds = run.suite.get("trials") if run.stopped_after is None else run.stopped_after
-    return run.drawn_from is None or run.stopped_after == 0 or rounds == run.drawn_from
+    return run.drawn_from is None or rounds == run.drawn_from
 
 
 def _duration(seconds: float) -> str:

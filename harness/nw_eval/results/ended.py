@@ -20,7 +20,14 @@ from nw_eval.results.evidence.leaves import run_leaf
 from nw_eval.results.journal import last_sum, read_journal
 from nw_eval.results.planned import PlannedTrial, of_plan
 from nw_eval.results.provenance import RunInfo, write_run_info
-from nw_eval.results.row import Row, by_column, digest_of_results, rows_digest, texts_of
+from nw_eval.results.row import (
+    Row,
+    by_column,
+    digest_of_results,
+    rows_digest,
+    self_contradiction,
+    texts_of,
+)
 from nw_eval.results.run_folder import RunFolder
 
 _NAMED = 3  # trials that a sentence names before it says "and more"
@@ -91,7 +98,8 @@ def read_trials(
         mend: whether anything may be written.
 
     Raises:
-        StoreError: neither copy of the rows is whole, or what is there is of another run.
+        StoreError: neither copy of the rows is whole, what is there is of another run, or a row
+            contradicts itself.
     """
     remarks: list[str] = []
     try:
@@ -104,7 +112,9 @@ def read_trials(
         if not info.rows_digest:
             raise
         rows = _from_parquet(folder, info, trials, error)
+        _check_each(rows, info)
         return RunRows(rows=tuple(rows), remarks=(f"judged from trials.parquet: {error.message}",))
+    _check_each(rows, info)
     if contents.dropped:
         remarks.append(contents.dropped)
     if others:
@@ -112,6 +122,23 @@ def read_trials(
     if info.rows_digest and mend:
         remarks += _mended(folder, info, rows)
     return RunRows(rows=tuple(rows), remarks=tuple(remarks))
+
+
+def _check_each(rows: Sequence[Row], info: RunInfo) -> None:
+    """Refuse rows that contradict themselves, whatever sums they have.
+
+    Raises:
+        StoreError: naming the first one, and in what.
+    """
+    wrong = [(row.trial_id, why) for row in rows if (why := self_contradiction(row)) is not None]
+    if wrong:
+        name, why = wrong[0]
+        more = f", and {plural(len(wrong) - 1, 'more row')}" if len(wrong) > 1 else ""
+        raise StoreError(
+            f"run {info.id} cannot be judged: the row of trial {name} contradicts itself ({why})"
+            f"{more}",
+            fix="run again or restore the run's folder",
+        )
 
 
 def _from_parquet(

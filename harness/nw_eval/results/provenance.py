@@ -19,6 +19,18 @@ _MOST = 16 * 2**20
 """Bytes of a run.json that is read: some 50,000 scenes."""
 
 
+_RECHECK = "recheck/"
+
+
+def recheck_key(seed: int) -> str:
+    """Return the key by which the starts that run again of a baseline's own policy are ordered.
+
+    Args:
+        seed: which nobody could foresee when the baseline was written.
+    """
+    return f"{_RECHECK}{seed}"
+
+
 class _Saved(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -165,7 +177,9 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
-    drawn_for: str | None = None  # The key of another policy, in whose order it meets them.
+    # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw
+    # of what runs again (`recheck_key`).
+    drawn_for: str | None = None
     shard: ShardInfo | None = None  # None: no part of another run.
     parts: tuple[PartInfo, ...] = ()  # Of which it was merged; none where it was run whole.
     baseline: BaselineInfo | None = None  # None: nothing to compare with.
@@ -187,6 +201,11 @@ class RunInfo(_Saved):
     def drawn_by(self) -> str:
         """By what the order of its starts is drawn, where a bank draws it."""
         return self.drawn_for or self.policy.key
+
+    @property
+    def is_recheck(self) -> bool:
+        """Whether its policy is the baseline's own, of which some starts run again."""
+        return self.drawn_for is not None and self.drawn_for.startswith(_RECHECK)
 
     @property
     def planned(self) -> dict[str, int]:

@@ -132,6 +132,20 @@ class RunFolder:
         return path.relative_to(self.path).as_posix()
 
 
+def taken_over_log(log: Path) -> Path:
+    """Return where the log of a trial lies that is named as RUN/mcap/SCENE/TRIAL.mcap.
+
+    That of a trial that was taken over from an earlier run lies in `RunFolder.cached`. A path is
+    returned as it is where a file is there, or none is in either place.
+    """
+    for place in range(len(log.parts) - 2, 0, -1):
+        if log.parts[place] == "mcap" and what_is(log) == "nothing":
+            beside = Path(*log.parts[:place], "cached", *log.parts[place + 1 :])
+            if what_is(beside) == "file":
+                return beside
+    return log
+
+
 def create_run_folder(
     root: Path,
     *,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nw_eval.errors import UsageError
-from nw_eval.results.run_folder import RunFolder, open_run_folder
+from nw_eval.results.run_folder import RunFolder, open_run_folder, taken_over_log
 from nw_eval.view.trace import Trace, read_trace
 from nw_eval.viewing.browser.splat_points import SplatPoints
 
@@ -68,6 +68,8 @@ def open_shelf(source: Path, against: Path | None = None) -> Shelf:
     Raises:
         UsageError: there is no such file, or a run has no logs.
     """
+    source = taken_over_log(source)
+    against = None if against is None else taken_over_log(against)
     logs = _logs(source)
     run = "" if source.is_file() else source.resolve().name
     if against is None:

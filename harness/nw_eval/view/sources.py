@@ -8,6 +8,7 @@ from typing import Literal
 from nw_eval.catalogue import is_built_in
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.files.inside import what_is
+from nw_eval.results.run_folder import taken_over_log
 from nw_eval.scenes.folder import SCENE_FILE
 
 Kind = Literal["log", "scene", "policy"]
@@ -43,7 +44,7 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
 
 
 def _kind(source: str) -> Kind:
-    path = Path(source)
+    path = taken_over_log(Path(source))
     if is_built_in(source) or source.startswith("neverwhere:"):
         return "scene"
     if what_is(path / SCENE_FILE) == "file" or path.name == SCENE_FILE:

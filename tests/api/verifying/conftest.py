@@ -69,6 +69,7 @@ def _row(folder, index):
         success=0.25,
         waypoints_reached=1,
         waypoints_total=4,
+        waypoint_times=(1.0,),
         steps=200,
         sim_s=4.0,
         physics_s=0.5,

@@ -170,6 +170,7 @@ def _row(run: RunInfo, stratum: Stratum, index: int, value: float | None) -> Row
         success=value,
         waypoints_reached=round(4 * (value or 0.0)),
         waypoints_total=4,
+        waypoint_times=tuple(map(float, range(round(4 * (value or 0.0))))),
         steps=200,
         sim_s=4.0,
         physics_s=0.5,
@@ -179,5 +180,6 @@ def _row(run: RunInfo, stratum: Stratum, index: int, value: float | None) -> Row
         wall_s=2.0,
         checkpoint_digest=run.policy.checkpoint_digest,
         scene_digest="dd" * 32,
+        mcap_path=f"mcap/{scene}/{index}.mcap",
         error_text="signal 11" if value is None else "",
     )

@@ -184,7 +184,9 @@ def test_the_policy_of_the_baseline_passes_without_a_trial(make_run: Make, make_
     bank = make_bank(make_run(["a"], 10, engine={**run.engine, "cpu": "other"}), {"a": [0.05] * 5})
     found = compare([], run, bank, GATE)
     assert (found.word, found.basis, found.rounds, found.drop) == ("PASS", "same", 0, None)
-    assert found.reasons == ("the same policy as the baseline go1-act-rgb: nothing to test",)
+    assert found.reasons == ("the same policy as the baseline go1-act-rgb: none run again",)
+    assert found.again is not None
+    assert not found.again.taken_over, "what no trial has shown is nobody's result"
     other_card = run.model_copy(
         update={"policy": run.policy.model_copy(update={"card_digest": "b2" * 32})}
     )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 
 from nw_eval.errors import StoreError
 from nw_eval.gate.absolute import judge
+from nw_eval.gate.ledger import file
 from nw_eval.gate.ledger.file import append_entry, append_verdict, read_ledger
 from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
@@ -139,6 +142,54 @@ def test_gates_that_end_at_once_all_get_their_line(tmp_path: Path, entries: list
         list(gates.map(lambda entry: append_entry(path, entry), entries[:2] * 20))
     found = read_ledger(path).entries
     assert [found.count(entry) for entry in entries[:2]] == [20, 20]
+
+
+APPEND = """
+import sys
+from pathlib import Path
+from nw_eval.gate.ledger.entry import LedgerEntry
+from nw_eval.gate.ledger.file import append_entry
+
+entry = LedgerEntry.model_validate_json(Path(sys.argv[2]).read_text())
+for _ in range(25):
+    append_entry(Path(sys.argv[1]), entry)
+"""
+
+
+def test_processes_that_share_a_ledger_lose_no_line(tmp_path: Path, entries: list) -> None:
+    path = tmp_path / "l.jsonl"
+    processes: list[subprocess.Popen[bytes]] = []
+    for number, entry in enumerate(entries):
+        (own := tmp_path / f"{number}.json").write_text(entry.model_dump_json())
+        command = [sys.executable, "-c", APPEND, str(path), str(own)]
+        processes.append(subprocess.Popen(command))
+    assert [process.wait() for process in processes] == [0, 0, 0, 0]
+    found = read_ledger(path)
+    assert found.dropped is None
+    assert [found.entries.count(entry) for entry in entries] == [25, 25, 25, 25]
+
+
+def test_a_line_that_another_machine_writes_over_is_added_once_more(
+    tmp_path: Path, entries: list[LedgerEntry], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a share whose locks are of one machine alone: no local file can be made to do that."""
+    path = tmp_path / "l.jsonl"
+    append_entry(path, entries[0])
+    write, begun = file._write, path.read_bytes()
+
+    def write_over(handle: IO[bytes], data: bytes) -> None:
+        write(handle, data)
+        if times:
+            times.pop()
+            path.write_bytes(begun)
+
+    monkeypatch.setattr(file, "_write", write_over)
+    times = [1, 2]
+    append_entry(path, entries[1])
+    assert read_ledger(path).entries == tuple(entries[:2])
+    times = [1] * 5
+    with pytest.raises(StoreError, match="was written over 5 times while a verdict was added"):
+        append_entry(path, entries[2])
 
 
 def test_a_verdict_is_kept_with_who_was_judged_on_what_and_how(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nw_eval.catalogue import FoundScene
     from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.plan import DrawnOrder, Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import PolicyInfo
@@ -160,6 +160,57 @@ def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
     )
 
 
+def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
+    """Return the plan of a bank's own policy with trials that run, whatever the cache has of them.
+
+    Args:
+        plan: with `is_baseline`.
+        seed: draws the starts of each scene that run again.
+        all_rounds: whether all trials run, in the order that they have.
+
+    Raises:
+        IncomparableError: the bank has fewer starts than are to run again.
+    """
+    from nw_eval.api.verifying.sample import draw
+    from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.results.provenance import recheck_key
+    from nw_eval.suite import expand, override
+    from nw_eval.suite.trials import wanted
+
+    assert plan.against is not None, "the policy of a bank has one"
+    count = rechecks(plan.request)
+    if all_rounds:
+        groups: dict[tuple[object, ...], list[str]] = {}
+        for trial in plan.trials:
+            groups.setdefault((trial.scene, trial.perturbation), []).append(trial.id)
+        drawn_names = (draw(names, str(count), seed) for names in groups.values())
+        again = frozenset(name for names in drawn_names for name in names)
+        return replace(plan, is_baseline=False, again=again)
+    suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
+    check_rounds(plan.against, suite.trials, suite.name)
+    drawn = DrawnOrder(starts=plan.against.bank.manifest.starts, candidate=recheck_key(seed))
+    trials = expand(suite, plan.scenes, _in_order(suite, plan.scenes, drawn))
+    again = frozenset(trial.id for trial in wanted(trials, count))
+    return replace(plan, suite=suite, trials=trials, drawn=drawn, again=again)
+
+
+def rechecks(request: Request) -> int:
+    """Return how many starts of each scene run again of a bank's own policy."""
+    return 1 if request.recheck is None else request.recheck
+
+
+def _in_order(suite: Suite, scenes: Sequence[Scene], drawn: DrawnOrder) -> Starts:
+    """Return the starts of a bank in an order that is not the policy's own."""
+    from nw_eval.gate.baseline.draw import draw_starts
+
+    return draw_starts(
+        [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells],
+        drawn.starts,
+        candidate=drawn.candidate,
+        suite_digest=suite.digest,
+    )
+
+
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
     """Return a suite with the seed of the panel that is met, and the rounds that may be run."""
     from nw_eval.gate.baseline.draw import fresh_seed
@@ -182,21 +233,17 @@ def _drawn(
     Raises:
         IncomparableError: there are fewer than rounds.
     """
-    from nw_eval.gate.baseline.draw import draw_starts
+    from nw_eval.engine.plan import DrawnOrder
 
     if against is None or request.panel == "fresh":
         return None
     check_rounds(against, suite.trials, suite.name)
-    return draw_starts(
-        [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells],
-        against.bank.manifest.starts,
-        candidate=policy.key,
-        suite_digest=suite.digest,
-    )
+    own = DrawnOrder(starts=against.bank.manifest.starts, candidate=policy.key)
+    return _in_order(suite, scenes, own)
 
 
 def _matched(plan: Plan, against: Against) -> Plan:
-    """Return a plan that its bank holds for, with whether there is anything to run.
+    """Return a plan that its bank holds for, with whether its policy is the bank's own.
 
     Raises:
         IncomparableError: the bank does not hold for it.
@@ -209,8 +256,8 @@ def _matched(plan: Plan, against: Against) -> Plan:
     run = run_info(plan, folder, workers=None, in_process=False, command=())
     # Whether this class of machine is in line is found out by running something.
     found = compare((), run, against.bank, plan.suite.gate, checked="bits")
-    nothing_to_run = found.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
-    return replace(plan, is_baseline=nothing_to_run)
+    is_own = found.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
+    return replace(plan, is_baseline=is_own)
 
 
 def check(

@@ -256,9 +256,11 @@ def judged_rows(
         IncomparableError, StoreError: as `judge`.
     """
     from nw_eval.gate.baseline.combine import judge_run
+    from nw_eval.results.evidence.logs import lost_logs
 
     verdict = judge_run(found.rows, info, suite.gate, against)
-    verdict = replace(verdict, reasons=(*verdict.reasons, *found.remarks))
+    remarks = (*found.remarks, *lost_logs(found.rows))
+    verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))
     return RunReport(
         folder=folder.path,
         info=info,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, get_args
@@ -54,7 +53,7 @@ def run(
         cache: take over results that earlier runs have of the same trials, all but a few, which are
             run again and compared; trials in this very process always run.
         all_rounds: go on when the verdict against a baseline is settled, also where the policy is
-            the baseline itself and nothing would have to run.
+            the baseline itself and the rest would be taken over.
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
@@ -105,7 +104,9 @@ def roll_out(
 ) -> RunFolder:
     """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
 
-    A part of a run has all rounds: whether some are enough shows in the whole alone.
+    A part of a run has all rounds: whether some are enough shows in the whole alone. Of the bank's
+    own policy some starts of each scene run, and the rest is taken over from the bank if these are
+    as it says; all rounds run on a class of machine that the bank has not seen, and in a part.
 
     Args:
         plan: what is to be run.
@@ -122,12 +123,17 @@ def roll_out(
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
     from nw_eval.api.running.against.contest import Contest
+    from nw_eval.api.running.plans import rechecked
+    from nw_eval.api.verifying.sample import unforeseen_seed
     from nw_eval.engine import session
     from nw_eval.engine.listener import Silence
     from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
-    plan = replace(plan, is_baseline=plan.is_baseline and not all_rounds)
+    if plan.is_baseline and plan.drawn is None:
+        # The starts that run again are drawn now: no file says which they will be.
+        whole = all_rounds or plan.shard is not None
+        plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     contest = None
     if plan.shard is not None:
         ears.message(_part(plan, plan.shard))

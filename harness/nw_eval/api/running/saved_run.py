@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.request import Request
     from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite, Trial
     from nw_eval.suite.trials import SceneLike
 
@@ -43,6 +44,7 @@ def continued(run: Path, request: Request) -> Plan:
     """
     from nw_eval.api.running.against.banks import resumed_bank
     from nw_eval.api.running.plans import plan_of
+    from nw_eval.results.journal import has_begun
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite import draft_of, draft_suite
@@ -55,7 +57,7 @@ def continued(run: Path, request: Request) -> Plan:
             f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
             fix="start a new run without --resume",
         )
-    if info.drawn_for is not None:
+    if info.drawn_for is not None and not info.is_recheck:
         raise IncomparableError(
             f"cannot resume {run}: it meets the starts of another run, as `nw-eval blame` chose",
             fix="ask `nw-eval blame --cause` again; what has run is taken from the cache",
@@ -67,18 +69,59 @@ def continued(run: Path, request: Request) -> Plan:
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
+    draft = None if request.suite is None else draft_suite(request.suite)
+    if draft is not None and draft.suite is not None and has_begun(folder.journal):
+        _check_gate(run, suite, draft.suite)
     against = resumed_bank(folder, info, suite, request)
-    if request.suite is not None:
+    if draft is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
-        return plan_of(whole, draft_suite(request.suite), card=card, against=against)
-    return plan_of(
-        whole,
-        draft_of(suite),
-        card=None if request.policy is not None else _card(info),
-        # A place that the suite's patterns match only now is none of the run's.
-        scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
-        against=against,
-    )
+        plan = plan_of(whole, draft, card=card, against=against)
+    else:
+        plan = plan_of(
+            whole,
+            draft_of(suite),
+            card=None if request.policy is not None else _card(info),
+            # A place that the suite's patterns match only now is none of the run's.
+            scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
+            against=against,
+        )
+    return _as_drawn(plan, folder, info)
+
+
+def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
+    """Refuse to judge a run by other rules than it was begun with.
+
+    More rounds are no other rules: what is claimed holds at any look.
+
+    Raises:
+        IncomparableError: a setting of the gate is another one; naming each, then and now.
+    """
+    then, given = (suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, now))
+    changed = [
+        f"gate.{name} is {given.get(name)}, it was begun with {then.get(name)}"
+        for name in sorted({*then, *given})
+        if then.get(name) != given.get(name)
+    ]
+    if changed:
+        raise IncomparableError(
+            f"cannot resume {run} with another gate: {'; '.join(changed)}",
+            fix="resume it without naming a suite, or start a new run, which takes its trials from "
+            "the cache",
+        )
+
+
+def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
+    """Return a plan that meets the starts that its run was begun with."""
+    from nw_eval.api.running.plans import rechecked
+    from nw_eval.results.journal import has_begun, read_journal
+
+    if not plan.is_baseline:
+        return plan
+    if info.is_recheck and info.drawn_for is not None:
+        return rechecked(plan, int(info.drawn_for.rpartition("/")[2]))
+    if has_begun(folder.journal) and read_journal(folder.journal).rows:  # With --all-rounds.
+        return replace(plan, is_baseline=False)
+    return plan
 
 
 def _card(info: RunInfo) -> Path | None:

@@ -35,8 +35,12 @@ def draw(trials: Collection[str], sample: str, seed: int) -> tuple[str, ...]:
     return tuple(sorted(ranked[:count]))
 
 
-def check_sample(sample: str) -> None:
+def check_sample(sample: str, option: str = "--sample") -> None:
     """Refuse what is neither a share, such as `5%`, nor a number of trials.
+
+    Args:
+        sample: the words.
+        option: what they were given for.
 
     Raises:
         UsageError: it is not.
@@ -44,7 +48,7 @@ def check_sample(sample: str) -> None:
     found = _SHARE.fullmatch(sample)
     if found is None or not 0.0 < float(found[1] or found[2]) <= (100.0 if found[1] else 1e9):
         raise UsageError(
-            f"--sample {sample!r} is no share of the trials and no number of them",
+            f"{option} {sample!r} is no share of the trials and no number of them",
             fix="give one, such as 5% or 3",
         )
 

@@ -41,7 +41,7 @@ class Run(Publishing, Options):
 
     all_rounds: bool = False
     """Run all trials. Against a baseline, rounds end otherwise as soon as the verdict is settled,
-    and there are none where the policy is the baseline itself."""
+    and where the policy is the baseline itself its results are taken over but for --recheck."""
     engine: Engine = "local"
     """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
     Rows are the same; --resume may use another engine than the run began with."""

@@ -23,7 +23,7 @@ from nw_eval.results.planned import of_plan
 from nw_eval.results.provenance import CacheInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from nw_eval.engine.cache.key import Conditions
@@ -49,6 +49,7 @@ class KnownTrials:
         arm: whether it is the one that is judged, for rows.
         say: hears one line for people.
         doubted: called whenever a result differs, so that it is written down at once.
+        again: trials that run in any case.
         chance: draws what runs again.
     """
 
@@ -63,6 +64,7 @@ class KnownTrials:
         arm: Arm,
         say: Callable[[str], None],
         doubted: Callable[[], None],
+        again: Collection[str] = (),
         chance: Random | None = None,
     ) -> None:
         self.has_added = False
@@ -74,6 +76,7 @@ class KnownTrials:
         self._arm: Arm = arm
         self._say = say
         self._doubted = doubted
+        self._again = again
         self._chance = chance or SystemRandom()
         self._compared = 0
         self._differing: list[str] = []
@@ -96,7 +99,8 @@ class KnownTrials:
         if self._differing:
             return list(jobs)
         found = {job.trial.id: known for job in jobs if (known := self._find(job)) is not None}
-        again = self._drawn(sorted(found))
+        asked = {name for name in found if name in self._again}
+        again = asked | self._drawn(sorted(set(found) - asked), is_enough=bool(asked))
         self._expected |= {name: found[name][1] for name in again}
         others = [job for job in jobs if job.trial.id in found and job.trial.id not in again]
         logs = [(found[job.trial.id][0], self._log_of(job)) for job in others]
@@ -170,13 +174,13 @@ class KnownTrials:
         known = self._find(job)
         return None if known is None else known[1]
 
-    def _drawn(self, names: Sequence[str]) -> set[str]:
-        """Return which of the known trials run all the same."""
+    def _drawn(self, names: Sequence[str], *, is_enough: bool) -> set[str]:
+        """Return which of the known trials run all the same; of none, if others do, maybe none."""
         if not names:
             return set()
         mean = SHARE * len(names)
         count = floor(mean) + (self._chance.random() < mean - floor(mean))
-        if not self._compared and not self._expected:
+        if not (is_enough or self._compared or self._expected):
             count = max(count, 1)
         return set(self._chance.sample(names, count))
 

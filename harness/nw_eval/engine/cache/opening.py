@@ -65,6 +65,7 @@ def known_trials(
         arm=plan.arm,
         say=listener.message,
         doubted=doubted,
+        again=plan.again,
     )
     yield known
     if known.has_added:

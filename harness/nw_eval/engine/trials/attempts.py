@@ -66,6 +66,7 @@ class Attempts:
         latest = {row.trial_id: row for row in journal.rows}
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
         self._finished = {name for name, row in latest.items() if row.status == "ok"}
+        self._lost = {name: row for name, row in latest.items() if row.lost_its_log}
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
@@ -77,7 +78,7 @@ class Attempts:
 
     def finished_of(self, jobs: Iterable[TrialJob]) -> int:
         """Return how many of the jobs had a result when the run began."""
-        return sum(job.trial.id in self._finished for job in jobs)
+        return sum(self._is_finished(job) for job in jobs)
 
     def rows_of(self, jobs: Iterable[TrialJob]) -> tuple[Row, ...]:
         """Return the latest rows of jobs, in their order; of those that have one."""
@@ -93,13 +94,18 @@ class Attempts:
             jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
         """
-        todo = [job for job in jobs if job.trial.id not in self._finished]
+        todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
         new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
         self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts)
         if interrupts.requested is None:
             self._take_over(at_last=True)
             self._run(self._known.unconfirmed(), interrupts)
+
+    def _is_finished(self, job: TrialJob) -> bool:
+        """Whether a trial had a result when the run began, and the log that it is to have."""
+        name = job.trial.id
+        return name in self._finished and not (name in self._lost and job.mcap is not None)
 
     def _run(self, todo: Sequence[TrialJob], interrupts: Interrupts) -> None:
         # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
@@ -173,6 +179,9 @@ class Attempts:
             folder=self._folder,
             host=ended.host,
         )
+        lost = self._lost.pop(name, None)
+        if lost is not None and row.status == "ok" and lost.digest != row.digest:
+            return self._as_before(ended.job, lost)
         self._journal.append(row)
         self._known.ended(ended.job, row)
         if row.status == "error":
@@ -180,6 +189,16 @@ class Attempts:
         if ended.result.mcap_error:
             self._listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
         return row
+
+    def _as_before(self, job: TrialJob, lost: Row) -> Row:
+        """Return the result that a trial had when its log was lost: a later one does not count."""
+        if job.mcap is not None:
+            job.mcap.unlink(missing_ok=True)  # It is of the other result.
+        self._listener.message(
+            f"trial {lost.trial_id} came out otherwise than before, when its log was lost: its "
+            "first result stands, without a log"
+        )
+        return lost
 
     def _announce_retry(self, row: Row) -> None:
         self._listener.message(

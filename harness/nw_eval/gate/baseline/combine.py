@@ -23,7 +23,9 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
     Where the bank's own policy did other than the bank says on the machine of the run, the verdict
-    is INVALID: nothing is charged to the candidate. A part of a run is not judged (`gate.part`).
+    is INVALID: nothing is charged to the candidate. Where the candidate is the bank's own policy,
+    the bank's results are judged in place of the run's only if all that ran again is equal. A part
+    of a run is not judged (`gate.part`).
 
     Args:
         rows: of the run's plan.
@@ -54,8 +56,10 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
     found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
-    if found.basis == "same" and run.stopped_after == 0:
-        # Nothing had to run: what the policy scores from these starts is in the bank.
+    if found.again is not None and found.again.differing:
+        verdict = judge(rows, gate, run.planned, against=found)
+        return replace(verdict, verdict="INVALID", reasons=found.again.differing, against=found)
+    if found.again is not None and found.again.taken_over:
         rows = known_rows(run, against.bank)
         return combined(judge(rows, gate, Counter(row.scene for row in rows), against=found), found)
     return combined(judge(rows, gate, run.planned, against=found), found)
@@ -64,21 +68,16 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
     """Return the verdict on a run that was judged by its suite's bar and against a baseline.
 
-    A run with holes stays INFRASTRUCTURE, but for one of the baseline's own policy of which nothing
-    ran, since nothing had to.
+    A run with holes stays INFRASTRUCTURE, one of the baseline's own policy too.
 
     Args:
         verdict: by the bar; RAN where the suite has none.
         comparison: of the same rows with the baseline.
     """
-    needs_no_trial = comparison.basis == "same" and not verdict.n and not verdict.errors
-    if needs_no_trial:
-        word, reasons = comparison.word, comparison.reasons
-    else:
-        word = _word(verdict.verdict, comparison.word)
-        reasons = (*comparison.reasons, *verdict.reasons)
-        if verdict.verdict == word != comparison.word:
-            reasons = (*verdict.reasons, *comparison.reasons)
+    word = _word(verdict.verdict, comparison.word)
+    reasons = (*comparison.reasons, *verdict.reasons)
+    if verdict.verdict == word != comparison.word:
+        reasons = (*verdict.reasons, *comparison.reasons)
     # Where too many trials left the captured volume, both say so.
     once = tuple(dict.fromkeys(reasons))
     return replace(verdict, verdict=word, reasons=once, against=comparison)

@@ -13,7 +13,7 @@ from nw_eval.stats.hazard import Ends
 from nw_eval.words import Tier
 
 Basis = Literal["same", "panel", "sample", "fresh"]
-"""What the bank is to the candidate's trials. same: the policy is the baseline, nothing to test.
+"""What the bank is to the candidate's trials. same: the policy is the baseline, by its digests.
 panel: the baseline's result from every start is known exactly on this class of machine. sample: on
 this class of machine the starts are the same and the bits are not; the bank is a sample of what the
 baseline does. fresh: the candidate met other starts."""
@@ -29,6 +29,39 @@ scenes, or of both."""
 TIMES = 3
 """Starts in a bank for each round, at least, for a claim about fresh starts: with fewer a drop at
 the margin passes or is convicted too often (simulated: 24 to 31 % at M = 20, nominal 5 %)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recheck:
+    """Trials of the baseline's own policy in this run, beside what the baseline says of them."""
+
+    compared: int
+    """Trials with a result."""
+    ran: int
+    """Of these, such as ran in this run; the others were taken over from the cache of trials."""
+    equal: bool
+    """Whether all of them have the baseline's values and bits."""
+    differing: tuple[str, ...]
+    """Sentences, where the baseline is not what its policy does: which trials differ and in what,
+    or, on a class of machine that the baseline has not seen, in what its scores are out of line.
+    Where there are any the run is INVALID."""
+    settled: bool
+    """Whether it is known what the baseline is to these trials: always but where bits are others,
+    and it is open yet whether scores are in line."""
+    taken_over: bool
+    """Whether the other results are the baseline's: all trials that were to run again did, at
+    least one of each scene, and are equal."""
+
+    @property
+    def in_words(self) -> str:
+        """How many trials ran again, and what came of it."""
+        if not self.compared:
+            return "none run again"
+        if not self.equal:
+            return f"{self.ran} run again, with other bits, and nothing taken over"
+        if self.ran == self.compared:
+            return f"{self.ran} run again and equal"
+        return f"{self.compared} compared and equal, {self.ran} of them run again"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +146,8 @@ class Comparison:
     reasons: tuple[str, ...]
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
+    again: Recheck | None = None
+    """What ran of the baseline's own policy, where the candidate is that policy on its starts."""
     curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
     """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
     simulated, where that was asked for."""

@@ -16,6 +16,7 @@ from nw_eval.gate.baseline.comparison import Checked, Comparison, SceneDrop
 from nw_eval.gate.baseline.finding import Finding, find, margins_of
 from nw_eval.gate.baseline.further import foresight
 from nw_eval.gate.baseline.holding.basis import basis_of, claim_of
+from nw_eval.gate.baseline.holding.known import recheck
 from nw_eval.gate.baseline.holding.match import check_match
 from nw_eval.gate.baseline.parting import ends, waypoints
 from nw_eval.gate.baseline.reasons import in_words
@@ -75,6 +76,7 @@ def compare(
         _scene(stratum, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
+    meets_starts = basis == "same" and run.panel == "pinned"
     capped = over_the_cap(rows, left, gate)
     comparison = Comparison(
         word="INCONCLUSIVE" if capped else finding.word,
@@ -96,6 +98,7 @@ def compare(
         scenes=tuple(scenes),
         reasons=(),
         left_aside=len(left_aside),
+        again=recheck(rows, run, bank, gate) if meets_starts else None,
     )
     simulated = None
     if foresee and basis != "same":

@@ -23,7 +23,11 @@ def in_words(
         more: about how many more rounds would settle it, where that was simulated.
     """
     if found.basis == "same":
-        return (f"the same policy as the baseline {found.policy}: nothing to test",)
+        again = found.again
+        if again is None:
+            return (f"the same policy as the baseline {found.policy}: nothing to test",)
+        over = "taken over from the baseline, " if again.taken_over else ""
+        return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
     by_scenes_alone = found.word == "REGRESSED" and not found.mean_convicts
     return (

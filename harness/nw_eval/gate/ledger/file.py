@@ -31,6 +31,7 @@ from nw_eval.results.seal import seal, unseal
 _VERSION = 1
 _MOST = 256 * 2**20  # bytes of a ledger: some 100,000 verdicts
 _LONGEST_LINE = 2**20  # bytes
+_TRIES = 5
 _MEND = "restore it from a copy, or begin another one"
 
 
@@ -75,25 +76,44 @@ def append_verdict(
 def append_entry(path: Path, entry: LedgerEntry) -> None:
     """Add a verdict to a ledger, which is begun if there is none, and wait until it is on disk.
 
-    Two gates that end at once both get their line. A line that was torn by a kill is cut off.
+    Two gates that end at once both get their line. A line that was torn by a kill is cut off. On a
+    network share whose locks are of one machine alone another one may write over the line at the
+    same moment: it is read again, and added once more where it is gone.
 
     Raises:
-        StoreError: the ledger is damaged, or cannot be written.
+        StoreError: the ledger is damaged, cannot be written, or keeps being written over.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as handle:
-            _lock(handle)
-            contents = _read(path, handle)
-            handle.truncate(contents.good_bytes)
-            handle.seek(contents.good_bytes)
-            _write(handle, _lines(entry, contents.last_sum))
+        for _ in range(_TRIES):
+            at, line = _append(path, entry)
+            with path.open("rb") as handle:
+                handle.seek(at)
+                if handle.read(len(line)) == line:
+                    break
+        else:
+            raise StoreError(
+                f"{path} was written over {_TRIES} times while a verdict was added",
+                fix="keep it where file locks hold between machines, or one ledger a machine",
+            )
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error.strerror or error}",
             fix="free disk space, or name another file with --ledger",
         ) from error
     sync_folder(path.parent)
+
+
+def _append(path: Path, entry: LedgerEntry) -> tuple[int, bytes]:
+    """Write the line of an entry behind all others; return its place in the file, and it."""
+    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as handle:
+        _lock(handle)
+        contents = _read(path, handle)
+        handle.truncate(contents.good_bytes)
+        handle.seek(contents.good_bytes)
+        line = _lines(entry, contents.last_sum)
+        _write(handle, line)
+    return contents.good_bytes, line
 
 
 def read_ledger(path: Path) -> LedgerContents:

@@ -18,6 +18,7 @@ from nw_eval.results.row import COLUMNS
 from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
 from nw_eval.results.row.column import NamedColumns, Settings
 from nw_eval.results.row.many import all_as_kept
+from nw_eval.results.row.row import contradiction_of_end
 from nw_eval.words import OUTCOMES
 
 MOST_PANELS = 64
@@ -132,8 +133,14 @@ def _contradiction(start: Start) -> str | None:
         return f"completed is {start.completed} at success {start.success}"
     if start.outcome not in OUTCOMES:
         return f"outcome {start.outcome!r} is none of {', '.join(OUTCOMES)}"
-    if start.waypoints_reached > start.waypoints_total:
-        return f"{start.waypoints_reached} of {start.waypoints_total} waypoints reached"
+    reached, total = start.waypoints_reached, start.waypoints_total
+    if reached > total:
+        return f"{reached} of {total} waypoints reached"
+    ended = contradiction_of_end(
+        start.outcome, reached, total, start.success, completed=start.completed
+    )
+    if ended is not None:
+        return ended
     axes = tuple(axis for axis, _ in start.perturbation)
     if not _are_names(axes):
         return f"perturbation {clean([*axes], at_most=80)} has an axis twice, or no plain line"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from nw_eval.results.provenance import RunInfo
@@ -81,4 +83,9 @@ def key_of(run: RunInfo) -> BankKey:
 
 def machine_of(run: RunInfo) -> dict[str, str]:
     """Return the class of machine that a run was made on."""
-    return {name: value for name, value in run.engine.items() if name not in _SIMULATOR}
+    return machine_in(run.engine)
+
+
+def machine_in(engine: Mapping[str, str]) -> dict[str, str]:
+    """Return the class of machine that `RunInfo.engine` names."""
+    return {name: value for name, value in engine.items() if name not in _SIMULATOR}

@@ -14,7 +14,7 @@ from nw_eval.plural import plural
 from nw_eval.results.evidence.digests import Digests, read_digests
 from nw_eval.results.evidence.discrepancy import CheckedFiles, Discrepancy
 from nw_eval.results.evidence.leaves import run_leaf
-from nw_eval.results.evidence.logs import look_at_logs, unnamed_logs
+from nw_eval.results.evidence.logs import look_at_logs, lost_logs, unnamed_logs
 from nw_eval.results.evidence.rows import Copy, believed, copies_of, row_findings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, rows_digest
@@ -57,6 +57,7 @@ def check_files(
         remarks.append(f"{plural(len(extra), 'log')} of trials without a row, first {extra[0]}")
     if unknown := sum(bool(row.mcap_path) and not row.mcap_sha256 for row in rows.values()):
         remarks.append(f"{plural(unknown, 'log')} not compared: their rows have no digest of them")
+    remarks += lost_logs(rows.values())
     evidence = CheckedFiles(
         findings=tuple(findings),
         remarks=tuple(remarks),

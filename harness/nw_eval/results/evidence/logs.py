@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_eval.plural import plural
 from nw_eval.results.evidence.discrepancy import Discrepancy, What
 from nw_eval.results.evidence.leaves import log_sha256
 from nw_eval.results.row import Row
@@ -48,6 +49,15 @@ def unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
     for log in sorted(folder.logs.rglob("*.mcap")):
         if (name := folder.relative(log)) not in named:
             yield name
+
+
+def lost_logs(rows: Iterable[Row]) -> list[str]:
+    """Return a sentence of the results whose logs could not be written; none where all were."""
+    lost = [row.trial_id for row in rows if row.lost_its_log]
+    if not lost:
+        return []
+    first = f"{plural(len(lost), 'log')} lost, which could not be written (first that of {lost[0]})"
+    return [f"{first}: --resume runs these trials again"]
 
 
 def log_path(folder: RunFolder, row: Row) -> Path | None:

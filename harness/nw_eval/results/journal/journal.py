@@ -87,7 +87,8 @@ class Journal:
     def extend(self, rows: Sequence[Row]) -> None:
         """Write trials that are there together, and wait once until all of them are on disk.
 
-        A row of a trial that ended in an error is superseded by a later one; a result never is.
+        A row of a trial that ended in an error is superseded by a later one; a result never is,
+        but by the same one with the log that it had lost.
 
         Raises:
             StoreError: the disk is full or fails, or a trial has another result already; none of

@@ -80,6 +80,8 @@ def last_sum(path: Path) -> str:
 def later(earlier: Row | None, row: Row, path: Path) -> Row:
     """Return which of two rows of one trial stands: a result stands, an error gives way.
 
+    So does a result whose log was lost, to the same one with its log.
+
     Raises:
         StoreError: they are different results.
     """
@@ -91,7 +93,7 @@ def later(earlier: Row | None, row: Row, path: Path) -> Row:
             f"({earlier.digest[:8]} and {row.digest[:8]})",
             fix="the simulation is not deterministic here; compare their logs",
         )
-    return earlier
+    return row if row.status == "ok" and earlier.lost_its_log else earlier
 
 
 def _read(path: Path, stream: IO[bytes]) -> JournalContents:

@@ -10,6 +10,7 @@ from nw_eval.results.row.row import (
     by_column,
     from_dict,
     from_dicts,
+    self_contradiction,
     to_dict,
 )
 from nw_eval.results.row.texts import Result, RowTexts, digest_of_results, rows_digest, texts_of
@@ -28,6 +29,7 @@ __all__ = [
     "from_dict",
     "from_dicts",
     "rows_digest",
+    "self_contradiction",
     "texts_of",
     "to_dict",
 ]

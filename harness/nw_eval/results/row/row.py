@@ -7,6 +7,7 @@ import struct
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import pairwise
 from operator import attrgetter
 from typing import Annotated, Any
 
@@ -190,6 +191,67 @@ class Row:
             kept["error_text"] = ""
         return sha256(_ENCODE(kept).encode()).hexdigest()
 
+    @property
+    def lost_its_log(self) -> bool:
+        """Whether it has a result and no log, which could not be written.
+
+        A policy that failed may have taken its process, and so the log, with it.
+        """
+        return self.status == "ok" and self.outcome != "policy_failed" and not self.mcap_path
+
+
+def self_contradiction(row: Row) -> str | None:
+    """Return in what a row contradicts itself, as none that a trial makes does, or None.
+
+    What `Row` itself refuses is not repeated here: words, bounds of single values, and an outcome
+    that does not go with the status. This is for rows that are read to be judged.
+    """
+    if row.status == "error":
+        return "an error is completed" if row.completed else None
+    reached, total = row.waypoints_reached, row.waypoints_total
+    ended = contradiction_of_end(row.outcome, reached, total, row.success, completed=row.completed)
+    return ended or _contradiction_of_times(row)
+
+
+def contradiction_of_end(
+    outcome: str, reached: int, total: int, success: float | None, *, completed: bool
+) -> str | None:
+    """Return in what the end of a trial that has a result contradicts itself, or None."""
+    if total < 1:
+        return f"success {success} of a trail without waypoints"
+    if success is None or abs(success - reached / total) > _ROUNDING:
+        return f"success {success} with {reached} of {total} waypoints reached"
+    if completed != (outcome == "completed"):
+        return f"completed is {completed} and the outcome {outcome}"
+    return None
+
+
+def _contradiction_of_times(row: Row) -> str | None:
+    """Return in what counts and times of a result contradict each other, or None."""
+    times, sim_s = row.waypoint_times, row.sim_s
+    if len(times) != row.waypoints_reached:
+        return f"{len(times)} waypoint_times of {row.waypoints_reached} waypoints reached"
+    if any(later < earlier for earlier, later in pairwise((0.0, *times))):
+        return "waypoint_times go back"
+    if times and times[-1] > sim_s + _SINGLE:
+        return f"a waypoint reached at {times[-1]:.3f} s of {sim_s:.3f} s"
+    if abs(row.steps / CONTROL_RATE - sim_s) > _ROUNDING:
+        return f"{row.steps} steps, {CONTROL_RATE} a second, in {sim_s:.3f} s"
+    if not 0.0 <= row.contact_s <= sim_s + _ROUNDING:
+        return f"{row.contact_s:.3f} s in contact of {sim_s:.3f} s"
+    least, mean = row.coverage_min, row.coverage_mean
+    if least is None and mean is None:
+        return None
+    if least is None or mean is None or not 0.0 <= least <= mean + _ROUNDING:
+        return f"coverage_min {least} and coverage_mean {mean}"
+    return f"coverage_mean {mean}" if mean > 1.0 + _ROUNDING else None
+
+
+CONTROL_RATE = 50
+"""Control steps in a simulated second."""
+
+_ROUNDING = 1e-6
+_SINGLE = 1e-3  # s by which single precision moves a time of hours.
 
 _END = ("status", "outcome", "waypoints_reached", "waypoints_total", "success", "completed")
 _OF_AN_END = attrgetter(*_END)

@@ -104,11 +104,12 @@ def resumed_bank(
     if request.baseline is None:
         return kept
     wanted = wanted_bank(request, suite)
-    if wanted is None or kept is None or wanted.info.sha256 == kept.info.sha256:
+    if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
         return wanted
+    now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
     raise IncomparableError(
         f"run {info.id} was begun against bank {kept.info.name} ({kept.info.sha256[:8]}), not "
-        f"{request.baseline} ({wanted.info.sha256[:8]})",
+        f"{now}",
         fix="start a new run without --resume",
     )
 

@@ -6,9 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from nw_eval.api.running.plans import rechecks
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import settled
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_of
 
 if TYPE_CHECKING:
@@ -72,7 +74,11 @@ class Contest:
 
         name, own = self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
-            self._listener.message(f"{own} is the policy of baseline {name}: nothing to run")
+            count = plural(rechecks(self._plan.request), "start")
+            self._listener.message(
+                f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
+                "they are as it says the rest is taken over"
+            )
         elif self._is_seen(run):
             pass
         else:
@@ -99,6 +105,14 @@ class Contest:
         assert run is not None, "a run begins before its first round ends"
         assert run.baseline is not None, "a run against a bank says so"
         found = self._compare(rows, run, run.baseline.checked)
+        if self._plan.is_baseline and found.again is not None:
+            if found.rounds < rechecks(self._plan.request):
+                return False
+            errors = any(row.status == "error" for row in rows)
+            if errors or found.again.equal or found.again.differing:
+                return True
+            if not found.again.settled:  # Bits are others, and scores may be.
+                return False
         planned = Counter(row.scene for row in rows)
         return settled(judge(rows, self._plan.suite.gate, planned, against=found), found)
 

@@ -13,7 +13,7 @@ from nw_eval.plural import plural
 from nw_eval.results.bank.changes import bank_mean
 
 if TYPE_CHECKING:
-    from nw_eval.api import CheckedBaseline, SavedBaseline
+    from nw_eval.api import CheckedBaseline, SavedBaseline, VerifiedBaseline
     from nw_eval.results.bank.changes import BankChange, FieldChange, SceneChange
 
 _FLIPPED = 8  # indexes of starts that a cell names
@@ -62,6 +62,31 @@ def saved_page(saved: SavedBaseline) -> str:
 def checked_page(checked: CheckedBaseline) -> str:
     """Return whether a bank holds here, with a line for each field that does not match."""
     return "\n".join(_checked(checked))
+
+
+def verified_page(verified: VerifiedBaseline) -> str:
+    """Return what starts that ran again came to, with a line for each row that differs."""
+    return "\n".join(clean(line, at_most=1000) for line in _verified(verified))
+
+
+def _verified(verified: VerifiedBaseline) -> Iterator[str]:
+    name, starts = verified.bank.manifest.name, len(verified.bank.panels[0].starts)
+    yield from verified.differing
+    yield from (f"no result now: {fault}" for fault in verified.faults)
+    if verified.differing:
+        count = len(verified.differing)
+        verb = "differs" if count == 1 else "differ"
+        yield f"INVALID: {plural(count, 'row')} of baseline {name} {verb}"
+        if not verified.has_panel:
+            yield (
+                "it has not been run on this class of machine, whose bits may be others: run it "
+                "where it was saved, or save it here"
+            )
+    equal = verified.ran - len(verified.differing)
+    yield (
+        f"run again: {equal} of {plural(verified.drawn, 'trial')} as the baseline says, values and "
+        f"bits, drawn from {starts} by --seed {verified.seed}"
+    )
 
 
 _HEADING = ("scene", "then", "now", "change", "went another way", "ended or scored otherwise")

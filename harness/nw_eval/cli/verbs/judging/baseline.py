@@ -143,6 +143,63 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Verify:
+    """Run starts of a bank again by its own policy, and name each row that is not as the bank says.
+
+    Which starts is drawn by a seed that nobody can foresee. Exit code 5 if a row differs, 4 if a
+    trial comes to no result. Nothing is written into the project.
+    """
+
+    bank: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
+    """Share of all its starts, at least one; 10% when absent."""
+    trials: int | None = None
+    """How many starts instead."""
+    seed: int | None = None
+    """Draw the starts of an earlier verification again, which printed this number."""
+    suite: str | None = None
+    """The suite's file, where its name does not find it."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Where the bank's policy lies; where the bank says when absent."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.interruption import INTERRUPTED
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+        from nw_eval.cli.text.judging.baseline_changes import verified_page
+
+        with RunProgress() as progress:
+            verified = api.verify_baseline(
+                self.bank,
+                share=self.share,
+                trials=self.trials,
+                seed=self.seed,
+                suite=self.suite,
+                policy=self.policy,
+                workers=self.workers,
+                listener=progress,
+                checkpoint=self.checkpoint,
+                render=self.render,
+                allow_code=self.allow_code,
+            )
+        print(verified_page(verified))
+        if verified.interrupted:
+            tell("interrupted; not all of the trials that were drawn have run")
+            return INTERRUPTED
+        return verified.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
 class Diff:
     """Compare two banks: what they hold for, means scene by scene, starts that went another way."""
 
@@ -163,13 +220,14 @@ class Diff:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Save what a policy scores from every start, list, show, check or compare such banks."""
+    """Save what a policy scores from every start; list, show, check, verify, compare such banks."""
 
     action: (
         Annotated[Save, tyro.conf.subcommand("save")]
         | Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
         | Annotated[Diff, tyro.conf.subcommand("diff")]
     )
 

@@ -1,20 +1,23 @@
-"""What the baseline scored, as rows: what its own policy would score again, bit for bit."""
+"""What the baseline scored: as rows, and beside trials of its own policy that run again."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from nw_eval.results.bank import SavedBank
+from nw_eval.errors import StoreError
+from nw_eval.gate.baseline.comparison import Recheck
+from nw_eval.gate.baseline.holding.sentinel import FROM_START, difference, watch
+from nw_eval.plural import plural
+from nw_eval.results.bank import Panel, SavedBank, Start
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
-from nw_eval.suite.model import new_suite
+from nw_eval.suite.model import Gate, new_suite
 from nw_eval.suite.trials import expand
 
-_FROM_START = (
-    *("success", "completed", "outcome", "end_reason"),
-    *("waypoints_reached", "waypoints_total"),
-)
+_NAMED = 3  # trials, and values of each, that the sentences name
+
 _NO_TIMES = dict.fromkeys(("physics_s", "render_s", "policy_s", "log_s", "wall_s"), 0.0)
 
 
@@ -62,8 +65,84 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
             "checkpoint_digest": run.policy.checkpoint_digest,
             "scene_digest": trial.scene_digest,
             "cached": True,
-            **{name: getattr(start, name) for name in _FROM_START},
+            **{name: getattr(start, name) for name in FROM_START},
             **_NO_TIMES,
         }
         rows.append(from_dict(known))
     return tuple(rows)
+
+
+def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Recheck:
+    """Compare trials of the baseline's own policy with what the baseline says of these starts.
+
+    On a class of machine that the baseline has been run on, values and bits must be equal. On
+    another one bits may be others. Then nothing is taken over, and only scores that are out of line
+    (`sentinel.watch`) speak against the baseline.
+
+    Args:
+        rows: of the run, whose policy is the baseline's by its digests, on the pinned panel.
+        run: what they are of.
+        bank: of the baseline.
+        gate: margins and errors.
+
+    Raises:
+        StoreError: a row is of no start of the baseline.
+    """
+    seen = bank.panel_of(machine_of(run))
+    done = [row for row in rows if row.status == "ok"]
+    # The very panel that `known_rows` takes results from.
+    differing = differences(done, seen or bank.panels[0])
+    ran = {(row.scene, row.perturbation) for row in done if not row.cached}
+    strata = {(row.scene, row.perturbation) for row in rows}
+    planned = sum(run.planned.values())
+    wrong, settled = tuple[str, ...](), True
+    if differing and seen is not None:
+        count = f"{len(differing)} of {plural(len(done), 'trial')}"
+        more = len(differing) - _NAMED
+        rest = f"and {plural(more, 'more trial')}; `nw-eval baseline verify` names all"
+        wrong = (
+            f"the baseline {bank.manifest.name} is not what its own policy does: {count} differ",
+            *differing[:_NAMED],
+            *([rest] if more > 0 else []),
+        )
+    elif differing and len(done) == len(rows):
+        sentinel = watch(rows, run, bank, gate, arm="candidate")
+        wrong, settled = sentinel.moved, not sentinel.open
+    return Recheck(
+        compared=len(done),
+        ran=sum(not row.cached for row in done),
+        equal=not differing,
+        differing=wrong,
+        settled=settled,
+        taken_over=run.is_recheck
+        and run.stopped_after is not None
+        and not differing
+        and 0 < planned == len(done)
+        and ran == strata,
+    )
+
+
+def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
+    """Return a sentence for each trial that differs from a baseline, by scene and start.
+
+    Args:
+        rows: with results, of the baseline's own policy.
+        panel: what the baseline says.
+
+    Raises:
+        StoreError: a row is of no start of the baseline.
+    """
+    found: list[tuple[Start, str]] = []
+    for row in rows:
+        starts = panel.by_stratum.get((row.scene, row.perturbation), ())
+        if not 0 <= row.seed_index < len(starts):
+            raise StoreError(
+                f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
+                "its scene",
+                fix="judge the run against the baseline that it was begun with",
+            )
+        start = starts[row.seed_index]
+        if (text := difference(row, start)) is not None:
+            found.append((start, text))
+    found.sort(key=lambda item: (item[0].stratum, item[0].seed_index))
+    return tuple(text for _, text in found)

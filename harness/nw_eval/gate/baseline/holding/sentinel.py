@@ -20,14 +20,19 @@ from nw_eval.gate.baseline.finding import margins_of
 from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.gate.baseline.rounds import Floats, Rounds, scores_of, whole_rounds
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Stratum, trajectory
+from nw_eval.results.bank import Panel, SavedBank, Start, Stratum, trajectory
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats.bank import Bank, Ruling, decide, over_rounds
 from nw_eval.suite.model import Gate
-from nw_eval.words import Tier
+from nw_eval.words import Arm, Tier
 
 _NAMED = 3  # scenes that a sentence names before it says "and more"
+FROM_START = (
+    *("success", "completed", "outcome", "end_reason"),
+    *("waypoints_reached", "waypoints_total"),
+)
+"""Columns of a row that a baseline has of each start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +47,9 @@ class Sentinel:
     """Why it is open, in sentences, for when no more rounds come."""
 
 
-def watch(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Sentinel:
+def watch(
+    rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate, *, arm: Arm = "baseline"
+) -> Sentinel:
     """Compare the baseline's trials on this class of machine with the first panel of its bank.
 
     Args:
@@ -50,13 +57,19 @@ def watch(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Sen
         run: theirs.
         bank: which has no panel of this class of machine.
         gate: margins, errors and tiers; scenes that are informational need only have equal bits.
+        arm: whose rows they are: the candidate's, where it is the baseline's own policy.
 
     Raises:
         StoreError: a row is not of the baseline's run.
     """
     panel = bank.panels[0]
     strata = [stratum for stratum in panel.by_stratum if stratum[0] in run.scenes]
-    rounds = whole_rounds(rows, run, strata, "baseline")
+    rounds = whole_rounds(rows, run, strata, arm)
+    if contradicted := _contradicted(rounds, panel):
+        # The same states and actions are the same trial: its result is not a matter of bits.
+        own = bank.manifest.policy.name
+        first = f"the bank is not what its own policy {own} does: the same bits, other results"
+        return Sentinel(checked=None, moved=(first, *contradicted[:_NAMED]))
     if rounds.count and _is_alike(rounds, panel):
         return Sentinel(checked="bits")
     judged = [stratum for stratum in strata if gate.tier(stratum[0]) != "informational"]
@@ -74,6 +87,35 @@ def watch(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Sen
             scenes = f", beyond doubt in {_listed(named)}" if named else ""
             return Sentinel(checked=None, moved=(f"{means}: it {verb} here{scenes}", renew))
     return Sentinel(checked=None, open=(f"{means}: whether it scores alike is open", renew))
+
+
+def difference(row: Row, start: Start) -> str | None:
+    """Return what of a trial is not as the baseline says, both values of each; None if nothing.
+
+    Args:
+        row: with a result.
+        start: what the baseline says of it.
+    """
+    pairs = [(name, getattr(start, name), getattr(row, name)) for name in FROM_START]
+    parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
+    if not parts and trajectory(row) != start.trajectory:
+        parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
+    if not parts:
+        return None
+    cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
+    # The first says most: the others follow from it.
+    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts[:_NAMED])}"
+
+
+def _contradicted(rounds: Rounds, panel: Panel) -> tuple[str, ...]:
+    """Return a sentence for each trial that went the bank's way, bit for bit, to another result."""
+    pairs = (
+        (row, panel.by_stratum[stratum][start])
+        for stratum, rows in rounds.rows.items()
+        for row, start in zip(rows, rounds.starts[stratum], strict=True)
+    )
+    same = ((row, at) for row, at in pairs if row is not None and trajectory(row) == at.trajectory)
+    return tuple(text for row, at in same if (text := difference(row, at)) is not None)
 
 
 def _is_alike(rounds: Rounds, panel: Panel) -> bool:
