@@ -25,7 +25,7 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
             f"success {verdict.effect:.3f} ({confidence(verdict)} bounds "
             f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
         )
-    parts += _trials(verdict)
+    parts += _trials(verdict, run)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
     if verdict.errors:
@@ -65,10 +65,16 @@ def confidence(verdict: Verdict) -> str:
     return f"{100 * verdict.confidence:.4g} %"
 
 
-def _trials(verdict: Verdict) -> list[str]:
+def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
     """Return how many trials completed, and how many there were in how many scenes."""
     ran = sum(item.n for item in verdict.per_scene)
-    scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
+    seen, all_of_them = (
+        sum(item.n > 0 for item in verdict.per_scene),
+        len(run.scenes) + len(run.left_out),
+    )
+    scenes = plural(seen, "scene")
+    if 0 < seen < all_of_them:
+        scenes = f"{seen} of the suite's {plural(all_of_them, 'scene')}"
     if verdict.whole and ran == verdict.n:
         return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
     done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []

@@ -162,7 +162,9 @@ class RunInfo(_Saved):
     suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
     suite_digest: str
     policy: PolicyInfo
+    own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]
+    left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
     drawn_for: str | None = None  # The key of another policy, in whose order it meets them.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from io import StringIO
+from math import ceil, prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from nw_eval.files.cache import atomic_path
+from nw_eval.stats import trials_to_certify
 
 _POLICY = "go1-parkour"
 _ABOUT_POLICY = """\
@@ -21,6 +23,7 @@ _HEAD = """\
 # Keys: docs/suites.md, and `nw-eval schema suite`.
 """
 _LONGEST_NAME = 64
+_FEWEST = 10  # trials in each scene
 
 
 def write_ready_suite(
@@ -34,10 +37,13 @@ def write_ready_suite(
 ) -> None:
     """Write a suite of scenes that `nw-eval run` takes as it is, whole or not at all.
 
+    It has twice the trials that its bar needs of a policy that never fails, and 10 in each scene at
+    least: a policy that fails now and then can pass, too.
+
     Args:
         path: of the file.
         name: of what it is about; what no suite's name may hold becomes a dash.
-        scenes: as `scenes:` of a suite has them; paths start at the file.
+        scenes: as `scenes:` of a suite has them, one at least; paths start at the file.
         robot: that runs in it.
         policy: likewise, without `--policy`.
         perturb: values of axes of perturbation.
@@ -45,16 +51,19 @@ def write_ready_suite(
     Raises:
         StoreError: it cannot be written.
     """
+    gate = {"success_rate": 0.75, "confidence": 0.95}
+    cells = prod(len(values) for values in perturb.values())
+    needed = ceil(trials_to_certify(gate["success_rate"], gate["confidence"]) / len(scenes) / cells)
     text: dict[str, Any] = {
         "nw-eval": 1,
         "name": re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:_LONGEST_NAME],
         "robot": robot,
         "policy": policy,
-        "trials": 10,
+        "trials": max(_FEWEST, 2 * needed),
         "seed": 1,
         "scenes": list(scenes),
         "record": "failures",
-        "gate": {"success_rate": 0.75, "confidence": 0.95},
+        "gate": gate,
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}

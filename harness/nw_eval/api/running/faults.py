@@ -119,6 +119,30 @@ def open_policy(
     return vet_policy(draft, faults, request, bundle)
 
 
+def is_own_policy(draft: Draft, request: Request) -> bool:
+    """Return whether the policy of a request is the suite's own, also by another path to its card.
+
+    With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
+    own, and counts as that.
+
+    Args:
+        draft: the suite.
+        request: what is asked for.
+    """
+    from nw_eval.errors import PolicyError
+    from nw_eval.policies import find_card
+
+    own, named = draft.text("policy"), request.policy
+    if named is None:
+        return True
+    if own is None or any(each.startswith("hub:") for each in (own, named)):
+        return named == own
+    try:
+        return find_card(named).samefile(find_card(_from_base(draft.base, own)))
+    except (PolicyError, OSError):
+        return False
+
+
 def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -> Bundle | None:
     """Return a policy that is loaded already, checked; None if it cannot be used.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, get_args
 
 from nw_eval.api.running.plans import check_workers, plan
@@ -123,7 +122,9 @@ def roll_out(
     """
     from nw_eval.api.running.against.contest import Contest
     from nw_eval.engine import session
+    from nw_eval.engine.forecast import obstacles_of
     from nw_eval.engine.listener import Silence
+    from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
@@ -133,6 +134,8 @@ def roll_out(
         ears.message(_part(plan, plan.shard))
     for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
         ears.message(f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it")
+    for reason in obstacles_of(plan):
+        ears.message(f"this run cannot PASS: {reason}")
     if plan.against is not None:
         contest = Contest(
             plan,
@@ -143,8 +146,11 @@ def roll_out(
             listener=ears,
             cache=cache,
         )
-    elif plan.suite.gate.max_drop is not None and plan.shard is None:
-        ears.message(_without_baseline(plan))
+    elif plan.shard is None:
+        name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
+        policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
+        if why := unjudged(plan.suite.gate, name, policy):
+            ears.message(why)
     return session.carry_out(
         plan,
         workers=workers,
@@ -159,17 +165,6 @@ def roll_out(
         enough=None if contest is None or plan.shard or all_rounds else contest.enough,
         cache=cache,
         meanwhile=prepare_pages,
-    )
-
-
-def _without_baseline(plan: Plan) -> str:
-    """Return what a run leaves unjudged that its suite asks for."""
-    suite, policy = plan.suite, plan.bundle.name
-    judged_by = "only the bar is judged" if suite.gate.success_rate else "nothing is judged"
-    name = suite.name if plan.request.suite is None else str(plan.request.suite)
-    return (
-        f"no baseline to compare with: {judged_by}, not max_drop {suite.gate.max_drop:g}; "
-        f"`nw-eval baseline save {quote(name)} --policy {quote(policy)}` saves one"
     )
 
 

@@ -70,7 +70,10 @@ def continued(run: Path, request: Request) -> Plan:
     against = resumed_bank(folder, info, suite, request)
     if request.suite is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
-        return plan_of(whole, draft_suite(request.suite), card=card, against=against)
+        own = info.own_policy if request.policy is None else None
+        return plan_of(
+            whole, draft_suite(request.suite), card=card, against=against, own_policy=own
+        )
     return plan_of(
         whole,
         draft_of(suite),
@@ -78,6 +81,8 @@ def continued(run: Path, request: Request) -> Plan:
         # A place that the suite's patterns match only now is none of the run's.
         scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
         against=against,
+        # Its suite as it was kept names the policy that was asked for.
+        own_policy=info.own_policy,
     )
 
 

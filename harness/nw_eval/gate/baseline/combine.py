@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from shlex import quote
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
@@ -44,21 +46,52 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
 
 def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
     """Return the verdict on the rows as they are."""
+    by_bar = partial(judge, left_out=run.left_out)
     if against is None:
-        return judge(rows, gate, run.planned)
+        alone = by_bar(rows, gate, run.planned)
+        why = unjudged(gate, *_as_asked(run))
+        return replace(alone, reasons=(*alone.reasons, why)) if why else alone
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
     if begun is not None and not rows and run.stopped_after is None:
         # Cut while the bank's own policy ran, or before: nothing is known but what is missing.
-        return judge(rows, gate.model_copy(update={"max_drop": None}), run.planned)
+        return by_bar(rows, gate, run.planned)
     if begun is not None and begun.moved:
-        return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
+        return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
     found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
+    planned = run.planned
     if found.basis == "same" and run.stopped_after == 0:
         # Nothing had to run: what the policy scores from these starts is in the bank.
         rows = known_rows(run, against.bank)
-        return combined(judge(rows, gate, Counter(row.scene for row in rows), against=found), found)
-    return combined(judge(rows, gate, run.planned, against=found), found)
+        planned = Counter(row.scene for row in rows)
+    return combined(by_bar(rows, gate, planned, against=found), found)
+
+
+def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
+    """Return what a suite asks for beside its bar where nothing is compared; None if nothing.
+
+    Args:
+        gate: the suite's settings.
+        suite: what names the suite on a command line.
+        policy: likewise, the policy.
+    """
+    named = None if gate.baseline == "none" else gate.baseline
+    if gate.max_drop is None and named is None:
+        return None
+    own = "" if named is None else f" ({named} is for the suite's own policy)"
+    return (
+        f"max_drop {gate.most_drop:g} was not judged: no baseline is named for {policy}{own}; "
+        f"`nw-eval baseline save {quote(suite)} --policy {quote(policy)}` saves one, "
+        "--baseline names it"
+    )
+
+
+def _as_asked(run: RunInfo) -> tuple[str, str]:
+    """Return what names suite and policy of a run on a command line."""
+    suite = policy = None
+    if run.request is not None:
+        suite, policy = run.request.suite, run.request.policy
+    return str(suite or run.suite.get("name", "SUITE")), policy or run.policy.name
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
