@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
+    from nw_eval.scenes.health.finding import SceneFinding
     from nw_eval.suite import Draft
     from nw_eval.words import Collision
 
@@ -64,6 +65,7 @@ def open_scenes(
     from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
+    from nw_eval.survey.findings.of_trail import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []
@@ -71,7 +73,9 @@ def open_scenes(
         try:
             for each in catalogue.references([pattern], draft.base, collision=collision):
                 if each not in found:
-                    found[each] = catalogue.FoundScene.at(*each)
+                    place = found[each] = catalogue.FoundScene.at(*each)
+                    if free := start_finding(place.scene):
+                        faults.at(("scenes", index), _refused(place.scene.name, free))
         except SceneError as error:
             faults.at(("scenes", index), error)
             failed.append(pattern)
@@ -83,6 +87,12 @@ def open_scenes(
     meant = [place.scene.name for place in found.values()]
     faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
     return tuple(found.values())
+
+
+def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
+    from nw_eval.errors import SceneError
+
+    return SceneError(f"scene {clean(scene, at_most=100)}: {finding.message}", fix=finding.fix)
 
 
 def open_policy(

@@ -17,10 +17,13 @@ from nw_eval.rollout.confined.start import prepare
 from nw_eval.words import Engine
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.scenes.health.finding import SceneFinding
 
 
 def run(
@@ -134,6 +137,8 @@ def roll_out(
         ears.message(_part(plan, plan.shard))
     for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
         ears.message(f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it")
+    for scene, finding in _trail_faults(plan):
+        ears.message(f"scene {scene}: {finding.message}; {finding.fix}")
     for reason in obstacles_of(plan):
         ears.message(f"this run cannot PASS: {reason}")
     if plan.against is not None:
@@ -166,6 +171,20 @@ def roll_out(
         cache=cache,
         meanwhile=prepare_pages,
     )
+
+
+def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
+    """Yield what `scenes check` says of the trails of a plan's own scenes, which still run.
+
+    The built-in ones are right.
+    """
+    from nw_eval.catalogue import is_built_in
+    from nw_eval.survey.findings.of_trail import trail_findings
+
+    for place in plan.found:
+        if not is_built_in(place.reference):
+            for finding in trail_findings(place.scene, plan.suite.robot):
+                yield place.scene.name, finding
 
 
 def _part(plan: Plan, shard: ShardInfo) -> str:

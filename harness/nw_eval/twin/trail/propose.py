@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.scene import Spawn, Vector
+from nw_eval.sim.trail import REACH_RADIUS
 from nw_eval.twin.trail.features import TrailFeature, features_of
 from nw_eval.twin.trail.ground import GroundProfile, ground_along
 from nw_eval.twin.trail.stretches import stretches_of
@@ -26,6 +28,10 @@ _APART = 0.25
 """Waypoints that are closer are one, metres."""
 _APPROACH = 1.5
 """Level way before the first feature, at most, metres: as much as in the shipped scenes."""
+_CLEAR = REACH_RADIUS + 0.3
+"""From the spawn to the first waypoint at least, metres: beyond reach of where any trial begins."""
+_ARRIVE = 0.3
+"""From the last waypoint to the end of the way, which ends half a robot before the ground does."""
 _RUN_UP = 0.5
 """Metres of level way that a robot needs before the first feature."""
 FLOOR = 0.02
@@ -61,7 +67,8 @@ def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
 
     Raises:
-        SceneError: the cameras went less than a metre, or the mesh has no ground below them.
+        SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
+            little for a waypoint that a robot has to walk to.
     """
     way = way_of(centres)
     profile = ground_along(mesh, way, float(centres[:, 2].max()))
@@ -109,19 +116,37 @@ def _spawn(profile: GroundProfile) -> Spawn:
 
 
 def _waypoints(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[Vector, ...]:
-    """Return a waypoint where each feature is stood on, and one behind the last."""
-    end = float(profile.along[-1])
+    """Return a waypoint where each feature is stood on, and one behind the last.
+
+    None is within reach of the spawn, nor so near the end that a robot stands on nothing there.
+
+    Raises:
+        SceneError: none is left.
+    """
+    end = float(profile.along[-1]) - _ARRIVE
     stands = sorted(stand for feature in features for stand in feature.stands)
     last = max((feature.end for feature in features), default=None)
     stands.append(end if last is None else min(end, max([last, *stands]) + _FINISH))
     kept: list[float] = []
     for stand in stands:
-        if stand > end:
+        if stand > end or _from_start(profile, stand) < _CLEAR:
             continue
         if kept and stand - kept[-1] < _APART:
             continue
         kept.append(stand)
+    if not kept:
+        raise SceneError(
+            f"there are {profile.along[-1]:.2f} m of ground along the way, too few for a waypoint "
+            f"{_CLEAR:g} m from the start with {_ARRIVE:g} m to arrive in",
+            fix="capture more ground ahead of the start, or write the trail by hand",
+        )
     return tuple(_point(profile, stand) for stand in kept)
+
+
+def _from_start(profile: GroundProfile, along: float) -> float:
+    """Return how far a place along the way is from its start, seen from above, metres."""
+    there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
+    return float(np.hypot(there[0], there[1]))
 
 
 def _point(profile: GroundProfile, along: float) -> Vector:
