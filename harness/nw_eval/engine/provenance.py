@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from nw_eval.built_in.variants import parted
+from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
@@ -23,6 +25,8 @@ from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.words import Backend
 
 if TYPE_CHECKING:
+    from nw_eval.cards import Card
+    from nw_eval.catalogue import FoundScene
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
@@ -127,6 +131,24 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
     )
 
 
+def split_for(card: Card, found: FoundScene) -> Literal["train", "eval"] | None:
+    """Return whether a policy was trained in a scene, by what its card says.
+
+    Args:
+        card: the policy's; `trained_on` names scenes as suites do.
+        found: the scene. A variant (`NAME~2`) counts as the scene that it is a variant of: it is
+            the same course.
+
+    Returns:
+        None where the card names none, or the scene is not built in.
+    """
+    if not card.trained_on or not is_built_in(found.reference):
+        return None
+    name, _ = parted(found.scene.name)
+    named = any(is_meant(name, parted(pattern)[0]) for pattern in card.trained_on)
+    return "train" if named else "eval"
+
+
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
     trials = Counter(trial.scene for trial in plan.trials)
     return {
@@ -134,6 +156,7 @@ def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
             digest=found.scene.digest,
             task=found.scene.task,
             trials=trials[found.scene.name],
+            split=split_for(plan.bundle.card, found),
             fetched=_fetched(reference_path(found.reference)),
         )
         for found in plan.found

@@ -37,6 +37,8 @@ class SceneInfo(_Saved):
     digest: str
     task: str
     trials: int = Field(ge=0)  # Planned.
+    # Whether the policy was trained in it; None: its card names no scene, or it is not built in.
+    split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
 

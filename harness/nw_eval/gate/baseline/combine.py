@@ -38,6 +38,13 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     whole = run.shard is None
     verdict = _of_rows(rows, run, gate, against) if whole else of_part(rows, run, gate)
+    verdict = replace(
+        verdict,
+        per_scene=tuple(
+            replace(item, split=run.scenes[item.scene].split if item.scene in run.scenes else None)
+            for item in verdict.per_scene
+        ),
+    )
     if run.cache is None or not run.cache.differing:
         return verdict
     reasons = (*run.cache.differing, *verdict.reasons)

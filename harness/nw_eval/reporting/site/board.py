@@ -61,6 +61,29 @@ class BoardSection:
         policies = self.comparison.policies
         return sorted(range(len(policies)), key=lambda i: (-policies[i].mean, policies[i].label))
 
+    @property
+    def has_splits(self) -> bool:
+        """Whether any of the policies says in which scenes it was trained."""
+        return any(each.split for run in self.runs for each in run.info.scenes.values())
+
+    def split(self, place: int, scene: str) -> str:
+        """Return whether a policy was trained in a scene: `train` or `eval`, or nothing."""
+        known = self.runs[place].info.scenes.get(scene)
+        return "" if known is None else known.split or ""
+
+    def split_mean(self, place: int, split: str) -> float | None:
+        """Return a policy's mean success over its `train` or its `eval` scenes; None without any.
+
+        Scenes weigh equally. Those that the verdict takes for informational do not count.
+        """
+        tiers = {item.scene: item.tier for item in self.runs[place].verdict.per_scene}
+        found = [
+            each.means[place]
+            for each in self.comparison.scenes
+            if self.split(place, each.scene) == split and tiers.get(each.scene) != "informational"
+        ]
+        return sum(found) / len(found) if found else None
+
     def level(self, mean: float) -> int:
         """Return how strongly a cell is drawn: 0 where all was reached, to 5."""
         return sum(1.0 - mean > least for least in _LEVELS)
