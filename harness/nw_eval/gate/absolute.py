@@ -92,7 +92,8 @@ def judge(
     elif word in {"PASS", "RAN"} and (unseen := _unseen(scores)):
         word, reasons = "INCONCLUSIVE", [*unseen, *reasons]
     elif _is_open(word, left, against) and gate.success_rate is not None:
-        reasons.append(advice(counted, seen, gate, gate.success_rate))
+        cells = len({row.perturbation for row in rows})
+        reasons.append(advice(counted, seen, gate, gate.success_rate, cells=cells))
     drop = gate.most_drop
     return Verdict(
         verdict=word,

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from math import ceil
 
 import numpy as np
 
 from nw_eval.gate.baseline.finding import margins_of
 from nw_eval.gate.baseline.rounds import scores_of
+from nw_eval.gate.outlook import trials_to_pass
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, Stratum
-from nw_eval.stats import trials_to_certify
 from nw_eval.stats.bank import Bank, over_rounds
 from nw_eval.suite.model import Gate
-
-
-def trials_to_pass(gate: Gate, strata: int) -> int:
-    """Return how many trials of each scene a bar needs of a policy that never fails.
-
-    Args:
-        gate: of a suite; 0 is returned where it has no bar.
-        strata: scenes that count, each as often as it has cells of perturbations; at least 1.
-    """
-    if gate.success_rate is None:
-        return 0
-    return ceil(trials_to_certify(gate.success_rate, gate.confidence) / strata)
 
 
 def rounds_to_pass(

@@ -79,7 +79,8 @@ def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
         return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
     done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []
     of = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
-    return [*done, f"{of} trials in {scenes}"]
+    noun = "trial" if of == "1" or of.endswith(" of 1") else "trials"
+    return [*done, f"{of} {noun} in {scenes}"]
 
 
 def _against(found: Comparison | None) -> list[str]:

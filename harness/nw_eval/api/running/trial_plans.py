@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -147,7 +148,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
     import numpy as np
 
     from nw_eval.engine.forecast import obstacles_of
-    from nw_eval.gate.reach import trials_to_pass
+    from nw_eval.gate.outlook import trials_to_pass
     from nw_eval.stats import SceneCounts, shares_at
 
     suite = resolved.suite
@@ -187,7 +188,7 @@ def _draw(planned: TrialPlan, png: Path) -> None:
     from nw_eval.reporting.curve_picture import draw_curve
 
     rules, scenes = planned.outset.rules, planned.outset.scenes
-    budget = f"at most {rules.rounds} rounds of {scenes} trials"
+    budget = f"at most {plural(rules.rounds, 'round')} of {plural(scenes, 'trial')}"
     draw_curve(
         planned.curve,
         png,

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.plural import plural
 from nw_eval.robots import get_robot
 from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.rays import RayScene
@@ -89,7 +90,7 @@ def trail_findings(scene: Scene, robot: Robot) -> list[SceneFinding]:
             SceneFinding(
                 code="waypoints_together",
                 severity="warning",
-                message=f"{len(together)} of {len(scene.trail)} waypoints lie within "
+                message=f"{len(together)} of {plural(len(scene.trail), 'waypoint')} lie within "
                 f"{REACH_RADIUS:g} m of the one before, first waypoint {first} at ({x:.2f}, "
                 f"{y:.2f}): who reaches one reaches both",
                 fix="keep one of them, unless each is a step of its own",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError
+from nw_eval.plural import plural
 from nw_eval.request import Request
 
 if TYPE_CHECKING:
@@ -124,7 +125,8 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
         raise IncomparableError(
-            f"bank {name} has {starts} starts in each scene, {rounds} rounds draw more",
+            f"bank {name} has {plural(starts, 'start')} in each scene, fewer than "
+            f"{plural(rounds, 'round')}",
             fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
             f"{3 * rounds}`",
         )
