@@ -116,4 +116,4 @@ def _first_sentence(path: Path) -> str:
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = takewhile(lambda line: line.startswith("#"), lines)
     text = clean(" ".join(line.lstrip("# ") for line in comment))
-    return shorten(text.split(". ", 1)[0].rstrip("."), width=86, placeholder=" ...")
+    return shorten(text.split(". ", 1)[0].rstrip("."), width=62, placeholder=" ...")

@@ -19,7 +19,7 @@ def suite_table(suites: Sequence[ListedSuite]) -> str:
     lines = aligned([(suite.name, *_words(suite)) for suite in suites])
     if any(suite.baseline is not None for suite in suites):
         lines.append(
-            "A suite's baseline counts for its own policy; for another, --baseline names one."
+            "+ baseline: it counts for this policy of the suite; --baseline names one for others"
         )
     return "\n".join(lines)
 
@@ -28,6 +28,5 @@ def _words(suite: ListedSuite) -> tuple[str, str, str, str]:
     if suite.problem is not None:
         return "?", "?", "?", suite.problem
     bar = "no bar" if suite.bar is None else f"bar {suite.bar:g}"
-    compared = "no baseline" if suite.baseline is None else f"baseline {suite.baseline}"
-    own = f"{suite.policy}, {compared}"
+    own = suite.policy if suite.baseline is None else f"{suite.policy} + baseline"
     return f"{plural(suite.scenes, 'scene')} x {suite.trials}", bar, own, suite.purpose
