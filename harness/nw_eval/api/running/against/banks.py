@@ -125,8 +125,7 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
         raise IncomparableError(
-            f"bank {name} has {plural(starts, 'start')} in each scene, fewer than "
-            f"{plural(rounds, 'round')}",
+            f"bank {name} has {plural(starts, 'start')} in each scene, {rounds} rounds draw more",
             fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
             f"{3 * rounds}`",
         )
