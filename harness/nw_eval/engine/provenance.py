@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from nw_eval.built_in.splits import split_of
 from nw_eval.built_in.variants import parted
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
@@ -140,13 +141,15 @@ def split_for(card: Card, found: FoundScene) -> Literal["train", "eval"] | None:
             the same course.
 
     Returns:
-        None where the card names none, or the scene is not built in.
+        None where the card names none, or the scene is not built in, or belongs to no split.
     """
     if not card.trained_on or not is_built_in(found.reference):
         return None
     name, _ = parted(found.scene.name)
     named = any(is_meant(name, parted(pattern)[0]) for pattern in card.trained_on)
-    return "train" if named else "eval"
+    if named:
+        return "train"
+    return None if split_of(name) is None else "eval"
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:

@@ -83,8 +83,8 @@ def carry_out(
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
         PrerequisiteError: the renderer is not installed, or Ray.
-        UsageError: `out` holds a run; there is no such cluster, or it cannot be sent what the run needs; or
-            `NW_EVAL_CACHE_GB` is no size.
+        UsageError: `out` holds a run; there is no such cluster, or it cannot be sent what the run
+            needs; or `NW_EVAL_CACHE_GB` is no size.
     """
     listener = listener or Silence()
     limit_bytes()  # Before anything is written, if it is none.

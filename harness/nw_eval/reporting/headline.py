@@ -65,16 +65,19 @@ def confidence(verdict: Verdict) -> str:
     return f"{100 * verdict.confidence:.4g} %"
 
 
+def part_of_suite(verdict: Verdict, run: RunInfo) -> str:
+    """Return of how many of its suite's scenes a run has results; nothing if of all or of none."""
+    seen = sum(item.n > 0 for item in verdict.per_scene)
+    every = len(run.scenes) + len(run.left_out)
+    return f"{seen} of the suite's {plural(every, 'scene')}" if 0 < seen < every else ""
+
+
 def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
     """Return how many trials completed, and how many there were in how many scenes."""
     ran = sum(item.n for item in verdict.per_scene)
-    seen, all_of_them = (
-        sum(item.n > 0 for item in verdict.per_scene),
-        len(run.scenes) + len(run.left_out),
-    )
-    scenes = plural(seen, "scene")
-    if 0 < seen < all_of_them:
-        scenes = f"{seen} of the suite's {plural(all_of_them, 'scene')}"
+    scenes = part_of_suite(verdict, run)
+    if not scenes:
+        scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
     if verdict.whole and ran == verdict.n:
         return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
     done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []

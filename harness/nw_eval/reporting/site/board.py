@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.headline import part_of_suite
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.side_by_side.tables import ranks_text
 from nw_eval.reporting.tables.table import Bar
@@ -30,6 +31,11 @@ class BoardRun:
     info: RunInfo
     verdict: Verdict
     href: str
+
+    @property
+    def part(self) -> str:
+        """Of how many of its suite's scenes it has results; nothing if of all."""
+        return part_of_suite(self.verdict, self.info)
 
     @property
     def identity(self) -> tuple[str, str]:
