@@ -101,16 +101,17 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
         return ()  # Without a bar or a baseline the verdict is RAN.
-    known = against is not None and plan.is_baseline  # Then the bank's own scores are judged.
+    # Of the bank's own policy nothing runs: the scores of its starts are judged.
+    known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
     found = bar_obstacles(
         suite.gate,
         [scene.name for scene in plan.scenes],
         plan.left_out,
-        trials=against.bank.manifest.starts if known else suite.trials,
+        trials=suite.trials if known is None else known,
         cells=len(suite.perturb.cells),
         rounds=against is not None,
     )
-    if against is not None and not found and not known:
+    if against is not None and not found and known is None:
         found += _against_the_bank(plan, against)
     return tuple(found)
 
