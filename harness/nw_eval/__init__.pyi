@@ -2,6 +2,7 @@
 
 from nw_eval.api import (
     ActingPolicy,
+    BarPlan,
     BisectedSeries,
     BlamedTrial,
     BlamePlan,
@@ -136,6 +137,7 @@ __all__ = [
     "ActingPolicy",
     "Agreement",
     "BankChange",
+    "BarPlan",
     "BisectedSeries",
     "BlamePlan",
     "BlameReport",
