@@ -17,6 +17,7 @@ _ROOMS = MappingProxyType(
     {
         "api": (
             "ActingPolicy",
+            "BarPlan",
             "BisectedSeries",
             "BlamePlan",
             "BlamedTrial",

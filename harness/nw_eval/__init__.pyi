@@ -2,6 +2,7 @@
 
 from nw_eval.api import (
     ActingPolicy,
+    BarPlan,
     BisectedSeries,
     BlamedTrial,
     BlamePlan,
@@ -138,6 +139,7 @@ __all__ = [
     "ActingPolicy",
     "Agreement",
     "BankChange",
+    "BarPlan",
     "BisectedSeries",
     "BlamePlan",
     "BlameReport",

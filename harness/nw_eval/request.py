@@ -70,7 +70,8 @@ class Request:
     seed: int | None = None
     """Another panel of starts than the suite's own: other trials in the same scenes."""
     baseline: str | None = None
-    """The bank to compare with: its name, its file, or none; the suite's own when absent."""
+    """The bank to compare with: its name, its file, or none. When absent the suite's own where the
+    policy is the suite's own, else none: the bar alone judges."""
     baseline_policy: str | None = None
     """The bank's own policy, for a machine that the bank has not seen; where the bank says when
     absent."""

@@ -81,7 +81,7 @@ def test_a_policy_that_does_nothing_scores_zero_and_is_convicted(suite):
 def test_a_run_can_be_resumed_by_its_folder_alone_and_cannot_be_overwritten(suite, tmp_path):
     path = suite(trials=2, duration=1.0, bar=0.99)
     first = api.run(path, out=tmp_path / "run")
-    with pytest.raises(StoreError, match="already holds a run; continue with --resume"):
+    with pytest.raises(UsageError, match="already holds a run; continue with --resume"):
         api.run(path, out=tmp_path / "run")
     (tmp_path / "run" / "trials.parquet").unlink()
     journal = tmp_path / "run" / "journal.jsonl"

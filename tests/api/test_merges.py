@@ -201,7 +201,7 @@ def test_a_merged_folder_is_judged_again_and_anything_else_in_the_way_is_left_al
         (taken, "is not empty, and no merged run"),
         (parts[0], "already holds another run"),
     ):
-        with pytest.raises(StoreError, match=f"{why}.*choose another folder with --out"):
+        with pytest.raises(UsageError, match=f"{why}.*choose another folder with --out"):
             api.merge(parts, out=where)
     assert [path.name for path in taken.iterdir()] == ["precious"]
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]

@@ -11,7 +11,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli.terminal.summary import summary
-from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.results.journal import Journal, read_journal
 from nw_eval.results.provenance import read_run_info
@@ -107,7 +107,7 @@ def test_a_folder_in_which_nothing_has_run_can_be_started_again_and_resumed(
         with pytest.raises(KeyboardInterrupt):
             api.run("quick.yaml", out=out, trials=1)
     assert len(api.run(None, resume=out).rows) == 1
-    with pytest.raises(StoreError, match="already holds a run; continue with --resume"):
+    with pytest.raises(UsageError, match="already holds a run; continue with --resume"):
         api.run("quick.yaml", out=out, trials=1)
 
 

@@ -200,7 +200,10 @@ def test_suites_are_listed_with_what_they_run(capsys):
     assert left.value.code == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     assert set(rows) >= {"all", "gaps", "hurdles", "ramps", "smoke", "stairs"}
-    assert "16 scenes x 10  bar 0.75  Hurdles: bars across the way" in rows["hurdles"]
+    assert "16 scenes x 10  bar 0.75  go1-act-rgb + baseline  Hurdles: bars" in rows["hurdles"]
+    assert rows["+"] == (
+        "+ baseline: it counts for this policy of the suite; --baseline names one for others"
+    )
     assert "2 scenes x 2    no bar" in rows["smoke"]
     assert all(len(line) < 130 for line in rows.values())
 

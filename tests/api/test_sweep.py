@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from nw_eval import api
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import UsageError
 from nw_eval.request import Request
 
 SUITE = """\
@@ -62,5 +62,5 @@ def test_a_sweep_that_cannot_be_run_runs_nothing(suite, tmp_path):
     assert not (tmp_path / "out").exists()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("mine")
-    with pytest.raises(StoreError, match="full is not empty"):
+    with pytest.raises(UsageError, match="full is not empty"):
         api.sweep(Request(suite=suite), ["push=0,1"], out=tmp_path / "full")

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from nw_eval.gate import judge
+from nw_eval.built_in.splits import split_of
+from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.reporting import print_summary
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
@@ -91,7 +92,7 @@ def test_the_scenes_and_the_verdict_of_its_run_are_what_is_printed_today() -> No
         suite_digest=suite.digest,
         policy=PolicyInfo(name="go1-act-rgb", checkpoint_digest="cc" * 32),
         scenes={
-            name: SceneInfo(digest="dd" * 32, task="hurdles", trials=count)
+            name: SceneInfo(digest="dd" * 32, task="hurdles", trials=count, split=split_of(name))
             for name, count in planned.items()
         },
         workers=workers,
@@ -100,13 +101,15 @@ def test_the_scenes_and_the_verdict_of_its_run_are_what_is_printed_today() -> No
         versions={},
     )
     console = Console(file=StringIO(), width=120)
-    gate = suite.gate.model_copy(update={"max_drop": None})
-    print_summary(console, run, rows(), judge(rows(), gate, planned), Path("run"))
+    gate = suite.gate.model_copy(update={"max_drop": None, "baseline": None})
+    print_summary(console, run, rows(), judge_run(rows(), run, gate, None), Path("run"))
     printed = [line.rstrip() for line in console.file.getvalue().splitlines()]
     wanted = [line.rstrip() for line in shown().splitlines()]
     assert [x for x in printed if x.startswith(" hurdles/")] == [
         x for x in wanted if x.startswith(" hurdles/")
     ]
+    means = [line for line in printed if line.startswith("Mean success: ")]
+    assert means == [line for line in wanted if line.startswith("Mean success: ")] != []
     # Against its own bank a verdict says two things more; without one, what its panel is worth.
     text = " ".join(wanted[_verdict(wanted) : -1])
     own = "baseline go1-act-rgb is the same policy · 160 run again and equal · "

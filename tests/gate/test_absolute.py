@@ -62,8 +62,8 @@ def test_too_few_trials_for_the_bar_are_told_even_if_perfect(
     verdict = judge(run_scene("a", [4] * 4), BAR, {"a": 4})
     assert verdict.verdict == "INCONCLUSIVE"
     assert (
-        "4 trials cannot reach this bar even if all are perfect: run at least 15"
-        in (verdict.reasons[1])
+        "4 trials cannot reach this bar even if all are perfect: run 15 trials in each scene at "
+        "least (--trials 15)" in (verdict.reasons[1])
     )
 
 
@@ -197,18 +197,34 @@ def test_a_scene_whose_interval_reaches_the_bar_is_not_named(
     assert not any("below the bar" in reason for reason in verdict.reasons)
 
 
-def test_a_drop_that_nobody_judged_is_said_and_only_where_one_was_asked_for(
+def test_a_critical_scene_that_was_left_out_is_a_hole_however_its_tier_names_it(
     run_scene: Callable[..., Any],
 ) -> None:
-    rows = run_scene("a", [4] * 40)
-    for settings in (Gate(max_drop=0.1), gate(max_drop=0.1)):
-        for planned in ({"a": 40}, {"a": 41}):
-            told = judge(rows, settings, planned).reasons[-1]
-            assert told == (
-                "max_drop 0.1 was not judged: there is no baseline to compare with; "
-                "`nw-eval baseline save hurdles --policy POLICY` makes one, --baseline names it"
-            )
-    assert not any("max_drop" in reason for reason in judge(rows, BAR, {"a": 40}).reasons)
+    rows = run_scene("b", [4] * 40)
+    for pattern in ("a", "a*", "*", "[ab]"):
+        judged = judge(rows, gate(tiers={pattern: "critical"}), {"b": 40}, left_out=("a",))
+        assert judged.verdict == "INFRASTRUCTURE"
+        assert judged.reasons[0] == (
+            "critical scene a has no result, and the suite cannot pass without it"
+        )
+    # One that is critical is asked for, and no other.
+    for tiers in ({"a": "supporting", "*": "critical"}, {"b": "critical"}, {}):
+        assert judge(rows, gate(tiers=tiers), {"b": 40}, left_out=("a",)).verdict == "PASS"
+
+
+def test_the_trials_that_a_bar_needs_are_told_in_the_unit_of_trials(
+    run_scene: Callable[..., Any],
+) -> None:
+    rows = run_scene("a", [4] * 2) + run_scene("b", [4] * 2)
+    (told,) = judge(rows, BAR, {"a": 2, "b": 2}).reasons[1:2]
+    assert told.endswith("run 8 trials in each scene at least (--trials 8)")
+    enough = run_scene("a", [4] * 8) + run_scene("b", [4] * 8)
+    assert judge(enough, BAR, {"a": 8, "b": 8}).verdict == "PASS"
+    cells = [
+        replace(row, perturbation=(("friction", float(index % 2)),))
+        for index, row in enumerate(run_scene("a", [4] * 4))
+    ]
+    assert judge(cells, BAR, {"a": 4}).reasons[1].endswith("(--trials 8)")
 
 
 def test_the_chance_that_a_worse_policy_passes_is_that_of_the_drop_the_suite_names(

@@ -28,7 +28,7 @@ def test_ranges_and_lists_are_values(words, values):
         ("frction=0..1", "there is no axis 'frction'"),
         ("friction", "'' is no range of values"),
         ("friction=a..b", "'a..b' is no range of values"),
-        ("friction=0.3..1.2:1", "has 1 steps"),
+        ("friction=0.3..1.2:1", "has 1 step;"),
         ("friction=0.3..1.2:999", "has 999 steps"),
         ("friction=0.5", "has one value"),
         ("friction=0..1", "0.0: input should be greater than 0"),

@@ -66,7 +66,7 @@ from nw_eval.api.running.reports import RunReport, judge, report
 from nw_eval.api.running.rows import read_rows
 from nw_eval.api.running.runs import run
 from nw_eval.api.running.shard_plans import ShardPlan, plan_shards
-from nw_eval.api.running.trial_plans import TrialPlan, plan_trials
+from nw_eval.api.running.trial_plans import BarPlan, TrialPlan, plan_trials
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
@@ -80,6 +80,7 @@ from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
+    "BarPlan",
     "BisectedSeries",
     "BlamePlan",
     "BlamedTrial",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.scenes.figures import SceneFigures
     from nw_eval.scenes.health.finding import SceneFinding
     from nw_eval.survey import Survey
+    from nw_eval.words import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,17 +99,24 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
 
 
 def check_scenes(
-    references: Sequence[str], *, suite: Path | None = None
+    references: Sequence[str],
+    *,
+    robot: Robot = "go1",
+    suite: Path | None = None,
+    policy: str | None = None,
 ) -> tuple[CheckedScene, ...]:
     """Return what is wrong with scenes; one that cannot be read is a finding, too.
 
     Args:
         references: built-in names, scene folders, `neverwhere:` and `hub:` as suites have them.
+        robot: whose stance, camera and length count.
         suite: a file to write, a suite of these scenes that is ready to run, unless one of them
             has errors; None = none is written.
+        policy: of that suite; one that nw-eval has a card of for the robot if None.
 
     Raises:
-        UsageError: no scene is named, so nothing would be checked; or the suite is there already.
+        UsageError: no scene is named, so nothing would be checked; the suite is there already; or a
+            policy is named and no suite.
         StoreError: the suite cannot be written.
     """
     from nw_eval.catalogue.inspect import inspect_scene
@@ -115,25 +124,31 @@ def check_scenes(
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
+    if policy is not None and suite is None:
+        raise UsageError(f"--policy {policy} without --suite", fix="drop it")
     if suite is not None and suite.exists():
         raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
     checked: list[CheckedScene] = []
     for reference in references:
-        found = inspect_scene(reference)
+        found = inspect_scene(reference, robot=robot)
         checked.append(
             CheckedScene(reference=reference, findings=found.findings, survey=found.survey)
         )
     if suite is not None and not any(scene.has_errors for scene in checked):
-        _write_suite(suite, references)
+        _write_suite(suite, references, robot, policy)
     return tuple(checked)
 
 
-def _write_suite(path: Path, references: Sequence[str]) -> None:
+def _write_suite(path: Path, references: Sequence[str], robot: Robot, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
     from nw_eval.catalogue.find import from_folder
     from nw_eval.suite.ready import write_ready_suite
 
-    write_ready_suite(path, path.stem, [from_folder(each, path.parent) for each in references])
+    here = policy
+    if policy is not None and "/" in policy and Path(policy).exists():
+        here = Path(os.path.relpath(policy, path.parent)).as_posix()  # Paths start at the suite.
+    scenes = [from_folder(each, path.parent) for each in references]
+    write_ready_suite(path, path.stem, scenes, robot=robot, policy=here)
 
 
 def render_scenes(

@@ -24,6 +24,10 @@ class ListedSuite:
     """In each scene."""
     bar: float | None = None
     """The success rate to reach; None for a suite that only runs."""
+    policy: str = ""
+    """Its own policy, as the file names it."""
+    baseline: str | None = None
+    """The bank that its own policy is compared with."""
     problem: str | None = None
     """The first of what is wrong with the file; then nothing else of it is known."""
 
@@ -103,6 +107,8 @@ def _listed(name: str, path: Path) -> ListedSuite:
         scenes=len(scenes),
         trials=suite.trials,
         bar=suite.gate.success_rate,
+        policy=suite.policy,
+        baseline=None if suite.gate.baseline == "none" else suite.gate.baseline,
     )
 
 
@@ -110,4 +116,4 @@ def _first_sentence(path: Path) -> str:
     lines = path.read_text(encoding="utf-8").splitlines()
     comment = takewhile(lambda line: line.startswith("#"), lines)
     text = clean(" ".join(line.lstrip("# ") for line in comment))
-    return shorten(text.split(". ", 1)[0].rstrip("."), width=86, placeholder=" ...")
+    return shorten(text.split(". ", 1)[0].rstrip("."), width=62, placeholder=" ...")

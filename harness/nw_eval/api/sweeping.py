@@ -147,12 +147,13 @@ def _folder(out: Path | None, suite: str) -> Path:
     """Make the folder of a sweep.
 
     Raises:
-        StoreError: it cannot be made, or holds something.
+        UsageError: it holds something.
+        StoreError: it cannot be made.
     """
     try:
         if out is not None:
             if out.is_dir() and any(out.iterdir()):
-                raise StoreError(f"{out} is not empty", fix="give a new folder with --out")
+                raise UsageError(f"{out} is not empty", fix="give a new folder with --out")
             out.mkdir(parents=True, exist_ok=True)
             return out
         name = re.sub(r"[^A-Za-z0-9_.-]+", "-", suite)

@@ -21,6 +21,8 @@ from nw_eval.cards.observations import Observation, ProprioObservation
 from nw_eval.cards.terms import AppliedAction, LastOutput
 from nw_eval.cards.terms import Command as CommandTerm
 
+SceneWords = Annotated[str, Field(min_length=1, max_length=1024)]
+
 
 def _plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
@@ -40,6 +42,9 @@ class Card(CardModel):
     """One line for people; no part of the digest, nor is `licence`."""
     licence: Line = ""
     """Terms under which others may use the checkpoint."""
+    trained_on: Annotated[tuple[SceneWords, ...], Field(max_length=1000)] = ()
+    """The built-in scenes that it was trained in, as suites name them, such as `split:train`.
+    Reports mark them; no part of the digest."""
     robot: str
     """The robot that the policy drives: go1 or go2."""
     adapter: Adapter

@@ -14,6 +14,8 @@ from nw_eval.scenes.health.finding import SceneFinding, has_errors, unreadable
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
 from nw_eval.scenes.scene import Scene
 from nw_eval.survey import Survey, survey_scene
+from nw_eval.survey.findings.of_trail import trail_findings
+from nw_eval.words import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +31,16 @@ class InspectedScene:
     survey: Survey | None
 
 
-def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> InspectedScene:
-    """Return all that is wrong or remarkable about a scene, and its figures.
+def inspect_scene(
+    reference: str | Path, *, robot: Robot = "go1", read_splat: bool = True
+) -> InspectedScene:
+    """Return all that is wrong or remarkable about a scene for a robot, and its figures.
 
     Its trail is gone along with eye and feet only where nothing else is an error.
 
     Args:
         reference: what `get_scene` understands.
+        robot: whose stance, camera and length count.
         read_splat: look at the splat as well; a built-in scene generates it for that.
 
     Raises:
@@ -43,9 +48,11 @@ def inspect_scene(reference: str | Path, *, read_splat: bool = True) -> Inspecte
     """
     try:
         scene, found = _checked(reference, read_splat=read_splat)
+        if scene is not None:
+            found = (*found, *trail_findings(scene, robot))
         surveyed = None
         if scene is not None and not has_errors(found):
-            surveyed = survey_scene(scene, read_splat=read_splat)
+            surveyed = survey_scene(scene, robot=robot, read_splat=read_splat)
             found = (*found, *surveyed.findings)
     except SceneError as error:
         return InspectedScene(findings=unreadable(error), survey=None)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.provenance import engine_of
+from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_in
 from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
+    from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.suite import Suite
 
@@ -25,6 +27,8 @@ _SEEING = 0.10
 # Wall seconds until a worker has its libraries and kernels.
 _START = 4.0
 _LEAST = 0.1  # minutes
+# Rounds on a fresh panel up to which it is asked whether a gate can pass.
+_MOST_ROUNDS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +49,15 @@ class Forecast:
     """With what was asked of it otherwise; it has a digest of its panel and one of all it says."""
     policy: Bundle
     scenes: tuple[SceneForecast, ...]
+    left_out: tuple[str, ...] = ()
+    """Scenes of the suite that are not to be run, by name."""
     shard: ShardInfo | None = None
     """Which part of a run it is, in trials and minutes too; None: all of it."""
     workers: int
     baseline: str | None = None
     """The name of the bank that it would be compared with, in rounds, of which it may end early."""
+    obstacles: tuple[str, ...] = ()
+    """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
     minutes: float
     """Of wall time; about what it takes at most, on a core of the benchmarks' class."""
 
@@ -74,9 +82,11 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
             SceneForecast(name=scene.name, digest=scene.digest, trials=trials[scene.name])
             for scene in plan.scenes
         ),
+        left_out=plan.left_out,
         shard=plan.shard,
         workers=worker_count(workers, trials.total()),
         baseline=None if plan.against is None else plan.against.info.name,
+        obstacles=obstacles_of(plan),
         minutes=minutes_of(trials.total(), plan, workers=workers),
     )
 
@@ -87,6 +97,65 @@ def _rounds(plan: Plan) -> int | None:
     if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
         return None
     return 1 if plan.request.recheck is None else plan.request.recheck
+
+
+def obstacles_of(plan: Plan) -> tuple[str, ...]:
+    """Return why not even a policy that never fails would pass; nothing where one would.
+
+    A part of a run is asked about as the run that it is a part of.
+
+    Args:
+        plan: what would be run.
+    """
+    from nw_eval.gate.reach import bar_obstacles
+
+    suite, against = plan.suite, plan.against
+    if suite.gate.success_rate is None and against is None:
+        return ()  # Without a bar or a baseline the verdict is RAN.
+    # Of the bank's own policy nothing runs: the scores of its starts are judged.
+    known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
+    found = bar_obstacles(
+        suite.gate,
+        [scene.name for scene in plan.scenes],
+        plan.left_out,
+        trials=suite.trials if known is None else known,
+        cells=len(suite.perturb.cells),
+        rounds=against is not None,
+    )
+    if against is not None and not found and known is None:
+        found += _against_the_bank(plan, against)
+    return tuple(found)
+
+
+def _against_the_bank(plan: Plan, against: Against) -> list[str]:
+    """Return that the rounds of a plan are too few to exclude max_drop, if they are."""
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.gate.baseline.draw import draw_starts
+    from nw_eval.gate.reach import rounds_to_pass
+
+    suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
+    strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]
+    most = manifest.starts if plan.drawn_from is not None else _MOST_ROUNDS
+    order = (
+        dict.fromkeys(strata, range(most))
+        if plan.drawn_from is None
+        else draw_starts(
+            strata, most, candidate=policy_info(plan.bundle).key, suite_digest=suite.digest
+        )
+    )
+    needed = rounds_to_pass(suite.gate, panel, order, fresh=plan.drawn_from is None)
+    if needed is not None and needed <= suite.trials:
+        return []
+    fix = (
+        f"the bank has no more than {plural(most, 'start')} in each scene"
+        if needed is None
+        else f"--trials {needed} (`gate.rounds: {needed}`) is the least that can"
+    )
+    reason = (
+        f"{plural(suite.trials, 'round')} against baseline {against.info.name} cannot exclude a "
+        f"drop of {suite.gate.most_drop:g} even if all trials are perfect: {fix}"
+    )
+    return [reason]
 
 
 def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> float:

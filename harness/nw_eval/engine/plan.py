@@ -51,6 +51,10 @@ class Plan:
     bundle: Bundle
     found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]  # that are to be run here: of a shard, its own
+    left_out: tuple[str, ...] = ()
+    """Scenes of the suite that are not to be run, by name."""
+    own_policy: bool = True
+    """Whether the policy is the suite's own: only then its own baseline counts."""
     shard: ShardInfo | None = None
     """Which part of a run it is; None: all of it."""
     against: Against | None = None

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from nw_eval.built_in.splits import split_of
+from nw_eval.built_in.variants import parted
+from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
@@ -23,6 +26,8 @@ from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.words import Backend
 
 if TYPE_CHECKING:
+    from nw_eval.cards import Card
+    from nw_eval.catalogue import FoundScene
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
@@ -64,7 +69,9 @@ def run_info(
         suite=suite.model_dump(by_alias=True, mode="json"),
         suite_digest=suite.digest,
         policy=policy_info(plan.bundle),
+        own_policy=plan.own_policy,
         scenes=_scene_infos(plan),
+        left_out=plan.left_out,
         panel=plan.panel,
         drawn_from=plan.drawn_from,
         drawn_for=None if plan.drawn is None else plan.drawn.candidate,
@@ -124,6 +131,26 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
     )
 
 
+def split_for(card: Card, found: FoundScene) -> Literal["train", "eval"] | None:
+    """Return whether a policy was trained in a scene, by what its card says.
+
+    Args:
+        card: the policy's; `trained_on` names scenes as suites do.
+        found: the scene. A variant (`NAME~2`) counts as the scene that it is a variant of: it is
+            the same course.
+
+    Returns:
+        None where the card names none, or the scene is not built in, or belongs to no split.
+    """
+    if not card.trained_on or not is_built_in(found.reference):
+        return None
+    name, _ = parted(found.scene.name)
+    named = any(is_meant(name, parted(pattern)[0]) for pattern in card.trained_on)
+    if named:
+        return "train"
+    return None if split_of(name) is None else "eval"
+
+
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
     trials = Counter(trial.scene for trial in plan.trials)
     return {
@@ -131,6 +158,7 @@ def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
             digest=found.scene.digest,
             task=found.scene.task,
             trials=trials[found.scene.name],
+            split=split_for(plan.bundle.card, found),
             fetched=_fetched(reference_path(found.reference)),
         )
         for found in plan.found

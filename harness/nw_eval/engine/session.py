@@ -15,7 +15,7 @@ from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workplace import workplace
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.results.ended import write_trials
@@ -83,8 +83,8 @@ def carry_out(
         StoreError: the folder cannot be made or written; what was written stays.
         SceneError: a splat cannot be made.
         PrerequisiteError: the renderer is not installed, or Ray.
-        UsageError: there is no such cluster, or it cannot be sent what the run needs; or
-            `NW_EVAL_CACHE_GB` is no size.
+        UsageError: `out` holds a run; there is no such cluster, or it cannot be sent what the run
+            needs; or `NW_EVAL_CACHE_GB` is no size.
     """
     listener = listener or Silence()
     limit_bytes()  # Before anything is written, if it is none.
@@ -146,7 +146,7 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
         )
     folder = RunFolder(path=out)
     if has_begun(folder.journal):
-        raise StoreError(
+        raise UsageError(
             f"{out} already holds a run",
             fix=f"continue with --resume {out}, or choose another --out",
         )

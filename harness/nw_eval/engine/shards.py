@@ -41,7 +41,7 @@ def shard_of(
     if not (share := shard.share(ordered)):
         raise UsageError(
             f"--shard {shard}: there is nothing in it, the run has {plural(len(ordered), 'trial')}",
-            fix=f"make at most {len(ordered)} parts",
+            fix=f"make at most {plural(len(ordered), 'part')}",
         )
     return share, ShardInfo(index=shard.index, count=shard.count, plan=plan_digest(ordered))
 

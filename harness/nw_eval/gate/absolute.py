@@ -24,7 +24,7 @@ names success is not estimated but known, and of places that the suite does not 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 
@@ -53,6 +53,7 @@ def judge(
     planned: Mapping[str, int],
     *,
     against: Comparison | None = None,
+    left_out: Collection[str] = (),
 ) -> Verdict:
     """Judge one run against its suite's absolute bar.
 
@@ -60,6 +61,7 @@ def judge(
         rows: one for each trial that ended, with a result or an error.
         gate: the suite's gate settings.
         planned: number of trials that were to be run, by scene.
+        left_out: scenes of the suite that were not to be run. A critical one is a hole.
         against: what the rows show against a baseline, if they were compared with one. It changes
             nothing of the verdict (`baseline.combine` does), but what is worth saying beside it.
 
@@ -79,7 +81,7 @@ def judge(
     seen = courses(groups, scores, left)
     capped = over_the_cap(rows, left, gate)
     word, reasons = _compare(bounds, scores, gate, against)
-    if holes := _holes(rows, scores, gate):
+    if holes := _holes(rows, scores, gate, left_out):
         word, reasons = "INFRASTRUCTURE", holes
     elif capped:
         word, reasons = "INCONCLUSIVE", [capped]
@@ -90,7 +92,8 @@ def judge(
     elif word in {"PASS", "RAN"} and (unseen := _unseen(scores)):
         word, reasons = "INCONCLUSIVE", [*unseen, *reasons]
     elif _is_open(word, left, against) and gate.success_rate is not None:
-        reasons.append(advice(counted, seen, gate, gate.success_rate))
+        cells = len({row.perturbation for row in rows})
+        reasons.append(advice(counted, seen, gate, gate.success_rate, cells=cells))
     drop = gate.most_drop
     return Verdict(
         verdict=word,
@@ -111,7 +114,6 @@ def judge(
             *reasons,
             *in_a_sentence(rows, left, gate),
             *_weak_scenes(scores, gate),
-            *(_unjudged(rows, gate) if against is None else ()),
         ),
         per_scene=scores,
         left=left,
@@ -145,7 +147,9 @@ def _unseen(scores: Sequence[SceneScore]) -> list[str]:
     ]
 
 
-def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> list[str]:
+def _holes(
+    rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate, left_out: Collection[str]
+) -> list[str]:
     """Return why the run is not complete, in words; nothing if it is."""
     reasons: list[str] = []
     if not any(item.planned for item in scores):
@@ -161,12 +165,18 @@ def _holes(rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate) -> lis
         places = _listed([f"{item.scene} {item.missing}" for item in missing])
         total = sum(item.missing for item in missing)
         reasons.append(f"{plural(total, 'trial')} missing ({places}); --resume runs them")
-    required = [pattern for pattern, tier in gate.tiers.items() if tier == "critical"]
     having = [item.scene for item in scores if item.n or item.outside]
+    unseen = dict.fromkeys(scene for scene in sorted(left_out) if gate.tier(scene) == "critical")
+    # A run of an older nw-eval does not say which scenes of its suite it left out.
+    unseen |= dict.fromkeys(
+        pattern
+        for pattern, tier in gate.tiers.items()
+        if tier == "critical"
+        and not any(fnmatchcase(scene, pattern) for scene in (*having, *left_out))
+    )
     reasons += [
-        f"critical scene {pattern} has no result, and the suite cannot pass without it"
-        for pattern in required
-        if not any(fnmatchcase(scene, pattern) for scene in having)
+        f"critical scene {scene} has no result, and the suite cannot pass without it"
+        for scene in unseen
     ]
     if not reasons and all(item.tier == "informational" for item in scores if item.scene in having):
         reasons.append("no scene counts: all are informational; make one supporting or critical")
@@ -232,15 +242,6 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     ]
     which = "scene below the bar by itself" if len(weak) == 1 else "scenes below the bar each alone"
     return [f"{len(weak)} {which}: {_listed(scenes, '; ')}"]
-
-
-def _unjudged(rows: Sequence[Row], gate: Gate) -> list[str]:
-    """Return a reason for what the suite asks for and nobody has looked at."""
-    if gate.max_drop is None:
-        return []
-    save = f"nw-eval baseline save {rows[0].suite if rows else 'SUITE'} --policy POLICY"
-    reason = f"max_drop {gate.max_drop:g} was not judged: there is no baseline to compare with"
-    return [f"{reason}; `{save}` makes one, --baseline names it"]
 
 
 def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from math import ceil
 
 from nw_eval.gate.verdict import SceneScore
+from nw_eval.plural import plural
 from nw_eval.results.row import Row
 from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_to_certify
 from nw_eval.suite.model import Gate
@@ -46,12 +48,25 @@ def chance_to_pass(seen: list[SceneCounts], gate: Gate, success: float) -> float
     return shares_at(seen, success, bar=gate.success_rate, confidence=gate.confidence).passed
 
 
-def advice(groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float) -> str:
-    """Return in words what more trials may bring to a run that was not decided."""
+def advice(
+    groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float, *, cells: int = 1
+) -> str:
+    """Return in words what more trials may bring to a run that was not decided.
+
+    Args:
+        groups: success of the trials of each scene that counts.
+        seen: the same as waypoints reached.
+        gate: its confidence.
+        bar: what the lower bound must reach.
+        cells: of perturbations, in each of which a scene has its trials.
+    """
     n = sum(len(values) for values in groups)
-    enough = trials_to_certify(bar, gate.confidence)
-    if n < enough:
-        return f"{n} trials cannot reach this bar even if all are perfect: run at least {enough}"
+    if n < trials_to_certify(bar, gate.confidence):
+        needed = trials_to_pass(gate, len(groups) * cells)
+        return (
+            f"{plural(n, 'trial')} cannot reach this bar even if all are perfect: run "
+            f"{plural(needed, 'trial')} in each scene at least (--trials {needed})"
+        )
     longest = max(len(values) for values in groups)
     twice, four_times = (
         percent(shares.passed + shares.regressed)
@@ -63,6 +78,18 @@ def advice(groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float) -> s
         f"chance that {2 * longest} trials in each scene (now {longest}) decide: {twice}, that "
         f"{4 * longest} do: {four_times}; --resume with more --trials adds them"
     )
+
+
+def trials_to_pass(gate: Gate, strata: int) -> int:
+    """Return how many trials of each scene a bar needs of a policy that never fails.
+
+    Args:
+        gate: of a suite; 0 is returned where it has no bar.
+        strata: scenes that count, each as often as it has cells of perturbations; at least 1.
+    """
+    if gate.success_rate is None:
+        return 0
+    return ceil(trials_to_certify(gate.success_rate, gate.confidence) / strata)
 
 
 def percent(share: float) -> str:

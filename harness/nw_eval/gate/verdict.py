@@ -38,6 +38,7 @@ class SceneScore:
     weak: bool = False  # Its whole interval lies below the bar.
     condemned: bool = False  # Critical, and below the bar beyond doubt: it convicts alone.
     outside: int = 0  # Trials that left the captured volume, and are in nothing above.
+    split: Literal["train", "eval"] | None = None  # Whether the policy was trained in it.
     unseen: bool = False  # So many that this scene says too little (`gate.validity.at_most`).
 
     @property

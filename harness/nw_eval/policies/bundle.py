@@ -147,7 +147,7 @@ class Bundle:
     def digest(self) -> str:
         """Hex SHA-256 of all that can change an action: card, weights, code beside the card."""
         fields = self.card.model_dump(
-            mode="json", by_alias=True, exclude={"title", "licence", "checkpoint"}
+            mode="json", by_alias=True, exclude={"title", "licence", "trained_on", "checkpoint"}
         )
         for network in fields["networks"].values():
             del network["checkpoint"]

@@ -22,7 +22,8 @@ def update(suite: TestedSuite) -> None:
     from nw_eval.pytest_plugin.telling.progress import Log
 
     settings = suite.config.stash[SETTINGS]
-    name = settings.baseline or suite.shown.baseline
+    # The suite's baseline is that of its own policy: another one is not saved over it.
+    name = settings.baseline or (suite.shown.baseline if settings.policy is None else None)
     save = partial(
         api.save_baseline,
         suite.typed,

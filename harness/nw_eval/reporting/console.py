@@ -86,6 +86,9 @@ def draw(console: Console, table: Table) -> None:
         cells = dict(zip(table.columns, row, strict=True))
         drawn.add_row(*(Text(_foldable(cells[name])) for name in shown))
     console.print(drawn)
+    if table.foot:
+        console.print(table.foot, markup=False, highlight=False)
+        console.print()
     if (more := len(table.rows) - _LINES) > 0:
         console.print(f"{plural(more, 'more line')} in the report", style="dim", highlight=False)
     # Something to type must stay on one line, uncut: beneath the table, not in a column.

@@ -25,7 +25,7 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
             f"success {verdict.effect:.3f} ({confidence(verdict)} bounds "
             f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
         )
-    parts += _trials(verdict)
+    parts += _trials(verdict, run)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
     if verdict.errors:
@@ -63,15 +63,25 @@ def confidence(verdict: Verdict) -> str:
     return f"{100 * verdict.confidence:.4g} %"
 
 
-def _trials(verdict: Verdict) -> list[str]:
+def part_of_suite(verdict: Verdict, run: RunInfo) -> str:
+    """Return of how many of its suite's scenes a run has results; nothing if of all or of none."""
+    seen = sum(item.n > 0 for item in verdict.per_scene)
+    every = len(run.scenes) + len(run.left_out)
+    return f"{seen} of the suite's {plural(every, 'scene')}" if 0 < seen < every else ""
+
+
+def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
     """Return how many trials completed, and how many there were in how many scenes."""
     ran = sum(item.n for item in verdict.per_scene)
-    scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
+    scenes = part_of_suite(verdict, run)
+    if not scenes:
+        scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
     if verdict.whole and ran == verdict.n:
         return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
     done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []
     of = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
-    return [*done, f"{of} trials in {scenes}"]
+    noun = "trial" if of == "1" or of.endswith(" of 1") else "trials"
+    return [*done, f"{of} {noun} in {scenes}"]
 
 
 def _against(found: Comparison | None) -> list[str]:

@@ -49,6 +49,8 @@ class SceneInfo(_Saved):
     digest: str
     task: str
     trials: int = Field(ge=0)  # Planned.
+    # Whether the policy was trained in it; None: its card names no scene, or it is not built in.
+    split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
 
@@ -174,7 +176,9 @@ class RunInfo(_Saved):
     suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
     suite_digest: str
     policy: PolicyInfo
+    own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]
+    left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
     # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw

@@ -136,7 +136,7 @@ class Gate(_Strict):
         None,
         min_length=1,
         description="Bank to compare with, `reports/baselines/<suite>/<this>.parquet`, or a path. "
-        "--baseline overrides.",
+        "It counts for the suite's own `policy`; for another one --baseline names a bank.",
     )
     max_drop: float | None = Field(
         None,

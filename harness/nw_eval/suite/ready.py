@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from io import StringIO
+from math import ceil, prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,15 +13,29 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from nw_eval.files.cache import atomic_path
+from nw_eval.stats import trials_to_certify
+from nw_eval.words import Robot
 
-_POLICY = "go1-parkour"
-_ABOUT_POLICY = """\
+_POLICIES: Mapping[Robot, str] = MappingProxyType(
+    {"go1": "go1-parkour", "go2": "examples/himloco-go2"}
+)
+"""A policy of each robot that nw-eval has a card of and that needs no images."""
+_ABOUT: Mapping[Robot, str] = MappingProxyType(
+    {
+        "go1": """\
 # go1-parkour is told the ground under it and needs no camera: `--policy` runs another one.
-"""
+""",
+        "go2": """\
+# himloco-go2 is blind. Its weights are not shipped, and `nw-eval check` says where they are:
+# `--checkpoint` names them, `--policy` runs another one.
+""",
+    }
+)
 _HEAD = """\
 # Keys: docs/suites.md, and `nw-eval schema suite`.
 """
 _LONGEST_NAME = 64
+_FEWEST = 10  # trials in each scene
 
 
 def write_ready_suite(
@@ -28,40 +43,47 @@ def write_ready_suite(
     name: str,
     scenes: Sequence[str],
     *,
-    robot: str = "go1",
-    policy: str = _POLICY,
+    robot: Robot = "go1",
+    policy: str | None = None,
     perturb: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
     """Write a suite of scenes that `nw-eval run` takes as it is, whole or not at all.
 
+    It has twice the trials that its bar needs of a policy that never fails, and 10 in each scene at
+    least: a policy that fails now and then can pass, too.
+
     Args:
         path: of the file.
         name: of what it is about; what no suite's name may hold becomes a dash.
-        scenes: as `scenes:` of a suite has them; paths start at the file.
+        scenes: as `scenes:` of a suite has them, one at least; paths start at the file.
         robot: that runs in it.
-        policy: likewise, without `--policy`.
+        policy: likewise, without `--policy`; one that nw-eval has a card of if None.
         perturb: values of axes of perturbation.
 
     Raises:
         StoreError: it cannot be written.
     """
+    gate = {"success_rate": 0.75, "confidence": 0.95}
+    cells = prod(len(values) for values in perturb.values())
+    needed = ceil(trials_to_certify(gate["success_rate"], gate["confidence"]) / len(scenes) / cells)
+    known = _POLICIES[robot]
     text: dict[str, Any] = {
         "nw-eval": 1,
         "name": re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:_LONGEST_NAME],
         "robot": robot,
-        "policy": policy,
-        "trials": 10,
+        "policy": policy or known,
+        "trials": max(_FEWEST, 2 * needed),
         "seed": 1,
         "scenes": list(scenes),
         "record": "failures",
-        "gate": {"success_rate": 0.75, "confidence": 0.95},
+        "gate": gate,
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = None  # A list of names on one line.
     yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
-    stream = StringIO(_ABOUT_POLICY + _HEAD if policy == _POLICY else _HEAD)
+    stream = StringIO(_ABOUT[robot] + _HEAD if policy in {None, known} else _HEAD)
     stream.seek(0, 2)
     yaml.dump(text, stream)
     with atomic_path(path) as temporary:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pydantic import ValidationError
 
 from nw_eval.errors import UsageError, nearest
+from nw_eval.plural import plural
 from nw_eval.suite.perturb import CONTROL_STEP, NEUTRAL, Perturb
 
 STEPS = 7
@@ -70,6 +71,8 @@ class SweptAxis:
 
 def _between(low: float, high: float, steps: int, words: str) -> list[float]:
     if not 2 <= steps <= MOST_STEPS:
-        raise UsageError(f"--axis {words!r} has {steps} steps", fix=f"give 2 to {MOST_STEPS}")
+        raise UsageError(
+            f"--axis {words!r} has {plural(steps, 'step')}", fix=f"give 2 to {MOST_STEPS}"
+        )
     gap = (high - low) / (steps - 1)
     return [round(low + gap * step, _DIGITS) for step in range(steps)]

@@ -45,12 +45,14 @@ class Stance:
             ahead and z up.
         fore, hind: of the feet along x, from that point.
         half_width: of the feet along y, their own radius included.
+        length: of trunk and head along x, legs left out.
     """
 
     T_ground_camera: Values
     fore: float
     hind: float
     half_width: float
+    length: float
 
 
 def stance_of(robot: RobotSpec) -> Stance:
@@ -62,13 +64,26 @@ def stance_of(robot: RobotSpec) -> Stance:
         feet = np.array([world.data.geom(foot).xpos for foot in robot.feet]) - under
         radius = float(world.model.geom(robot.feet[0]).size[0])
         camera = world.camera_pose(CAMERA).copy()
+        length = _length(world)
     camera[:3, 3] -= under
     return Stance(
         T_ground_camera=camera,
         fore=float(feet[:2, 0].mean()),
         hind=float(feet[2:, 0].mean()),
         half_width=float(np.abs(feet[:, 1]).max()) + radius,
+        length=length,
     )
+
+
+def _length(world: World) -> float:
+    """Return how long trunk and head are along x, m: of their shapes' boxes as they are turned."""
+    model, data = world.model, world.data
+    own = np.flatnonzero(model.geom_bodyid == model.body("trunk").id)
+    R = data.geom_xmat[own].reshape(-1, 3, 3)
+    centre, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
+    middle = data.geom_xpos[own, 0] + (R[:, 0] * centre).sum(axis=1)
+    reach = (np.abs(R[:, 0]) * half).sum(axis=1)
+    return float((middle + reach).max() - (middle - reach).min())
 
 
 def camera_poses(samples: TrailSamples, rays: RayScene, stance: Stance) -> Values:

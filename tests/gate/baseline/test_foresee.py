@@ -113,7 +113,7 @@ def test_three_points_are_foreseen_and_said(panel: Any) -> None:
         ),
         (
             (0.6, 0.8, 0.95),
-            "an even chance that 1 more round (16 trials) settle it, nine in ten that 3 do",
+            "an even chance that 1 more round (16 trials) settles it, nine in ten that 3 do",
         ),
     ],
 )

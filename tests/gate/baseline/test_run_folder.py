@@ -127,9 +127,30 @@ def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(
     for judged in (api.judge(folder), api.judge(folder, baseline="none"), api.report(folder)):
         assert (judged.verdict.verdict, judged.verdict.against) == ("RAN", None)
         assert judged.verdict.reasons[-1] == (
-            "max_drop 0.1 was not judged: there is no baseline to compare with; `nw-eval baseline "
-            "save hurdles --policy POLICY` makes one, --baseline names it"
+            "max_drop 0.1 was not judged: no baseline is named for candidate; `nw-eval baseline "
+            "save hurdles --policy candidate` saves one, --baseline names it"
         )
+
+
+def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alone(
+    make_run: Make, make_bank: Make, drawn_rows: Make
+) -> None:
+    run = make_run(
+        ["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped", "success_rate": 0.5}}
+    )
+    run = run.model_copy(update={"own_policy": False})
+    keep(make_bank(run, {"a": [1.0] * 60}))
+    folder = write_run(run, drawn_rows(run, {"a": [1.0] * 20}))
+    for judged in (api.judge(folder), api.report(folder)):
+        assert (judged.verdict.verdict, judged.verdict.against) == ("PASS", None)
+        assert judged.verdict.reasons[-1] == (
+            "max_drop 0.1 was not judged: no baseline is named for candidate (shipped is for the "
+            "suite's own policy); `nw-eval baseline save hurdles --policy candidate` saves one, "
+            "--baseline names it"
+        )
+    named = api.judge(folder, baseline="shipped").verdict
+    assert named.against is not None
+    assert named.against.bank == "shipped"
 
 
 def test_the_bank_that_a_suite_names_is_the_default(

@@ -260,3 +260,28 @@ def test_a_trail_begins_a_step_later_where_the_ground_at_its_first_camera_is_une
     assert start[2] == pytest.approx(0.0, abs=0.005)
     rough = merge([GROUND, *(box((x, x + 0.2), (0.0, 0.05)) for x in np.arange(-0.5, 5.0, 0.4))])
     assert propose_trail(rough, walk(5.0)).spawn.position[0] < 0.05, "nowhere is better"
+
+
+def island(length):
+    """Return ground that ends so many metres ahead of the walk's start."""
+    return quad_mesh((-1, -1, 0), (1 + length, 0, 0), (0, 2, 0), "ground")
+
+
+@pytest.mark.parametrize("length", [2.0, 3.1, 4.0])
+def test_the_last_waypoint_has_a_robots_length_of_ground_behind_it(length):
+    (last,) = propose_trail(island(length), walk(5.0)).trail
+    assert length - 0.75 < last[0] < length - 0.55
+
+
+def test_no_waypoint_is_within_reach_of_the_start():
+    bar = box((0.2, 0.4), (0, 0.15))
+    proposal = propose_trail(merge([GROUND, bar]), walk(4.0))
+    start = np.array(proposal.spawn.position)
+    away = np.linalg.norm(np.array(proposal.trail) - start, axis=1)
+    assert len(away) >= 1
+    assert away.min() > 0.59
+
+
+def test_too_little_ground_for_a_waypoint_is_no_trail():
+    with pytest.raises(SceneError, match=r"too little for a waypoint 0\.6 m from the start"):
+        propose_trail(island(0.8), walk(1.1))

@@ -55,7 +55,8 @@ def evaluate(
         out: the run's folder; a new one in `reports/` if None.
         listener: hears of progress.
         changes: fields of `Request` by name, such as trials, scenes, record and seed; for a policy
-            by name whatever `run` takes.
+            by name whatever `run` takes. The suite's own baseline counts for the suite's own policy
+            by name; `baseline` names one for any other.
 
     Raises:
         UsageError: an object has no card, or a policy by name has one; no such suite.

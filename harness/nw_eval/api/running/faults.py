@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
+    from nw_eval.scenes.health.finding import SceneFinding
     from nw_eval.suite import Draft
     from nw_eval.words import Collision
 
@@ -64,6 +65,7 @@ def open_scenes(
     from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
+    from nw_eval.survey.findings.of_trail import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []
@@ -71,7 +73,9 @@ def open_scenes(
         try:
             for each in catalogue.references([pattern], draft.base, collision=collision):
                 if each not in found:
-                    found[each] = catalogue.FoundScene.at(*each)
+                    place = found[each] = catalogue.FoundScene.at(*each)
+                    if free := start_finding(place.scene):
+                        faults.at(("scenes", index), _refused(place.scene.name, free))
         except SceneError as error:
             faults.at(("scenes", index), error)
             failed.append(pattern)
@@ -83,6 +87,12 @@ def open_scenes(
     meant = [place.scene.name for place in found.values()]
     faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
     return tuple(found.values())
+
+
+def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
+    from nw_eval.errors import SceneError
+
+    return SceneError(f"scene {clean(scene, at_most=100)}: {finding.message}", fix=finding.fix)
 
 
 def open_policy(
@@ -117,6 +127,30 @@ def open_policy(
         faults.add(error)
         return None
     return vet_policy(draft, faults, request, bundle)
+
+
+def is_own_policy(draft: Draft, request: Request) -> bool:
+    """Return whether the policy of a request is the suite's own, also by another path to its card.
+
+    With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
+    own, and counts as that.
+
+    Args:
+        draft: the suite.
+        request: what is asked for.
+    """
+    from nw_eval.errors import PolicyError
+    from nw_eval.policies import find_card
+
+    own, named = draft.text("policy"), request.policy
+    if named is None:
+        return True
+    if own is None or any(each.startswith("hub:") for each in (own, named)):
+        return named == own
+    try:
+        return find_card(named).samefile(find_card(_from_base(draft.base, own)))
+    except (PolicyError, OSError):
+        return False
 
 
 def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -> Bundle | None:

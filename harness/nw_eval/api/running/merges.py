@@ -30,12 +30,12 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
         baseline: as for `judge`.
 
     Raises:
-        UsageError: there is nothing to merge, one is no run's folder or that of a whole run, or
-            there is no such bank.
+        UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there
+            is no such bank, or `out` holds something else.
         IncomparableError: two are not parts of one run, each field is named; or, once the rows are
             merged, as `judge`.
         StoreError: a part or trials of one are missing, a trial has two different results, a folder
-            is damaged, or `out` cannot be written or holds something else.
+            is damaged, or `out` cannot be written.
     """
     from nw_eval.api.running.against.banks import judging_bank
     from nw_eval.api.running.reports import judged_rows, written

@@ -59,6 +59,7 @@ def plan_of(
     bundle: Bundle | None = None,
     against: Against | None = None,
     arm: Arm = "candidate",
+    own_policy: bool | None = None,
 ) -> Plan:
     """Resolve what is asked of a suite, as `plan` does.
 
@@ -71,11 +72,18 @@ def plan_of(
         bundle: a policy that is loaded already, in place of the request's.
         against: a bank that is read already, in place of the request's.
         arm: whether its policy is the one that is judged.
+        own_policy: whether the policy is the suite's own; None = the request says.
 
     Raises:
         IncomparableError: the bank does not hold for it.
     """
-    from nw_eval.api.running.faults import Faults, open_policy, open_scenes, vet_policy
+    from nw_eval.api.running.faults import (
+        Faults,
+        is_own_policy,
+        open_policy,
+        open_scenes,
+        vet_policy,
+    )
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
@@ -84,11 +92,13 @@ def plan_of(
 
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
+    if own_policy is None:
+        own_policy = bundle is None and is_own_policy(draft, request)
     # A process of its own reads the bank, for no longer than an interrupt can wait.
     with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
         if suite is not None and against is None:
-            read = beside.submit(wanted_bank, request, suite)
+            read = beside.submit(wanted_bank, request, suite, own_policy=own_policy)
         found = open_scenes(draft, faults, request.collision)
         for place in found:
             _ = place.scene.digest  # Kept; what looks at the policy is still starting.
@@ -114,7 +124,11 @@ def plan_of(
         suite=suite,
         bundle=bundle,
         found=chosen,
+        left_out=tuple(
+            sorted({place.scene.name for place in found} - {place.scene.name for place in chosen})
+        ),
         trials=trials,
+        own_policy=own_policy,
         shard=shard,
         against=against,
         arm=arm,

@@ -202,7 +202,7 @@ def judge(
     Args:
         run: the run's folder; it may go on, or have been interrupted.
         baseline: the bank's name, its file, or `none`; if None, that which the run was begun
-            against, or else the one that its suite names.
+            against, or else the one that its suite names for its own policy.
         max_drop: in place of the suite's.
         tolerate: in place of the suite's.
         out: where to write the report, as in `report`; nowhere if None.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, get_args
 
 from nw_eval.api.running.plans import check_workers, plan
@@ -17,10 +16,13 @@ from nw_eval.rollout.confined.start import prepare
 from nw_eval.words import Engine
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.scenes.health.finding import SceneFinding
 
 
 def run(
@@ -126,7 +128,9 @@ def roll_out(
     from nw_eval.api.running.plans import rechecked
     from nw_eval.api.verifying.sample import unforeseen_seed
     from nw_eval.engine import session
+    from nw_eval.engine.forecast import obstacles_of
     from nw_eval.engine.listener import Silence
+    from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
@@ -139,6 +143,10 @@ def roll_out(
         ears.message(_part(plan, plan.shard))
     for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
         ears.message(f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it")
+    for scene, finding in _trail_faults(plan):
+        ears.message(f"scene {scene}: {finding.message}; {finding.fix}")
+    for reason in obstacles_of(plan):
+        ears.message(f"this run cannot PASS: {reason}")
     if plan.against is not None:
         contest = Contest(
             plan,
@@ -149,8 +157,11 @@ def roll_out(
             listener=ears,
             cache=cache,
         )
-    elif plan.suite.gate.max_drop is not None and plan.shard is None:
-        ears.message(_without_baseline(plan))
+    elif plan.shard is None:
+        name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
+        policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
+        if why := unjudged(plan.suite.gate, name, policy):
+            ears.message(why)
     return session.carry_out(
         plan,
         workers=workers,
@@ -168,15 +179,18 @@ def roll_out(
     )
 
 
-def _without_baseline(plan: Plan) -> str:
-    """Return what a run leaves unjudged that its suite asks for."""
-    suite, policy = plan.suite, plan.bundle.name
-    judged_by = "only the bar is judged" if suite.gate.success_rate else "nothing is judged"
-    name = suite.name if plan.request.suite is None else str(plan.request.suite)
-    return (
-        f"no baseline to compare with: {judged_by}, not max_drop {suite.gate.max_drop:g}; "
-        f"`nw-eval baseline save {quote(name)} --policy {quote(policy)}` saves one"
-    )
+def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
+    """Yield what `scenes check` says of the trails of a plan's own scenes, which still run.
+
+    The built-in ones are right.
+    """
+    from nw_eval.catalogue import is_built_in
+    from nw_eval.survey.findings.of_trail import trail_findings
+
+    for place in plan.found:
+        if not is_built_in(place.reference):
+            for finding in trail_findings(place.scene, plan.suite.robot):
+                yield place.scene.name, finding
 
 
 def _part(plan: Plan, shard: ShardInfo) -> str:

@@ -75,7 +75,8 @@ def continued(run: Path, request: Request) -> Plan:
     against = resumed_bank(folder, info, suite, request)
     if draft is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
-        plan = plan_of(whole, draft, card=card, against=against)
+        own = info.own_policy if request.policy is None else None
+        plan = plan_of(whole, draft, card=card, against=against, own_policy=own)
     else:
         plan = plan_of(
             whole,
@@ -84,6 +85,8 @@ def continued(run: Path, request: Request) -> Plan:
             # A place that the suite's patterns match only now is none of the run's.
             scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
             against=against,
+            # Its suite as it was kept names the policy that was asked for.
+            own_policy=info.own_policy,
         )
     return _as_drawn(plan, folder, info)
 

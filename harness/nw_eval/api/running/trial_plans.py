@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,6 +45,27 @@ class TrialPlan:
         return minutes_of(trials, self.resolved, workers=self.workers)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BarPlan:
+    """What a gate that has a bar and no baseline takes and sees, by simulation."""
+
+    suite: str
+    bar: float
+    confidence: float
+    scenes: int
+    """Those that count, each as often as it has cells of perturbations."""
+    trials: int
+    """Of each of them, as the suite has it."""
+    needed: int
+    """Of each of them, so that a policy that never fails passes."""
+    sizes: tuple[int, ...]
+    """Numbers of trials that `curve` is about: the needed ones, the suite's, and more."""
+    curve: tuple[tuple[float, tuple[float, ...]], ...]
+    """True success, the same in all scenes, and how often such a policy passes at each size."""
+    obstacles: tuple[str, ...]
+    """Why no policy can pass the suite as it is; none where one can."""
+
+
 def plan_trials(
     suite: str | Path | Suite,
     *,
@@ -52,8 +74,10 @@ def plan_trials(
     run: str | Path | None = None,
     png: Path | None = None,
     workers: int | None = None,
-) -> TrialPlan:
+) -> TrialPlan | BarPlan:
     """Return how many trials it takes to convict a drop, and what else the suite's gate sees.
+
+    Of a suite that has a bar, and neither names a bank nor has one, it says what the bar takes.
 
     `plan` resolves a request to its trials; this one says how many would be needed.
 
@@ -80,6 +104,18 @@ def plan_trials(
     if baseline is not None and run is not None:
         raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
     resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
+    gate = resolved.suite.gate
+    if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
+        from nw_eval.results.bank.find import bank_files
+
+        asked_for = baseline == NO_BASELINE
+        if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
+            if png is not None:
+                raise UsageError(
+                    "--png without a baseline: the curve is of drops against one",
+                    fix="name a bank with --baseline, or a run of the suite with --run",
+                )
+            return _of_bar(resolved, gate.success_rate)
     source, outset = (
         _of_bank(resolved, baseline or resolved.suite.gate.baseline)
         if run is None
@@ -107,11 +143,52 @@ def plan_trials(
     return planned
 
 
+def _of_bar(resolved: Plan, bar: float) -> BarPlan:
+    """Return what the bar of a suite takes and sees; courses are as long as its scenes' trails."""
+    import numpy as np
+
+    from nw_eval.engine.forecast import obstacles_of
+    from nw_eval.gate.outlook import trials_to_pass
+    from nw_eval.stats import SceneCounts, shares_at
+
+    suite = resolved.suite
+    gate, cells = suite.gate, len(suite.perturb.cells)
+    judged = [each for each in resolved.scenes if gate.tier(each.name) != "informational"]
+    strata = len(judged) * cells
+    needed = trials_to_pass(gate, strata) if strata else 0
+    sizes = sorted({needed, suite.trials, *(most * suite.trials for most in (2, 4))} - {0})
+
+    def passed(success: float, size: int) -> float:
+        courses = [
+            SceneCounts(
+                counts=np.bincount([len(each.trail)], [size * cells]).astype(np.int64),
+                alone=gate.tier(each.name) == "critical",
+            )
+            for each in judged
+        ]
+        return shares_at(courses, success, bar=bar, confidence=gate.confidence).passed
+
+    truths = [round(bar + share * (1.0 - bar), 4) for share in (0.0, 0.2, 0.4, 0.6, 0.8, 0.96)]
+    return BarPlan(
+        suite=suite.name,
+        bar=bar,
+        confidence=gate.confidence,
+        scenes=strata,
+        trials=suite.trials,
+        needed=needed,
+        sizes=tuple(sizes),
+        curve=tuple(
+            (truth, tuple(passed(truth, size) for size in sizes)) for truth in truths if judged
+        ),
+        obstacles=obstacles_of(resolved),
+    )
+
+
 def _draw(planned: TrialPlan, png: Path) -> None:
     from nw_eval.reporting.curve_picture import draw_curve
 
     rules, scenes = planned.outset.rules, planned.outset.scenes
-    budget = f"at most {rules.rounds} rounds of {scenes} trials"
+    budget = f"at most {plural(rules.rounds, 'round')} of {plural(scenes, 'trial')}"
     draw_curve(
         planned.curve,
         png,

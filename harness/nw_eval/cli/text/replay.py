@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.rollout.replaying.report import Difference, ReplayReport
@@ -21,7 +22,7 @@ def replay_line(replay: ReplayReport) -> str:
 
 def _end(replay: ReplayReport) -> str:
     if replay.is_identical:
-        return f"{replay.end} after {replay.steps} steps, identical bit for bit"
+        return f"{replay.end} after {plural(replay.steps, 'step')}, identical bit for bit"
     differences = "; ".join(
         f"{each.name} was {_short(each, each.recorded)}, now {_short(each, each.now)}"
         for each in replay.differences

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from shlex import quote
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
@@ -38,6 +40,13 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     whole = run.shard is None
     verdict = _of_rows(rows, run, gate, against) if whole else of_part(rows, run, gate)
+    verdict = replace(
+        verdict,
+        per_scene=tuple(
+            replace(item, split=run.scenes[item.scene].split if item.scene in run.scenes else None)
+            for item in verdict.per_scene
+        ),
+    )
     if run.cache is None or not run.cache.differing:
         return verdict
     reasons = (*run.cache.differing, *verdict.reasons)
@@ -46,23 +55,54 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
 
 def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
     """Return the verdict on the rows as they are."""
+    by_bar = partial(judge, left_out=run.left_out)
     if against is None:
-        return judge(rows, gate, run.planned)
+        alone = by_bar(rows, gate, run.planned)
+        why = unjudged(gate, *_as_asked(run))
+        return replace(alone, reasons=(*alone.reasons, why)) if why else alone
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
     if begun is not None and not rows and run.stopped_after is None:
         # Cut while the bank's own policy ran, or before: nothing is known but what is missing.
-        return judge(rows, gate.model_copy(update={"max_drop": None}), run.planned)
+        return by_bar(rows, gate, run.planned)
     if begun is not None and begun.moved:
-        return replace(judge(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
+        return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
     checked = None if begun is None else begun.checked
     found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
     if found.again is not None and found.again.differing:
-        verdict = judge(rows, gate, run.planned, against=found)
+        verdict = by_bar(rows, gate, run.planned, against=found)
         return replace(verdict, verdict="INVALID", reasons=found.again.differing, against=found)
+    planned = run.planned
     if found.again is not None and found.again.taken_over:
         rows = known_rows(run, against.bank)
-        return combined(judge(rows, gate, Counter(row.scene for row in rows), against=found), found)
-    return combined(judge(rows, gate, run.planned, against=found), found)
+        planned = Counter(row.scene for row in rows)
+    return combined(by_bar(rows, gate, planned, against=found), found)
+
+
+def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
+    """Return what a suite asks for beside its bar where nothing is compared; None if nothing.
+
+    Args:
+        gate: the suite's settings.
+        suite: what names the suite on a command line.
+        policy: likewise, the policy.
+    """
+    named = None if gate.baseline == "none" else gate.baseline
+    if gate.max_drop is None and named is None:
+        return None
+    own = "" if named is None else f" ({named} is for the suite's own policy)"
+    return (
+        f"max_drop {gate.most_drop:g} was not judged: no baseline is named for {policy}{own}; "
+        f"`nw-eval baseline save {quote(suite)} --policy {quote(policy)}` saves one, "
+        "--baseline names it"
+    )
+
+
+def _as_asked(run: RunInfo) -> tuple[str, str]:
+    """Return what names suite and policy of a run on a command line."""
+    suite = policy = None
+    if run.request is not None:
+        suite, policy = run.request.suite, run.request.policy
+    return str(suite or run.suite.get("name", "SUITE")), policy or run.policy.name
 
 
 def combined(verdict: Verdict, comparison: Comparison) -> Verdict:

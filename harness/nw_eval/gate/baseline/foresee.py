@@ -139,13 +139,17 @@ def about_more_rounds(progress: Progress, scenes: int) -> str:
     if not left:
         return "the bank has no more starts: save a larger one"
     half, most = rounds_for(settled, 0.5), rounds_for(settled, 0.9)
-    whole = f"all {plural(left, 'round')} that the bank has left"
+    whole = f"{'the' if left == 1 else 'all'} {plural(left, 'round')} that the bank has left"
     if half is None:
-        return f"chance that {whole} settle it: {percent(settled[-1])}"
+        verb = "settles" if left == 1 else "settle"
+        return f"chance that {whole} {verb} it: {percent(settled[-1])}"
     within = f"{plural(half, 'more round')} ({plural(half * scenes, 'trial')})"
+    verb = "settles" if half == 1 else "settle"
     if most is None:
-        return f"an even chance that {within} settle it; {whole} do in {percent(settled[-1])}"
-    return f"an even chance that {within} settle it, nine in ten that {most} do"
+        do = "does" if left == 1 else "do"
+        return f"an even chance that {within} {verb} it; {whole} {do} in {percent(settled[-1])}"
+    does = "does" if most == 1 else "do"
+    return f"an even chance that {within} {verb} it, nine in ten that {most} {does}"
 
 
 def _outset(

@@ -104,8 +104,8 @@ def _limits(found: Comparison, left_out: int) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
     if found.claim == "panel":
         yield (
-            f"this speaks of the bank's {found.starts} starts in each scene only: for fresh ones "
-            f"{plural(found.budget, 'round')} would need {found.fresh_needs}"
+            f"this speaks of the bank's {plural(found.starts, 'start')} in each scene only: for "
+            f"fresh ones {plural(found.budget, 'round')} would need {found.fresh_needs}"
         )
     if found.claim == "fresh" and found.basis == "panel":
         yield (

@@ -10,6 +10,8 @@ from ruamel.yaml import YAML
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from nw_eval.cards import Card
     from nw_eval.learn.student.config import Sees
 
@@ -84,7 +86,13 @@ def observations(sees: Sees) -> dict[str, dict[str, Any]]:
 
 
 def student_card(
-    name: str, sees: Sees, teacher: Card, *, sha256: str, is_blind: bool = False
+    name: str,
+    sees: Sees,
+    teacher: Card,
+    *,
+    sha256: str,
+    is_blind: bool = False,
+    trained_on: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the card of a student, as its file says it.
 
@@ -94,6 +102,7 @@ def student_card(
         teacher: whose motors, actions and command it has.
         sha256: of its network, which lies beside the card.
         is_blind: whether its network has one image for good, and takes none.
+        trained_on: the scenes of its training, as suites name them.
     """
     seen = {name: spec for name, spec in observations(sees).items() if name in BODY or not is_blind}
     eyes = " and ".join(sees.cameras)
@@ -104,6 +113,7 @@ def student_card(
         "name": name,
         "title": f"{title}: the mean image at all times" if is_blind else title,
         "licence": teacher.licence,
+        **({"trained_on": list(trained_on)} if trained_on else {}),
         "robot": teacher.robot,
         "adapter": "onnx",
         "checkpoint": {"file": NETWORK_FILE, "sha256": sha256},

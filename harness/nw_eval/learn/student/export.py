@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
+from nw_eval.built_in.variants import parted
 from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.catalogue import is_meant, names
 from nw_eval.errors import PrerequisiteError
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.student.card import NETWORK_FILE, card_text, student_card
@@ -117,6 +119,11 @@ def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool =
     return file.getvalue()
 
 
+def _means_built_in(pattern: str) -> bool:
+    """Whether a training's scenes are built-in ones: paths of others are no matter of a card."""
+    return any(is_meant(name, parted(pattern)[0]) for name in names())
+
+
 def write_policy(
     folder: Path,
     network: StudentNetwork,
@@ -142,7 +149,14 @@ def write_policy(
     graph = graph_of(network, config, is_blind=is_blind)
     name = f"{config.name}-frozen" if is_blind else config.name
     digest = sha256(graph).hexdigest()
-    card = student_card(name, config.sees, teacher, sha256=digest, is_blind=is_blind)
+    card = student_card(
+        name,
+        config.sees,
+        teacher,
+        sha256=digest,
+        is_blind=is_blind,
+        trained_on=[each for each in config.scenes if _means_built_in(each)],
+    )
     with atomic_path(folder / NETWORK_FILE) as temporary:
         temporary.write_bytes(graph)
     with atomic_path(folder / CARD_FILE) as temporary:

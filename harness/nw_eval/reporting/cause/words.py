@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.gate.cause.two_by_two import Cause, Effect
+from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
 
 _ANSWERS = {
@@ -18,7 +19,8 @@ def answer_words(cause: Cause) -> str:
     """Return the answer in a sentence."""
     head = _ANSWERS[cause.answer]
     parts = [
-        f"{cause.new} loses {cause.drop.size:.3f} against {cause.old} in {cause.trials} trials",
+        f"{cause.new} loses {cause.drop.size:.3f} against {cause.old} in "
+        + plural(cause.trials, "trial"),
         f"{cause.sight.size:+.3f} by sight {_chance(cause.sight)}",
         f"{cause.control.size:+.3f} by control {_chance(cause.control)}",
     ]

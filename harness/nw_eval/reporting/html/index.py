@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import headline_parts
+from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.provenance import RunInfo
@@ -37,6 +37,11 @@ class ListedRun:
     def parts(self) -> tuple[str, ...]:
         """Of its headline, without the verdict's word."""
         return headline_parts(self.verdict, self.info)[1:]
+
+    @property
+    def part(self) -> str:
+        """Of how many of its suite's scenes it has results; nothing if of all."""
+        return part_of_suite(self.verdict, self.info)
 
     @property
     def bar(self) -> Bar | None:

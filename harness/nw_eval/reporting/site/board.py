@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.headline import part_of_suite
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.side_by_side.tables import ranks_text
 from nw_eval.reporting.tables.table import Bar
@@ -30,6 +31,11 @@ class BoardRun:
     info: RunInfo
     verdict: Verdict
     href: str
+
+    @property
+    def part(self) -> str:
+        """Of how many of its suite's scenes it has results; nothing if of all."""
+        return part_of_suite(self.verdict, self.info)
 
     @property
     def identity(self) -> tuple[str, str]:
@@ -60,6 +66,29 @@ class BoardSection:
         """Places of the policies, the best first."""
         policies = self.comparison.policies
         return sorted(range(len(policies)), key=lambda i: (-policies[i].mean, policies[i].label))
+
+    @property
+    def has_splits(self) -> bool:
+        """Whether any of the policies says in which scenes it was trained."""
+        return any(each.split for run in self.runs for each in run.info.scenes.values())
+
+    def split(self, place: int, scene: str) -> str:
+        """Return whether a policy was trained in a scene: `train` or `eval`, or nothing."""
+        known = self.runs[place].info.scenes.get(scene)
+        return "" if known is None else known.split or ""
+
+    def split_mean(self, place: int, split: str) -> float | None:
+        """Return a policy's mean success over its `train` or its `eval` scenes; None without any.
+
+        Scenes weigh equally. Those that the verdict takes for informational do not count.
+        """
+        tiers = {item.scene: item.tier for item in self.runs[place].verdict.per_scene}
+        found = [
+            each.means[place]
+            for each in self.comparison.scenes
+            if self.split(place, each.scene) == split and tiers.get(each.scene) != "informational"
+        ]
+        return sum(found) / len(found) if found else None
 
     def level(self, mean: float) -> int:
         """Return how strongly a cell is drawn: 0 where all was reached, to 5."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from nw_eval.gate.sweep.curve import AxisCurve, Cliff, Point, chance
+from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table, span
 from nw_eval.suite.perturb import UNITS
 
@@ -20,7 +21,7 @@ def cliff_words(curve: AxisCurve) -> list[str]:
     if reference.mean is None:
         return [f"{who}: no result at {curve.axis} {reference.value:g}"]
     if reference.share == 0.0:
-        where = f"{reference.trials} trials at {curve.axis} {reference.value:g} completed"
+        where = f"{plural(reference.trials, 'trial')} at {curve.axis} {reference.value:g} completed"
         return [f"{who}: nothing to fall from: none of {where}"]
     if not curve.cliffs:
         span = f"{curve.axis} {values[0]:g} to {values[-1]:g}"

@@ -87,8 +87,8 @@ def _note(found: Comparison) -> str:
     """Return what the columns hold, and what the numbers of evidence mean."""
     judged = sum(item.counts for item in found.scenes)
     means = (
-        f"The baseline {found.policy} is all {found.starts} starts of the bank {found.bank} in "
-        f"each scene, the candidate {plural(found.rounds, 'round')}."
+        f"The baseline {found.policy} is all {plural(found.starts, 'start')} of the bank "
+        f"{found.bank} in each scene, the candidate {plural(found.rounds, 'round')}."
     )
     if found.basis == "same":
         return means

@@ -50,7 +50,8 @@ def provenance_table(run: RunInfo) -> Table:
         "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
-        "scenes": f"{len(run.scenes)}, {sum(run.planned.values())} trials planned{_saved(run)}",
+        "scenes": f"{_scenes(run)}, {plural(sum(run.planned.values()), 'trial')} planned"
+        + _saved(run),
         "fetched": "; ".join(_fetched(run)),
         "baseline": ""
         if run.baseline is None
@@ -85,6 +86,12 @@ def _parts(run: RunInfo) -> str:
         return ""
     hosts = ", ".join(sorted({part.host for part in run.parts}))
     return f"{plural(len(run.parts), 'part')}, run on {hosts}"
+
+
+def _scenes(run: RunInfo) -> str:
+    """Return how many scenes the run has, and how many of its suite's that is if not all."""
+    count = len(run.scenes)
+    return f"{count} of the suite's {count + len(run.left_out)}" if run.left_out else f"{count}"
 
 
 def _saved(run: RunInfo) -> str:

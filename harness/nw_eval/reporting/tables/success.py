@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import SceneScore, Verdict
+from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Bar, Table, judged, mean, span
 from nw_eval.results.row import Row
 from nw_eval.stats import mean_of_scenes
@@ -20,6 +21,7 @@ _LEFT = "left capture"
 def scenes_table(verdict: Verdict) -> Table:
     """Return success by scene, the lowest first."""
     scores = sorted(verdict.per_scene, key=lambda item: (item.mean is not None, item.mean))
+    splits = any(item.split for item in scores)
     tiers = any(item.tier != "supporting" for item in scores)
     outside = any(item.outside for item in scores)
     percent = f"{100 * verdict.confidence:.4g} %"
@@ -27,6 +29,7 @@ def scenes_table(verdict: Verdict) -> Table:
         title="Success by scene",
         columns=(
             "scene",
+            *(("split",) if splits else ()),
             *(("tier",) if tiers else ()),
             "trials",
             *((_LEFT,) if outside else ()),
@@ -38,6 +41,7 @@ def scenes_table(verdict: Verdict) -> Table:
         rows=tuple(
             (
                 item.scene,
+                *((item.split or "-",) if splits else ()),
                 *((item.tier,) if tiers else ()),
                 str(item.n) if item.n == item.planned else f"{item.n} of {item.planned}",
                 *((str(item.outside),) if outside else ()),
@@ -49,6 +53,7 @@ def scenes_table(verdict: Verdict) -> Table:
             for item in scores
         ),
         numbers=frozenset({"trials", _LEFT, "success"}),
+        foot=_of_splits(scores),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
         "that reached all. Each interval is for its scene alone: of many, some miss. That of "
         "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
@@ -61,6 +66,24 @@ def scenes_table(verdict: Verdict) -> Table:
             for item in scores
         ),
     )
+
+
+def _of_splits(scores: Sequence[SceneScore]) -> str:
+    """Return the means of the scenes that a policy was trained in, and of the others; or nothing.
+
+    Scenes weigh equally, as in the verdict, and informational ones do not count.
+    """
+    parts: list[str] = []
+    for split, words in (("train", "it was trained in"), ("eval", "it was not trained in")):
+        known = [
+            item.mean
+            for item in scores
+            if item.split == split and item.mean is not None and item.tier != "informational"
+        ]
+        if known:
+            average = float(np.mean(known))
+            parts.append(f"{average:.3f} in {plural(len(known), 'scene')} that {words} ({split})")
+    return f"Mean success: {', '.join(parts)}." if parts else ""
 
 
 def outcomes_table(rows: Sequence[Row]) -> Table:

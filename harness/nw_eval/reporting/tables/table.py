@@ -41,6 +41,7 @@ class Table:
     numbers: frozenset[str] = frozenset()  # Columns to align on the right.
     code: frozenset[str] = frozenset()
     note: str = ""
+    foot: str = ""  # A sentence right under the table, on a terminal too.
     bars: tuple[Bar | None, ...] = ()  # One for each row, or none at all.
     marked: str = ""  # What the marks of the bars are.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, TrialError
+from nw_eval.plural import plural
 from nw_eval.results.bank.check import SHARED, fault_of, place_of
 from nw_eval.results.bank.manifest import BankPolicy, Manifest, PanelInfo, key_of, machine_of
 from nw_eval.results.bank.start import Panel, SavedBank, Start, trajectory
@@ -40,13 +41,13 @@ def bank_of_run(
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
         raise TrialError(
-            f"{len(errors)} of {len(rows)} trials of run {run.id} came to no result, first "
-            f"{first.trial_id}: {first.error_text or first.outcome}",
+            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} came to no result, "
+            f"first {first.trial_id}: {first.error_text or first.outcome}",
             fix="try them again: the same command, or `nw-eval run --resume`",
         )
     if len(rows) < (planned := sum(run.planned.values())):
         raise TrialError(
-            f"run {run.id} has {len(rows)} of its {planned} trials",
+            f"run {run.id} has {len(rows)} of its {plural(planned, 'trial')}",
             fix="finish it: the same command, or `nw-eval run --resume`",
         )
     starts = sorted((_start(row) for row in rows), key=place_of)

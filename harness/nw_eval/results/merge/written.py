@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import sync_folder
 from nw_eval.files.inside import inside
 from nw_eval.results.bank.against import Against
@@ -112,7 +112,8 @@ def write_merged(
         against: the bank that they were begun against.
 
     Raises:
-        StoreError: it holds something else, or cannot be written.
+        UsageError: it holds something else.
+        StoreError: it cannot be written.
     """
     if (there := _there(out, info, held)) is not None:
         return there, ()
@@ -167,7 +168,8 @@ def _there(out: Path, info: RunInfo, held: Sequence[SourcedRow]) -> RunInfo | No
     """Return run.json of a folder that has this very merged run; None of an empty one.
 
     Raises:
-        StoreError: it has something else, or cannot be looked into.
+        UsageError: it has something else.
+        StoreError: it cannot be looked into.
     """
     try:
         if not out.exists() or not any(out.iterdir()):
@@ -180,11 +182,11 @@ def _there(out: Path, info: RunInfo, held: Sequence[SourcedRow]) -> RunInfo | No
     try:
         there = read_run_info(RunFolder(path=out).run_json)
     except StoreError as error:
-        raise StoreError(
+        raise UsageError(
             f"{out} is not empty, and no merged run: {error.message}", fix=fix
         ) from None
     plans = {part.shard.plan for part in there.parts}
     same = plans == {info.parts[0].shard.plan}
     if not same or there.rows_digest != rows_digest(one.row for one in held):
-        raise StoreError(f"{out} already holds another run", fix=fix)
+        raise UsageError(f"{out} already holds another run", fix=fix)
     return there

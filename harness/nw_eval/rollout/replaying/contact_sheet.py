@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
+from nw_eval.plural import plural
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
@@ -56,7 +57,9 @@ def contact_sheet(logged: LoggedTrial) -> bytes:
         for index in chosen:
             trial.episode.restore(states[index])
             progress = trial.episode.progress
-            label = f"{world.time:.2f} s, {progress.reached} of {progress.total} waypoints"
+            label = (
+                f"{world.time:.2f} s, {progress.reached} of {plural(progress.total, 'waypoint')}"
+            )
             views = [
                 spectator.beside(world, trail, width=width, height=height),
                 spectator.aboard(world, trail, _EGO, width=width, height=height),

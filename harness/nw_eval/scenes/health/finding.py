@@ -34,12 +34,16 @@ Code = Literal[
     "task_guessed",
     "terrain_error",
     "thin_wall",
+    "trail_short",
     "two_splats",
     "unlike_photographs",
     "unreadable",
     "waypoint_above_surface",
+    "waypoint_at_end",
+    "waypoint_at_start",
     "waypoint_below_surface",
     "waypoint_off_mesh",
+    "waypoints_together",
     "xml_disagree",
 ]
 Severity = Literal["error", "warning", "note"]

@@ -9,6 +9,7 @@ from nw_eval.twin.align import AlignOptions
 from nw_eval.twin.appearance import AppearanceOptions
 from nw_eval.twin.calibrate import CalibrateOptions
 from nw_eval.twin.reconstruct import ReconstructOptions
+from nw_eval.words import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,7 @@ class BuildSettings:
         splat: of the Gaussians.
         name: of the scene; the folder's name if None.
         licence: of the photographs, which the place shows.
+        robot: of the scene's suite, by which the place is checked.
         threads: that share the work; no result depends on them.
     """
 
@@ -31,6 +33,7 @@ class BuildSettings:
     splat: AppearanceOptions = field(default_factory=AppearanceOptions)
     name: str | None = None
     licence: str = "unknown"
+    robot: Robot = "go1"
     threads: int = 2
 
 

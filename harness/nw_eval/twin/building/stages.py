@@ -139,6 +139,7 @@ class Build:
         name = settings.name or folder.scene.resolve().name.lower()
         mesh_file, splat_file = folder.mesh / "mesh.ply", folder.splat / "splat.ply"
         of = [name, settings.licence, digest_of_files(folder.align, mesh_file, splat_file)]
+        of += [] if settings.robot == "go1" else [settings.robot]
         folder.carry_out("place", of, lambda: self._write(name), self._say)
 
     def _write(self, name: str) -> None:
@@ -166,6 +167,7 @@ class Build:
             T_world_capture=world,
             capture=capture,
             course=route,
+            robot=self._settings.robot,
         )
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
 
@@ -178,7 +180,7 @@ class Build:
         Raises:
             SceneError: what an earlier stage has left is damaged.
         """
-        (checked,) = check_scenes([str(self.folder.scene)])
+        (checked,) = check_scenes([str(self.folder.scene)], robot=self._settings.robot)
         if checked.survey is not None:
             for line in survey_lines(checked.survey):
                 self._say(f"check: {line}")

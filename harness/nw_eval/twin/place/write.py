@@ -23,7 +23,7 @@ from nw_eval.twin.align.apply import moved_capture, moved_points, similarity_ent
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.place.entries import rounded, write_collision
 from nw_eval.twin.place.lips import without_lips
-from nw_eval.words import Task
+from nw_eval.words import Robot, Task
 
 COLLISION, SPLAT, CAPTURES, SUITE = "collision.ply", "splat.ply", "captures.json", "suite.yaml"
 
@@ -56,6 +56,7 @@ def write_place(
     course: Route,
     capture: Capture | None = None,
     title: str = "",
+    robot: Robot = "go1",
 ) -> None:
     """Write a scene folder, and a suite of it beside; scene.yaml appears last.
 
@@ -69,6 +70,7 @@ def write_place(
         course: trail, task and start.
         capture: whose cameras say from where the place was photographed; None = nobody knows.
         title: one line for people.
+        robot: of the suite.
 
     Raises:
         SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
@@ -104,7 +106,7 @@ def write_place(
         text["captures"] = CAPTURES
     write_yaml(out / SCENE_FILE, text)
     load_folder(out)
-    write_ready_suite(out / SUITE, name, ["."])
+    write_ready_suite(out / SUITE, name, ["."], robot=robot)
 
 
 def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:

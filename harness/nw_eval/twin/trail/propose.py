@@ -10,8 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Spawn, Vector
+from nw_eval.sim.trail import REACH_RADIUS
 from nw_eval.twin.trail.features import TrailFeature, features_of
 from nw_eval.twin.trail.ground import GroundProfile, ground_along
 from nw_eval.twin.trail.stretches import stretches_of
@@ -26,6 +29,10 @@ _APART = 0.25
 """Waypoints that are closer are one, metres."""
 _APPROACH = 1.5
 """Level way before the first feature, at most, metres: as much as in the shipped scenes."""
+_CLEAR = REACH_RADIUS + 0.3
+"""From the spawn to the first waypoint at least, metres: beyond reach of where any trial begins."""
+_ARRIVE = 0.6
+"""Of ground behind the last waypoint, metres: a robot's length."""
 _RUN_UP = 0.5
 """Metres of level way that a robot needs before the first feature."""
 FLOOR = 0.02
@@ -61,10 +68,12 @@ def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
 
     Raises:
-        SceneError: the cameras went less than a metre, or the mesh has no ground below them.
+        SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
+            little for a waypoint that a robot has to walk to.
     """
     way = way_of(centres)
-    profile = ground_along(mesh, way, float(centres[:, 2].max()))
+    below = float(centres[:, 2].max())
+    profile = ground_along(mesh, way, below)
     features = features_of(profile, stretches_of(profile))
     if features and features[0].start > _APPROACH:
         profile = profile.after(features[0].start - _APPROACH)
@@ -74,7 +83,7 @@ def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
         task=task,
         reasons=reasons,
         spawn=_spawn(profile),
-        trail=_waypoints(profile, features),
+        trail=_waypoints(profile, features, _last(mesh, profile, below)),
         features=tuple(features),
         warnings=_warnings(profile, features),
     )
@@ -108,20 +117,58 @@ def _spawn(profile: GroundProfile) -> Spawn:
     return Spawn(position=(x, y, z), yaw=yaw)
 
 
-def _waypoints(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[Vector, ...]:
-    """Return a waypoint where each feature is stood on, and one behind the last."""
-    end = float(profile.along[-1])
+def _last(mesh: TriangleMesh, profile: GroundProfile, below: float) -> float:
+    """Return how far along the way a waypoint may stand: with `_ARRIVE` of ground behind it."""
+    xy = profile.xy
+    ahead = xy[-1] - xy[max(0, len(xy) - 1 - round(_RUN_UP / STEP))]
+    ahead = ahead / max(float(np.hypot(*ahead)), 1e-12)
+    stations = np.arange(0.0, _ARRIVE + STEP / 2, STEP)
+    sides = np.array([-0.1, 0.0, 0.1])[:, None] * np.array([-ahead[1], ahead[0]])
+    places = xy[-1] + stations[:, None, None] * ahead + sides
+    heights = RayScene(mesh).height(places.reshape(-1, 2), z_from=below)
+    there = np.isfinite(heights).reshape(places.shape[:2]).any(axis=1)
+    room = _ARRIVE if there.all() else float(stations[int(np.argmin(there))])
+    return float(profile.along[-1]) - (_ARRIVE - room)
+
+
+def _waypoints(
+    profile: GroundProfile, features: Sequence[TrailFeature], end: float
+) -> tuple[Vector, ...]:
+    """Return a waypoint where each feature is stood on, and one behind the last.
+
+    None is within reach of the spawn.
+
+    Args:
+        profile: of the way.
+        features: in order.
+        end: how far along the way a waypoint may stand.
+
+    Raises:
+        SceneError: none is left.
+    """
     stands = sorted(stand for feature in features for stand in feature.stands)
     last = max((feature.end for feature in features), default=None)
     stands.append(end if last is None else min(end, max([last, *stands]) + _FINISH))
     kept: list[float] = []
     for stand in stands:
-        if stand > end:
+        if stand > end or _from_start(profile, stand) < _CLEAR:
             continue
         if kept and stand - kept[-1] < _APART:
             continue
         kept.append(stand)
+    if not kept:
+        raise SceneError(
+            f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
+            f"waypoint {_CLEAR:g} m from the start, with {_ARRIVE:g} m behind it to arrive in",
+            fix="capture more ground ahead of the start, or write the trail by hand",
+        )
     return tuple(_point(profile, stand) for stand in kept)
+
+
+def _from_start(profile: GroundProfile, along: float) -> float:
+    """Return how far a place along the way is from its start, seen from above, metres."""
+    there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
+    return float(np.hypot(there[0], there[1]))
 
 
 def _point(profile: GroundProfile, along: float) -> Vector:

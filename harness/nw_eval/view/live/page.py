@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError
+from nw_eval.plural import plural
 from nw_eval.rollout.mcap.content.entities import place_update, robot_update
 from nw_eval.rollout.observed.views import View, views_of
 from nw_eval.sensors.drawing.pictures import picture_of
@@ -159,7 +160,7 @@ class LivePage(ServedPage):
         episode, now = self._stage.trial.episode, clock.monotonic()
         parts = [
             f"{episode.world.time:.2f} s",
-            f"{episode.progress.reached} of {episode.progress.total} waypoints",
+            f"{episode.progress.reached} of {plural(episode.progress.total, 'waypoint')}",
         ]
         if self.runs and self._done and now > self._said_at:
             parts.append(f"{self._done * STEP / (now - self._said_at):.2f} of real time")

@@ -49,6 +49,7 @@ class Stage:
     Attributes:
         reference: as given.
         policy: as given.
+        robot: that the policy drives, by name.
         original: the place as it was.
         trial: as it stands.
         place: with what was done to it.
@@ -71,7 +72,7 @@ class Stage:
         self.cell: dict[str, float] = {}
         self.pushed = 0.0
         self._job = replace(job, duration=_LONG, mcap=None, record="none")
-        self._bundle = bundle
+        self._bundle, self.robot = bundle, bundle.card.robot
         try:
             self.trial = self._open(self.place, {})
         except BaseException:

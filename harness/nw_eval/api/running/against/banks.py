@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError
+from nw_eval.plural import plural
 from nw_eval.request import Request
 
 if TYPE_CHECKING:
@@ -23,8 +24,14 @@ _latest: dict[tuple[str, str], Against] = {}
 that it was planned with, and a process of its own takes a third of a second to read it."""
 
 
-def wanted_bank(request: Request, suite: Suite) -> Against | None:
+def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
     """Return the bank to compare with; None if there is to be none.
+
+    Args:
+        request: what is asked for.
+        suite: the suite.
+        own_policy: whether the policy is the suite's own. Its baseline counts for no other: a
+            user's first verdict is about the user's policy.
 
     Raises:
         UsageError: there is no such bank.
@@ -33,7 +40,9 @@ def wanted_bank(request: Request, suite: Suite) -> Against | None:
     """
     from nw_eval.results.bank.find import find_bank
 
-    reference = suite.gate.baseline if request.baseline is None else request.baseline
+    reference = request.baseline
+    if reference is None and own_policy:
+        reference = suite.gate.baseline
     if reference is None or reference == NO_BASELINE:
         return None
     return _opened(find_bank(reference, suite=suite.name))
@@ -74,7 +83,7 @@ def judging_bank(
         info: its run.json.
         suite: its suite.
         reference: the bank that is asked for; if None, that which the run was begun against, or
-            else the one that the suite names.
+            else the one that the suite names for its own policy.
 
     Raises:
         UsageError, StoreError: as `wanted_bank`.
@@ -82,7 +91,7 @@ def judging_bank(
     """
     if reference is None and info.baseline is not None:
         return kept_bank(folder, info)
-    return wanted_bank(Request(baseline=reference), suite)
+    return wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
 
 
 def resumed_bank(
@@ -103,7 +112,7 @@ def resumed_bank(
     kept = kept_bank(folder, info)
     if request.baseline is None:
         return kept
-    wanted = wanted_bank(request, suite)
+    wanted = wanted_bank(request, suite, own_policy=info.own_policy)
     if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
         return wanted
     now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
@@ -123,7 +132,7 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
         raise IncomparableError(
-            f"bank {name} has {starts} starts in each scene, {rounds} rounds draw more",
+            f"bank {name} has {plural(starts, 'start')} in each scene, {rounds} rounds draw more",
             fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
             f"{3 * rounds}`",
         )

@@ -11,21 +11,26 @@ if TYPE_CHECKING:
 
 def forecast_page(forecast: Forecast) -> str:
     """Return what a run would be as lines of text."""
+    from nw_eval.plural import plural
     from nw_eval.policies.code_digest import SCOPE
 
     suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
     most = "at most " if forecast.baseline is not None else ""
     duration = suite.episode.duration
-    count = f"{len(scenes)} scenes, {most}{scenes[0].trials} in each"
+    which = plural(len(scenes), "scene")
+    if forecast.left_out:
+        all_of_them = plural(len(scenes) + len(forecast.left_out), "scene")
+        which = f"{len(scenes)} of the suite's {all_of_them}"
+    count = f"{which}, {most}{scenes[0].trials} in each"
     if forecast.shard is not None:
-        count = f"{forecast.shard}, of {len(scenes)} scenes"
+        count = f"{forecast.shard}, of {which}"
     width = max(len(scene.name) for scene in scenes)
     panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
         f"panel     {suite.digest[:16]}: {panel}",
         "          suites of one panel meet the same starts in a scene",
-        f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline)}",
+        f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline, bundle.name)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),
         *(
@@ -34,6 +39,7 @@ def forecast_page(forecast: Forecast) -> str:
         ),
         f"trials    {forecast.trials} of {duration:g} s: {count}",
         *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
+        *(f"no PASS   {reason}" for reason in forecast.obstacles),
         f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
     ]
     return "\n".join(lines)
@@ -48,10 +54,10 @@ def _bar(gate: Gate) -> str:
     return bar
 
 
-def _drop(gate: Gate, baseline: str | None) -> str:
+def _drop(gate: Gate, baseline: str | None, policy: str) -> str:
     """Return what may be lost against the baseline, in words."""
     if baseline is not None:
         return f"; less than {gate.most_drop:g} below baseline {baseline}"
-    if gate.max_drop is not None:
-        return "; max_drop will not be judged: there is no baseline"
+    if gate.max_drop is not None or gate.baseline not in {None, "none"}:
+        return f"; max_drop will not be judged: no baseline is named for {policy}"
     return ""

@@ -6,6 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.text.table import aligned
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import ShardPlan
@@ -22,7 +23,7 @@ def shard_page(planned: ShardPlan) -> str:
     most = "at most " if planned.parts[0].baseline is not None else ""
     return "\n".join(
         [
-            f"suite     {planned.suite}: {most}{planned.trials} trials in {count} parts",
+            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} parts",
             "",
             *aligned(rows, right=(1, 2)),
             "",

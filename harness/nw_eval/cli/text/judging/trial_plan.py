@@ -5,14 +5,39 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.text.table import aligned
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.api import TrialPlan
+    from nw_eval.api import BarPlan, TrialPlan
     from nw_eval.gate.baseline.foresee import Outset
 
 _CHANCES = (0.8, 0.9)
+
+
+def bar_plan_page(planned: BarPlan) -> str:
+    """Return what a bar takes as lines of text: how many trials, and who passes."""
+    least = plural(planned.needed, "trial")
+    rows = [("success", *(plural(size, "trial") for size in planned.sizes))]
+    rows += [
+        (f"{truth:.3f}", *(f"{100 * share:.0f} %" for share in shares))
+        for truth, shares in planned.curve
+    ]
+    sure = f"{100 * planned.confidence:.4g} % sure"
+    size = f"{plural(planned.trials, 'trial')} in each of {plural(planned.scenes, 'scene')}"
+    lines = [
+        f"suite     {planned.suite}: {size}",
+        f"bar       success of at least {planned.bar:g}, {sure}; no baseline",
+        f"needed    {least} in each scene, if none of them fails (--trials {planned.needed})",
+        *(f"no PASS   {reason}" for reason in planned.obstacles),
+        "",
+        "PASS by true success and trials in each scene:",
+        *aligned(rows, right=range(len(rows[0]))),
+        "",
+        "Simulated, 2,000 runs each: the standard error of a share is at most 1.1 %.",
+    ]
+    return "\n".join(lines)
 
 
 def trial_plan_page(planned: TrialPlan) -> str:
@@ -21,8 +46,9 @@ def trial_plan_page(planned: TrialPlan) -> str:
     rules, margins = outset.rules, outset.rules.margins
     drops = f"max_drop {margins.max_drop:g}, tolerate {margins.tolerate:g}"
     wrong_pass, wrong_regressed = (f"{100 * x:.4g} %" for x in (rules.alpha_pass, rules.alpha_regr))
+    size = f"{plural(rules.rounds, 'round')} of {plural(outset.scenes, 'trial')}"
     lines = [
-        f"suite     {planned.suite}: at most {rules.rounds} rounds of {outset.scenes} trials",
+        f"suite     {planned.suite}: at most {size}",
         f"from      {planned.source}: success {outset.baseline:.3f}, {_bank(outset)}",
         f"margins   {drops}; wrong PASS {wrong_pass}, wrong REGRESSED {wrong_regressed} at most",
         f"detect    {_detection(planned)}",
@@ -75,7 +101,11 @@ def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
 
 def _trials(planned: TrialPlan, rounds: int) -> str:
     trials = rounds * planned.outset.scenes
-    return f"{rounds} rounds ({trials} trials, {planned.minutes(trials):.1f} minutes)"
+    return f"{plural(rounds, 'round')} ({plural(trials, 'trial')}, {_minutes(planned, trials)})"
+
+
+def _minutes(planned: TrialPlan, trials: int) -> str:
+    return f"{planned.minutes(trials):.1f} minutes"
 
 
 def _curve(planned: TrialPlan) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene
@@ -16,7 +17,8 @@ def scene_table(scenes: Sequence[ListedScene]) -> str:
     """Return a line for each scene: name, waypoints, split, title."""
     width = max(len(scene.name) for scene in scenes)
     return "\n".join(
-        f"{scene.name:{width}}  {scene.waypoints} waypoints  {scene.split or '-':5}  {scene.title}"
+        f"{scene.name:{width}}  {plural(scene.waypoints, 'waypoint'):11}  {scene.split or '-':5}  "
+        f"{scene.title}"
         for scene in scenes
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.text.table import aligned
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedSuite
@@ -15,11 +16,17 @@ def suite_table(suites: Sequence[ListedSuite]) -> str:
     """Return a line for each suite: name, scenes and trials, bar, purpose; or what is wrong."""
     if not suites:
         return "no suites: neither shipped, nor in ./suites"
-    return "\n".join(aligned([(suite.name, *_words(suite)) for suite in suites]))
+    lines = aligned([(suite.name, *_words(suite)) for suite in suites])
+    if any(suite.baseline is not None for suite in suites):
+        lines.append(
+            "+ baseline: it counts for this policy of the suite; --baseline names one for others"
+        )
+    return "\n".join(lines)
 
 
-def _words(suite: ListedSuite) -> tuple[str, str, str]:
+def _words(suite: ListedSuite) -> tuple[str, str, str, str]:
     if suite.problem is not None:
-        return "?", "?", suite.problem
+        return "?", "?", "?", suite.problem
     bar = "no bar" if suite.bar is None else f"bar {suite.bar:g}"
-    return f"{suite.scenes} scenes x {suite.trials}", bar, suite.purpose
+    own = suite.policy if suite.baseline is None else f"{suite.policy} + baseline"
+    return f"{plural(suite.scenes, 'scene')} x {suite.trials}", bar, own, suite.purpose

@@ -22,7 +22,7 @@ class GateRun(Publishing):
     """A run's folder."""
     baseline: str | None = None
     """The bank to compare with: its name, its file, or none. When absent, that which the run was
-    begun against, or else the one that its suite names."""
+    begun against, or else the one that its suite names for its own policy."""
     max_drop: float | None = None
     """Drop of mean success against the baseline that must not pass; the suite's own when absent."""
     tolerate: float | None = None

@@ -30,7 +30,7 @@ class MergeRuns(Publishing):
     """The folder of the merged run."""
     baseline: str | None = None
     """The bank to compare with: its name, its file, or none. When absent, that which the parts were
-    begun against, or else the one that the suite names."""
+    begun against, or else the one that the suite names for its own policy."""
     ledger: Path | None = None
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
 

@@ -13,7 +13,8 @@ import tyro
 class PlanTrials:
     """Say how many trials convict a drop against a baseline, and what else the gate would see.
 
-    Simulates the gate from the scores of a bank, or of a run of the suite. Runs no physics. `check`
+    Simulates the gate from the scores of a bank, or of a run of the suite. Of a suite with a bar
+    and no bank it says how many trials the bar needs, and who passes. Runs no physics. `check`
     says what would run; this one what it would show. With --shards it says instead into which parts
     a run goes, each of which a machine of its own runs (`run --shard`).
     """
@@ -80,7 +81,7 @@ class PlanTrials:
 
     def _foresee(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.judging.trial_plan import trial_plan_page
+        from nw_eval.cli.text.judging.trial_plan import bar_plan_page, trial_plan_page
 
         planned = api.plan_trials(
             self.suite,
@@ -90,6 +91,9 @@ class PlanTrials:
             png=self.png,
             workers=self.workers,
         )
+        if isinstance(planned, api.BarPlan):
+            print(bar_plan_page(planned))
+            return 0
         print(trial_plan_page(planned))
         if self.png is not None:
             print(f"drawn in {self.png}")

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import tyro
 
+from nw_eval.words import Robot
+
 
 @dataclass(frozen=True, kw_only=True)
 class List:
@@ -48,21 +50,27 @@ class Show:
 class Check:
     """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
 
-    Along the trail: ground that does not carry feet, and a splat that does not show a Go1's
+    Along the trail: ground that does not carry the robot's feet, and a splat that does not show its
     camera what the mesh has there.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
+    robot: Robot = "go1"
+    """Whose feet, camera and length count."""
     suite: Path | None = None
     """Write a suite of them to this file, ready to run, unless something is wrong."""
+    policy: str | None = None
+    """With --suite: the policy of the suite. One that nw-eval has a card of when absent."""
 
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.text.parts.scenes import findings_text
         from nw_eval.errors import SceneError
 
-        checked = api.check_scenes(self.scenes, suite=self.suite)
+        checked = api.check_scenes(
+            self.scenes, robot=self.robot, suite=self.suite, policy=self.policy
+        )
         print(findings_text(checked))
         if any(scene.has_errors for scene in checked):
             return SceneError.exit_code

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Suites:
-    """List the suites that can be asked for by name: scenes, trials in each, bar, what for."""
+    """List the suites that can be asked for by name: scenes, trials, bar, policy, purpose."""
 
     def __call__(self) -> int:
         from nw_eval import api

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from nw_eval.words import Robot
+
 if TYPE_CHECKING:
     from nw_eval.twin.label import Labelling
 
@@ -18,14 +20,16 @@ if TYPE_CHECKING:
 class LabelScene:
     """Lay the trail through a place in the browser, till Ctrl-C: start, waypoints, task.
 
-    The page scales, turns and crops the place too, shows heights along the trail and what the
-    default policy can reach, and proposes a trail. Saving writes the scene's scene.yaml.
+    The page scales, turns and crops the place too, shows heights along the trail and what
+    go1-parkour, a policy of a go1, can reach, and proposes a trail. Saving writes scene.yaml.
     """
 
     scene: tyro.conf.Positional[str]
     """A scene folder; with --out any place that a suite can name."""
     out: Path | None = None
     """Label a copy, in this new folder: built-in and fetched places are not edited in place."""
+    robot: Robot = "go1"
+    """With --out: the robot of the suite that is written beside the copy."""
     port: int = 0
     """Port to listen at, on this machine's own address only; 0 chooses a free one."""
     open: bool = False
@@ -38,7 +42,7 @@ class LabelScene:
         from nw_eval.twin.label.page import LabelPage, check_server
 
         check_server(self.port)
-        folder = own_folder(self.scene, self.out)
+        folder = own_folder(self.scene, self.out, robot=self.robot)
         labelling = open_labelling(folder)
         splat = labelling.place.splat
         saved: list[str] = []

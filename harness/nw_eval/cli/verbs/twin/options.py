@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from nw_eval.words import Robot
+
 if TYPE_CHECKING:
     from nw_eval.twin.building import BuildSettings
 
@@ -65,6 +67,8 @@ class PlaceFlags:
     """The scene's name; that of its folder when absent."""
     licence: str = "unknown"
     """Of the photographs: an SPDX identifier, or words."""
+    robot: Robot = "go1"
+    """The robot of the scene's suite: whose feet, camera and length the check goes by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,5 +106,6 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
         ),
         name=has["name"],
         licence=has["licence"],
+        robot=has["robot"],
         threads=cores,
     )

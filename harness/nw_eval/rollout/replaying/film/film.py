@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import NwEvalError, StoreError
+from nw_eval.plural import plural
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.fault import is_interrupt, one_line
 from nw_eval.rollout.pictures.third_person import Spectator
@@ -120,7 +121,7 @@ class Film(Observer):
         )
         words = Words(
             time=episode.world.time,
-            waypoints=f"{progress.reached} of {progress.total} waypoints",
+            waypoints=f"{progress.reached} of {plural(progress.total, 'waypoint')}",
             driver=self._driver,
             has_taken_over=episode.world.time >= self._taken_over_at,
             own=self._own.name,

@@ -41,6 +41,7 @@ _LOOSE: dict[ObstacleKind, float] = {"hurdle": 0.01, "gap": 0.03, "step": 0.01, 
 
 _LONGEST_LEG = 4.0  # m; the policy knows the next waypoint's direction only
 _RADIUS = 0.3  # m, within which a waypoint counts as reached
+_JITTER = 0.25  # m, by which a start and a waypoint may be nearer in a trial than they stand here
 _OFF_GROUND = 0.1  # m
 _LONGEST = 8.0  # m; a trial has 12 s, and the robot walks at 0.8 m/s
 _SHARPEST = math.radians(100)
@@ -93,6 +94,8 @@ def _on_stops(stops: Sequence[Point], profile: HeightProfile) -> list[str]:
         )
     if len(stops) < 2 or length < _RADIUS:
         found.append("The robot starts at its goal.")
+    elif float(np.hypot(*np.subtract(stops[1], stops[0])[:2])) < _RADIUS + _JITTER:
+        found.append("Waypoint 1 is reached at the start: move it ahead, or the start back.")
     return found
 
 

@@ -20,16 +20,18 @@ from nw_eval.suite.ready import write_ready_suite
 from nw_eval.twin.align.apply import similarity_entry
 from nw_eval.twin.place.entries import rounded, write_collision
 from nw_eval.twin.place.write import COLLISION, SPLAT, SUITE, write_yaml
+from nw_eval.words import Robot
 
 _BOXES = "collision.yaml"
 
 
-def own_folder(reference: str, out: Path | None) -> Path:
+def own_folder(reference: str, out: Path | None, *, robot: Robot = "go1") -> Path:
     """Return the scene folder to label, copied first where `out` says so.
 
     Args:
         reference: a scene folder, or with `out` any place that a suite can name.
         out: folder of the copy, which must not be there; None = the place is labelled where it is.
+        robot: of the copy's suite.
 
     Raises:
         UsageError: the place is nobody's to edit and there is no `out`, or `out` is in use.
@@ -38,7 +40,7 @@ def own_folder(reference: str, out: Path | None) -> Path:
         StoreError: the copy cannot be written.
     """
     if out is not None:
-        copy_place(reference, out)
+        copy_place(reference, out, robot=robot)
         return out
     path = Path(reference)
     folder = path.parent if path.name == SCENE_FILE else path
@@ -61,7 +63,7 @@ def own_folder(reference: str, out: Path | None) -> Path:
     )
 
 
-def copy_place(reference: str, out: Path) -> None:
+def copy_place(reference: str, out: Path, *, robot: Robot = "go1") -> None:
     """Write a scene folder of any place, with a suite that runs it; whole or not at all.
 
     A folder's files are copied. Of built-in and published places the boxes are written, or the mesh
@@ -89,7 +91,7 @@ def copy_place(reference: str, out: Path) -> None:
                 for name, path in files.files.items():
                     (staged / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(path, staged / name)
-            write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
+            write_ready_suite(staged / SUITE, load_folder(staged).name, ["."], robot=robot)
             staged.rename(out)
     except OSError as error:
         raise StoreError(

@@ -1,0 +1,59 @@
+"""Which scenes a policy was trained in, by its card: what run.json says and reports mark."""
+
+from __future__ import annotations
+
+import pytest
+
+from nw_eval import api
+from nw_eval.cards import load_card
+from nw_eval.catalogue import FoundScene
+from nw_eval.engine.provenance import split_for
+from nw_eval.files.shipped import available
+from nw_eval.policies import load_bundle
+
+
+def card(*trained_on):
+    shipped = load_card(available("policies")["stand"] / "policy.yaml")
+    return shipped.model_copy(update={"trained_on": trained_on})
+
+
+@pytest.mark.parametrize(
+    ("trained_on", "splits"),
+    [
+        ((), (None, None, None)),
+        (("split:train",), ("train", "train", "eval")),
+        (("split:train~3",), ("train", "train", "eval")),
+        (("hurdles/*",), ("train", "train", "train")),
+        (("gaps/*",), ("eval", "eval", "eval")),
+    ],
+)
+def test_a_scene_is_train_where_the_card_names_it_and_else_eval(trained_on, splits):
+    names = ("hurdles/one_low_carpet", "hurdles/one_low_carpet~2", "hurdles/three_low")
+    found = [split_for(card(*trained_on), FoundScene.at(name)) for name in names]
+    assert tuple(found) == splits
+
+
+def test_the_shipped_students_say_where_they_were_trained_and_no_digest_moves(tmp_path):
+    for name, digest in {
+        "go1-act-rgb": "5066b8624e8dd53a",
+        "go1-act-depth": "63a18bd7b4350dd7",
+    }.items():
+        bundle = load_bundle(available("policies")[name])
+        assert bundle.card.trained_on == ("split:train",)
+        assert bundle.checkpoint_digest.startswith(digest)
+        plain = load_bundle(available("policies")[name])
+        object.__setattr__(plain, "card", plain.card.model_copy(update={"trained_on": ()}))
+        assert plain.digest == bundle.digest
+    assert load_bundle(available("policies")["go1-parkour"]).card.trained_on == ()
+    text = (
+        "nw-eval: 1\nname: two\nrobot: go1\npolicy: go1-act-depth\ntrials: 1\nseed: 7\n"
+        "episode: {duration: 0.1}\nrecord: none\n"
+        "scenes: [hurdles/one_low_carpet, hurdles/three_low, flat/carpet_room]\n"
+    )
+    (tmp_path / "two.yaml").write_text(text)
+    info = api.run(tmp_path / "two.yaml", out=tmp_path / "run", in_process=True).info
+    assert {name: scene.split for name, scene in info.scenes.items()} == {
+        "hurdles/one_low_carpet": "train",
+        "hurdles/three_low": "eval",
+        "flat/carpet_room": None,
+    }
