@@ -348,10 +348,14 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     monkeypatch.setattr(session, "run_trials", stop)
     with pytest.raises(KeyboardInterrupt):
         against(ears=ears, baseline="none")
-    assert "only the bar is judged, not max_drop 0.5" in ears.lines[0]
-    assert "`nw-eval baseline save quick.yaml --policy soft`" in ears.lines[0]
+    assert "max_drop 0.5 was not judged: no baseline is named for ./soft" in ears.lines[0]
+    assert "`nw-eval baseline save quick.yaml --policy ./soft`" in ears.lines[0]
     assert ears.lines[1].startswith("run folder: ")
-    Path("quick.yaml").write_text(SUITE.replace("gate: {", "gate: {baseline: shipped, "))
+    named_bank = SUITE.replace("gate: {", "gate: {baseline: shipped, ")
+    Path("quick.yaml").write_text(named_bank)
+    # It is for the suite's own policy, and for no other.
+    assert api.plan("quick.yaml", policy="./soft").against is None
+    Path("quick.yaml").write_text(named_bank.replace("policy: go1-parkour", "policy: ./soft"))
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))

@@ -169,7 +169,7 @@ def test_check_says_what_would_run_and_runs_nothing(suite, tmp_path):
     many = api.check(suite(trials=300), workers=2)
     assert many.minutes == pytest.approx((4 + 0.06 * 12 * 300 / 2) / 60)
     told = forecast_page(forecast)
-    assert "3 of 12 s: 1 scenes" in told
+    assert "3 of 12 s: 1 scene," in told
     assert "hurdles/three_low" in told
     assert "minutes" in told
     assert not (tmp_path / "reports").exists()

@@ -85,5 +85,5 @@ def test_scenes_are_listed_with_their_split(capsys: pytest.CaptureFixture[str]) 
     assert shown == [
         ["hurdles/three_low", "4", "waypoints", "eval"],
         ["hurdles/one_low_carpet", "2", "waypoints", "train"],
-        ["flat/carpet_room", "1", "waypoints", "-"],
+        ["flat/carpet_room", "1", "waypoint", "-"],
     ]
