@@ -272,17 +272,26 @@ def link(path: Path, outside: Path) -> None:
     path.symlink_to(outside)
 
 
-def name_log(folder: RunFolder, path: str) -> None:
-    """Have a run whose rows name a log at a path, and have its digest."""
+def change_rows(folder: RunFolder, change: Callable[[int, Row], Row]) -> None:
+    """Have a run with other rows, which is as consistent as before."""
     info = read_run_info(folder.run_json)
     trials = saved_trials(info, saved_suite(info))
-    rows = [row_of(trial, info, "", completed=True, failed=False) for trial in trials]
-    rows[0] = replace(rows[0], mcap_path=path, mcap_sha256="ab" * 32, mcap_bytes=3)
+    rows = [
+        row_of(trial, info, "", completed=k % 3 > 0, failed=False) for k, trial in enumerate(trials)
+    ]
     for file in (folder.journal, folder.trials, folder.digests, folder.run_json):
         file.unlink()
-    again = written(folder.path / "again", info.model_copy(update={"rows_digest": ""}), rows)
+    info = info.model_copy(update={"rows_digest": ""})
+    again = written(folder.path / "again", info, [change(k, row) for k, row in enumerate(rows)])
     for file in again.path.iterdir():
         file.rename(folder.path / file.name)
+    again.path.rmdir()
+
+
+def name_log(folder: RunFolder, path: str) -> None:
+    """Have a run whose first row names a log at a path, and has its digest."""
+    log = {"mcap_path": path, "mcap_sha256": "ab" * 32, "mcap_bytes": 3}
+    change_rows(folder, lambda k, row: row if k else replace(row, **log))
 
 
 HOSTILE: dict[str, tuple[Callable[[RunFolder, Path], object], str]] = {
@@ -386,6 +395,10 @@ HOSTILE: dict[str, tuple[Callable[[RunFolder, Path], object], str]] = {
         lambda run, _: name_log(run, "../../outside/passwd"),
         "../../outside/passwd (flat-room-000) is unreadable",
     ),
+    "four million waypoints": (
+        lambda run, _: change_rows(run, lambda _, row: replace(row, waypoints_total=4 * 10**6)),
+        "trial flat-room-000 has 4000000 waypoints",
+    ),
     "a log with another content": (
         lambda run, _: (
             name_log(run, "mcap/a.mcap"),
@@ -429,6 +442,17 @@ def test_a_run_that_is_not_consistent_or_leads_elsewhere_is_named_and_costs_no_o
     assert outside.read_text() == SECRET
     after = {path: path.lstat().st_mtime_ns for run in runs for path in run.rglob("*")}
     assert after == before, "nothing is written into a stranger's folder"
+
+
+def test_runs_that_have_no_comparison_stand_alone(tmp_path: Path, honest: Path) -> None:
+    name = "<img src=x onerror=alert(1)>\n::error::x\u202e"
+    folder = save_run(tmp_path / "runs" / name)
+    change_rows(folder, lambda _, row: replace(row, perturbation=(("<script>", 1.0),)))
+    pages, left_out = pages_of([honest, folder.path], tmp_path)
+    assert (len(pages), left_out) == (6, [])
+    site = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert "tiny (1)" in site
+    assert "tiny (2)" in site
 
 
 def test_a_run_that_is_whole_but_for_its_logs_is_shown(tmp_path: Path, honest: Path) -> None:

@@ -17,6 +17,7 @@ from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageErro
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
     from nw_eval.gate.side_by_side.entrant import Entrant
+    from nw_eval.gate.side_by_side.result import PolicyComparison
     from nw_eval.reporting.site.board import BoardSection
 
 PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
@@ -168,7 +169,6 @@ def _sections(
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.running.reports import fault_of
-    from nw_eval.gate.side_by_side.compare import compared
     from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
     from nw_eval.reporting.site.board import BoardRun, BoardSection
 
@@ -198,22 +198,43 @@ def _sections(
         else:
             groups.append([(run, entrant)])
             notes.append(note)
-    suites = [group[0][1].suite for group in groups]
+    found = [
+        (each, comparison, note)
+        for group, note in zip(groups, notes, strict=True)
+        for each, comparison in _compared(group, confidence, left_out)
+    ]
+    suites = [group[0][1].suite for group, _, _ in found]
     return [
         BoardSection(
             title=f"{suites[place]} ({suites[: place + 1].count(suites[place])})"
             if suites.count(suites[place]) > 1
             else suites[place],
-            note=notes[place],
-            comparison=compared([entrant for _, entrant in group], confidence),
+            note=note,
+            comparison=comparison,
             runs=tuple(
                 BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
                 for run, _ in group
             ),
             pictures={},
         )
-        for place, group in enumerate(groups)
+        for place, (group, comparison, note) in enumerate(found)
     ]
+
+
+def _compared(
+    group: list[tuple[RunReport, Entrant]], confidence: float, left_out: list[str]
+) -> list[tuple[list[tuple[RunReport, Entrant]], PolicyComparison]]:
+    """Return runs with their comparison: each alone where they have none together."""
+    from nw_eval.api.running.reports import fault_of
+    from nw_eval.gate.side_by_side.compare import compared
+
+    try:
+        return [(group, compared([entrant for _, entrant in group], confidence))]
+    except Exception as error:  # noqa: BLE001 - As for reading them.
+        if len(group) == 1:
+            left_out.append(f"{clean(group[0][0].folder.name)}: {fault_of(error)}")
+            return []
+    return [each for one in group for each in _compared([one], confidence, left_out)]
 
 
 def _pictures(

@@ -86,10 +86,10 @@ def _append(
     headers = {"Range": f"bytes={here}-"} if here else {}
     with opened(client, url, headers, deadline) as answers:
         for answer in answers:
-            if (given := answer.headers.get("X-Repo-Commit", commit)) != commit:
+            if (named := answer.headers.get("X-Repo-Commit", commit)) != commit:
                 raise FetchError(
                     f"{reference.text}: {client.endpoint} gives {file.path} of commit "
-                    f"{clean(given, at_most=60)}, not of {commit}",
+                    f"{clean(named, at_most=60)}, not of {commit}",
                     fix="check HF_ENDPOINT and proxy",
                 )
         answer = answers[-1]

@@ -167,12 +167,13 @@ def as_published(run: Path) -> RunReport:
     from nw_eval.results.evidence.check import check_files
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import check_plain, open_run_folder
+    from nw_eval.scenes import limits
 
     folder = open_run_folder(run)
     check_plain(folder)
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)
-    files, _ = check_files(folder, info, {trial.id for trial in saved_trials(info, suite)})
+    files, rows = check_files(folder, info, {trial.id for trial in saved_trials(info, suite)})
     logs = (f"{folder.logs.name}/", f"{folder.cached.name}/")
     for each in files.findings:
         if each.what != "missing" or not each.file.startswith(logs):
@@ -180,6 +181,12 @@ def as_published(run: Path) -> RunReport:
             about = f": {each.about}" if each.about else ""
             raise StoreError(
                 f"{where} is {each.what}{about}", fix=f"nw-eval verify --offline {typed(run)}"
+            )
+    for row in rows.values():
+        if row.waypoints_total > limits.WAYPOINTS:  # Pages have a line for each.
+            raise StoreError(
+                f"trial {row.trial_id} has {row.waypoints_total} waypoints",
+                fix=f"no scene has more than {limits.WAYPOINTS}",
             )
     try:
         bank = kept_bank(folder, info, elsewhere=False)
