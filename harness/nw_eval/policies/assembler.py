@@ -29,11 +29,15 @@ class InputAssembler:
         self._parts = resolve_inputs(card, specs)
 
     def __call__(self, observation: Observation) -> dict[str, NDArray[Any]]:
-        """Return an array for each input of the checkpoint, with a batch axis of 1."""
+        """Return an array for each input of the checkpoint, with a batch axis of 1.
+
+        Each has memory of its own, which no other input, step or log shares: networks normalise
+        their inputs in place (`obs.clamp_(...)`), and a sensor shows one sample at several steps.
+        """
         feeds: dict[str, NDArray[Any]] = {}
         for spec, names in self._parts:
             if len(names) == 1:
-                joined = np.asarray(observation[names[0]], dtype=spec.dtype)
+                joined = np.array(observation[names[0]], dtype=spec.dtype, order="C")
             else:
                 joined = np.concatenate([observation[name] for name in names], dtype=spec.dtype)
             if len(spec.shape) != joined.ndim:
