@@ -305,7 +305,7 @@ def fed_by(adapter):
         text += "    def act(self, given):\n        eyes = given.pop('eyes')\n"
         text += "        sum = self.plain(given) + eyes.ravel()\n        eyes[:] = 7.0\n"
         source.write_text(text + "        return sum\n")
-        return case.card(code, networks=f"{{eyes: {{{network}}}}}", inputs="")
+        return case.card(code, networks=f"{{eyes: {network}}}", inputs="")
 
     return make
 
