@@ -101,7 +101,8 @@ def test_what_only_the_splat_shows_hides_a_cone(see, before_a_cone):
 
 def test_geometry_hides_a_cone_where_the_splat_has_a_hole(see, before_a_cone, world):
     assert before_a_cone.any()
-    world.scene.trail[0] = [3.0, 0.0, -0.3]  # In view, but for the ground.
+    trail = np.array([[3.0, 0.0, -0.3], world.scene.trail[1]])  # In view, but for the ground.
+    world.scene = replace(world.scene, trail=trail)
     np.testing.assert_array_equal(see(Nothing(), cones=True), see(Nothing()))
 
 

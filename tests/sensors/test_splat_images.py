@@ -169,10 +169,12 @@ def test_a_published_cone_is_hidden_by_geometry_not_by_the_splat(look, world, mo
     painted, _ = look(**published, cones=True)
     before, after = plain.read(moment_of(world)), painted.read(moment_of(world))
     assert (before != after).any()
-    world.scene.trail[0] = [50.0, 0.0, 0.0]  # Only the far cone is left.
+    trail[0] = [50.0, 0.0, 0.0]  # Only the far cone is left.
+    world.scene = replace(world.scene, trail=trail)
     far, _ = look(**published, cones=True)
     assert (far.read(moment_of(world)) != before).any()
-    world.scene.trail[1, 2] = -0.5  # Under the ground, nothing of it is seen.
+    trail[1, 2] = -0.5  # Under the ground, nothing of it is seen.
+    world.scene = replace(world.scene, trail=trail)
     under, _ = look(**published, cones=True)
     np.testing.assert_array_equal(under.read(moment_of(world)), before)
 
