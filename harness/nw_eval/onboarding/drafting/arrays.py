@@ -48,9 +48,9 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
         )
     layers = [tensor for tensor in facts.tensors if len(tensor.shape) == 2]
     weights = [tensor for tensor in layers if _WEIGHT.search(tensor.name)]
-    made = {tensor.shape[0] for tensor in weights}
+    outputs = {tensor.shape[0] for tensor in weights}
     # What no layer makes is an input: of 45 -> 512 -> 256 -> 12 that is 45, not the widest.
-    sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in made]
+    sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in outputs]
     sizes = sizes or [tensor.shape[1] for tensor in weights]
     known = [size for size in sizes if frames_of(size)]
     reason = (

@@ -135,8 +135,10 @@ def _body(
         listed = {argument.name for argument in facts.script if argument.images}
         inputs: list[str] = []
         for name, several in by_input.items():
-            made = f"[{', '.join(part.name for part in several)}]"
-            inputs.append(f"{quoted(name)}: {f'{{list: {made}}}' if name in listed else made}")
+            combined = f"[{', '.join(part.name for part in several)}]"
+            inputs.append(
+                f"{quoted(name)}: {f'{{list: {combined}}}' if name in listed else combined}"
+            )
         body += ["", f"inputs: {{{', '.join(inputs)}}}"]
     if len(facts.outputs) > 1:
         first, *rest = sorted(facts.outputs, key=lambda output: _unlikeness(output, joints))

@@ -69,9 +69,9 @@ class PythonPolicy:
         """
         if self._policy is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        given = {name: np.array(array) for name, array in observation.items()}
+        copies = {name: np.array(array) for name, array in observation.items()}
         try:
-            raw = getattr(self._policy, "act", self._policy)(given)
+            raw = getattr(self._policy, "act", self._policy)(copies)
         except Exception as error:
             raise _failed(self._name, "act", error) from error
         return checked_action(raw, joints=self._joints, policy=self._name)

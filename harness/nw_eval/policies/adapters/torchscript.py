@@ -163,9 +163,9 @@ def _check_signature(module: Any, bundle: Bundle) -> None:
             fix=f"say which observations make each, in this order: `inputs: {{{names}}}`",
         )
     for (own, names), (name, kind, _) in zip(parts, arguments, strict=False):
-        is_list, made = kind == "List[Tensor]", ", ".join(names)
+        is_list, joined = kind == "List[Tensor]", ", ".join(names)
         if is_list != (own in listed):
-            one = f"{{list: [{made}]}}" if is_list else f"[{made}]"
+            one = f"{{list: [{joined}]}}" if is_list else f"[{joined}]"
             raise PolicyError(
                 f"{where} takes `{name}`, a {kind}; the card feeds it "
                 f"{'one array' if is_list else 'a list'}",
