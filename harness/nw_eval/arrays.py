@@ -21,6 +21,13 @@ _NUMBERS = "biuf"
 _DTYPE = re.compile(r"[<|][biuf]\d{1,2}")
 
 
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of an array that cannot be written into, for code that is not ours."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return arrays of numbers or booleans as bytes; equal arrays give equal bytes, none give none.
 

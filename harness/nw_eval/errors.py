@@ -5,10 +5,12 @@
     ├─ SuiteError          exit 2   problems in a suite file, all of them, each with its place
     ├─ SceneError          exit 2   a place that cannot be loaded or built
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
-    │  └─ CodeError        exit 2   Python code that a card names failed
+    │  ├─ CodeError        exit 2   Python code that a card names failed
+    │  └─ CrashError       exit 4   the process that opened a checkpoint died
     ├─ PrerequisiteError   exit 2   an extra, a driver or a backend that is not installed
     ├─ TrialError          exit 4   a trial that could not be run to a result
     │  ├─ ActionError      exit 4   an action that is none: the policy's own failure
+    │  │  └─ NotFiniteError  exit 4   with a NaN or inf in it
     │  ├─ DivergedError    exit 4   physics that left all bounds
     │  └─ ServerError      exit 4   a policy's server that cannot be asked: no failure of it
     ├─ StoreError          exit 4   results that cannot be written, or that are damaged
@@ -116,6 +118,12 @@ class CodeError(PolicyError):
     """Python code that a card names (policy, sensor, wrapper) raised, or is not what it says."""
 
 
+class CrashError(PolicyError):
+    """The process that opened a checkpoint died: of the checkpoint, or of the machine."""
+
+    exit_code = 4
+
+
 class PrerequisiteError(NwEvalError):
     """Something that the chosen options need is not installed."""
 
@@ -130,6 +138,10 @@ class TrialError(NwEvalError):
 
 class ActionError(TrialError):
     """A policy's action is not one finite number for each joint."""
+
+
+class NotFiniteError(ActionError):
+    """A number of an action, or of what a network gives, is NaN or infinite."""
 
 
 class DivergedError(TrialError):

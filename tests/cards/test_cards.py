@@ -1,11 +1,14 @@
+import re
 import textwrap
 
 import pytest
+from pydantic import ValidationError
 
 from nw_eval.cards import JointControl, load_card
 from nw_eval.cards.layouts import LAYOUTS
-from nw_eval.cards.terms import term_size
+from nw_eval.cards.terms import Constant, term_size
 from nw_eval.errors import PolicyError
+from nw_eval.files.yaml_file import parse_yaml
 from nw_eval.robots import get_robot
 
 MINIMAL = """\
@@ -272,3 +275,37 @@ def test_an_input_is_either_observed_or_recurrent(tmp_path):
 def test_recurrent_pairs_are_for_graphs_that_pass_their_state_along(tmp_path):
     text = MINIMAL.replace("adapter: onnx", "adapter: torchscript") + "recurrent: {h: h_out}\n"
     assert "`torchscript` keeps its state itself" in problems_of(tmp_path, text)[0]
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        (
+            "{?L_hip: 0.1}",
+            r'begins with `\?` is read by YAML as \'L_hip\'; put it in quotes: "\?L_hip"',
+        ),
+        ("{*_hip: 0.1}", r'found undefined alias .*begins with `\*` in quotes: "\*_hip"'),
+    ],
+)
+def test_a_pattern_that_yaml_reads_as_its_own_sign_is_to_be_quoted(scale, said):
+    with pytest.raises(ValueError, match=said):
+        parse_yaml(f"control: {{scale: {scale}}}", file="policy.yaml")
+    quoted = re.sub(r"{(.*?):", r'{"\1":', scale)
+    read = parse_yaml(f"control: {{scale: {quoted}}}", file="policy.yaml")
+    assert list(read.data["control"]["scale"].values()) == [0.1]
+
+
+def test_many_equal_constants_are_said_in_short_and_are_the_same_card():
+    short = Constant.model_validate({"term": "constant", "value": 0.5, "width": 187})
+    long = Constant.model_validate({"term": "constant", "values": [0.5] * 187})
+    assert short == long
+    assert short.model_dump(mode="json") == long.model_dump(mode="json")
+    assert term_size(short) == 187
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"value": 0}, {"width": 3}, {"values": [1.0], "width": 3}, {"values": []}]
+)
+def test_a_constant_has_one_of_its_two_forms(given):
+    with pytest.raises(ValidationError, match=r"`values: .*`, or `value` and `width`"):
+        Constant.model_validate({"term": "constant"} | given)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from nw_eval.api import check_policy, init_policy
 from nw_eval.catalogue import FoundScene, get_scene
 from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.machine.output import LARGEST, WorkerOutput
@@ -253,3 +254,50 @@ def test_a_server_of_policies_is_fenced_in_before_it_says_where_it_is():
     finally:
         server.kill()
         server.communicate()
+
+
+class Export(torch.nn.Module):
+    """Many kinds of layers, whose shapes torch computes in C++ and in Python."""
+
+    def __init__(self):
+        super().__init__()
+        self.norm, self.rnn = torch.nn.LayerNorm(12), torch.nn.GRU(12, 16)
+        self.seen = torch.nn.Sequential(torch.nn.Conv1d(1, 4, 3), torch.nn.BatchNorm1d(4))
+        self.head = torch.nn.Sequential(
+            *(torch.nn.Linear(56, 16), torch.nn.ELU(), torch.nn.Linear(16, 16), torch.nn.SiLU()),
+            *(torch.nn.Linear(16, 12), torch.nn.Tanh()),
+        )
+        self.register_buffer("hidden", torch.zeros(1, 1, 16))
+
+    def forward(self, obs):
+        obs = self.norm(obs.clamp(-5.0, 5.0))
+        seen = torch.nn.functional.softplus(self.seen(obs[:, None])).flatten(1)
+        out, hidden = self.rnn(obs[None], self.hidden)
+        self.hidden.copy_(hidden)
+        return 0.1 * self.head(torch.cat([torch.nn.functional.gelu(seen), out[0]], dim=1))
+
+
+PT2 = """\
+nw-policy: 1
+name: exported
+robot: go1
+adapter: torch-export
+checkpoint: {file: policy.pt2}
+control: {action: joint_position_offset}
+observations: {body: {sensor: proprio, terms: [joint_pos]}}
+"""
+
+
+@pytest.mark.skipif(not offered().landlock, reason="this kernel has no Landlock for us")
+def test_an_exported_graph_is_drafted_checked_and_run_behind_the_fence(tmp_path):
+    file = tmp_path / "policy.pt2"
+    graph = torch.export.export(Export().eval(), (torch.zeros(1, 12),))
+    torch.export.save(graph, file)
+    draft = init_policy(file, robot="go1", out=tmp_path / "draft.yaml")
+    assert "adapter: torch-export" in draft.text
+    (tmp_path / "policy.yaml").write_text(PT2)
+    report = check_policy(str(tmp_path / "policy.yaml"), scene=SCENE)
+    assert report.seconds == pytest.approx(1.0)
+    folder = RunFolder(path=tmp_path / "run")
+    [row] = run(jobs_of(str(tmp_path), folder), folder)
+    assert (row.status, row.error_text) == ("ok", "")

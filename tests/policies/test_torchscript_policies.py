@@ -1,6 +1,7 @@
 import hashlib
 import io
 import os
+import re
 import zipfile
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 import torch
 
 from nw_eval.errors import PolicyError, TrialError
+from nw_eval.onboarding.drafting import write_card_draft
+from nw_eval.onboarding.reading import inspect_checkpoint
 from nw_eval.policies import load_bundle, open_policy
+from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
 
 CARD = """\
@@ -220,3 +224,144 @@ def test_the_state_of_another_script_does_not_fit(tmp_path):
     other = open_policy(bundle_of(tmp_path, scripted(Doubling())))
     with pytest.raises(TrialError, match="does not fit policy 'mine'"):
         other.restore(saved)
+
+
+class Cnn(torch.nn.Sequential):
+    """rsl_rl's `modules/cnn.py`: layers by number, flattened at the end."""
+
+    def __init__(self, channels):
+        layers = (torch.nn.Conv2d(channels, 4, 3, stride=2), torch.nn.ELU(), torch.nn.Flatten(1))
+        super().__init__(*layers)
+
+
+class Normalization(torch.nn.Module):
+    """rsl_rl's `EmpiricalNormalization`."""
+
+    def __init__(self, size):
+        super().__init__()
+        self.register_buffer("_mean", torch.randn(1, size))
+        self.register_buffer("_std", torch.rand(1, size))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return (x - self._mean) / (self._std + 0.01)
+
+
+class WithPictures(torch.nn.Module):
+    """The JIT export of rsl_rl's `models/cnn_model.py` (5.4.1), `_TorchCNNModel`."""
+
+    def __init__(self):
+        super().__init__()
+        self.obs_normalizer = Normalization(12)
+        self.cnns = torch.nn.ModuleList([Cnn(1), Cnn(1)])
+        self.mlp = torch.nn.Sequential(torch.nn.Linear(12 + 2 * 4 * 4 * 7, 8), torch.nn.ELU())
+        self.mlp.append(torch.nn.Linear(8, 12))
+        self.deterministic_output = torch.nn.Identity()
+
+    def forward(self, obs_1d: torch.Tensor, obs_2d: list[torch.Tensor]) -> torch.Tensor:
+        latent_1d = self.obs_normalizer(obs_1d)
+        latent_cnn_list = []
+        for i, cnn in enumerate(self.cnns):
+            latent_cnn_list.append(cnn(obs_2d[i]))
+        latent_cnn = torch.cat(latent_cnn_list, dim=-1)
+        latent = torch.cat([latent_1d, latent_cnn], dim=-1)
+        out = self.mlp(latent)
+        return self.deterministic_output(out)
+
+    @torch.jit.export
+    def reset(self) -> None:
+        pass
+
+
+PICTURES = """\
+nw-policy: 1
+name: pictures
+robot: go1
+adapter: torchscript
+checkpoint: {file: policy.pt}
+control: {action: joint_position_offset, scale: 0.25}
+inputs: INPUTS
+observations:
+  body: {sensor: proprio, terms: [joint_pos]}
+  front: {sensor: depth, width: 16, height: 9, wrap: [channels]}
+  rear: {sensor: depth, width: 16, height: 9, wrap: [channels]}
+"""
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    with torch.random.fork_rng():
+        torch.manual_seed(1)
+        module = WithPictures().eval()
+    (tmp_path / "policy.pt").write_bytes(scripted(module))
+
+    def card(inputs):
+        (tmp_path / "policy.yaml").write_text(PICTURES.replace("INPUTS", inputs))
+        return load_bundle(tmp_path)
+
+    return module, card
+
+
+def test_an_input_that_is_a_list_of_pictures_is_fed_in_the_order_of_the_card(pictures):
+    module, card = pictures
+    rng = np.random.default_rng(0)
+    sizes = {"body": (12,), "front": (1, 9, 16), "rear": (1, 9, 16)}
+    seen = {name: rng.normal(size=size).astype(np.float32) for name, size in sizes.items()}
+    body, front, rear = (torch.from_numpy(array)[None] for array in seen.values())
+    for inputs, images in (("front, rear", [front, rear]), ("rear, front", [rear, front])):
+        bundle = card(f"{{obs_1d: [body], obs_2d: {{list: [{inputs}]}}}}")
+        check_bundle(bundle)
+        policy = open_policy(bundle)
+        policy.reset(0)
+        wanted = module(body, images).detach().numpy()[0]
+        np.testing.assert_allclose(policy.act(seen), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "said"),
+    [
+        ("{obs_1d: [body], obs_2d: [front, rear]}", "obs_2d: {list: [front, rear]}}`"),
+        ("{obs_1d: {list: [body]}, obs_2d: {list: [front, rear]}}", "`inputs: {obs_1d: [body]}`"),
+        ("[body, front, rear]", "in this order: `inputs: {obs_1d: [...], obs_2d: [...]}`"),
+        ("{obs_1d: [body], obs_2d: {list: [front]}, x: [rear]}", "2 inputs, the card feeds 3"),
+    ],
+)
+def test_inputs_that_a_script_does_not_take_are_told_in_the_words_of_the_card(
+    pictures, inputs, said
+):
+    with pytest.raises(PolicyError, match=re.escape(said)):
+        open_policy(pictures[1](inputs))
+
+
+def test_a_list_that_is_too_short_is_a_failure_of_the_checkpoint(tmp_path, pictures):
+    pictures[1]("{obs_1d: [body], obs_2d: {list: [front, rear]}}")
+    text = (tmp_path / "policy.yaml").read_text().replace("[front, rear]", "[front]")
+    (tmp_path / "policy.yaml").write_text(text[: text.index("  rear")])
+    with pytest.raises(PolicyError, match=r"on an observation of zeros, .* failed: .*range"):
+        check_bundle(load_bundle(tmp_path))
+
+
+class Chooses(torch.nn.Module):
+    def forward(self, obs: dict[str, torch.Tensor]) -> torch.Tensor:
+        return obs["policy"]
+
+
+def test_an_argument_that_no_card_can_feed_is_named(tmp_path):
+    with pytest.raises(PolicyError, match=r"takes `obs`, a Dict\[str, Tensor\], which no card"):
+        open_policy(bundle_of(tmp_path, scripted(Chooses())))
+
+
+def test_other_adapters_take_no_lists(tmp_path):
+    (tmp_path / "policy.pt").write_bytes(b"x")
+    text = PICTURES.replace("INPUTS", "{a: [body], b: {list: [front, rear]}}")
+    (tmp_path / "policy.yaml").write_text(text.replace("torchscript", "onnx"))
+    with pytest.raises(PolicyError, match=r"policy.yaml:7:\d+: .*list of arrays, .*`onnx`"):
+        load_bundle(tmp_path)
+
+
+def test_a_draft_feeds_a_list_of_pictures_one_picture_each(tmp_path, pictures):
+    pictures[1]("{obs_1d: [body], obs_2d: {list: [front, rear]}}")
+    text = write_card_draft(inspect_checkpoint(tmp_path / "policy.pt"), get_robot("go1"))
+    assert "inputs: {obs_1d: [obs_1d], obs_2d: {list: [obs_2d_0, obs_2d_1]}}" in text
+    text = text.replace("width: 80", "width: 16").replace("height: 45", "height: 9")
+    (tmp_path / "policy.yaml").write_text(text)
+    check_bundle(load_bundle(tmp_path))

@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from nw_eval.errors import PolicyError, SceneError
+from nw_eval.errors import CrashError, PolicyError, SceneError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout import check_bundle
 from nw_eval.rollout.confined import vetting
@@ -16,10 +16,15 @@ from nw_eval.rollout.confined.isolated import call_isolated
 MODULE = "isolated_functions"
 SOURCE = """\
 import os, time
+from nw_eval.confinement import processor_time
 from nw_eval.errors import SceneError
 
 def pid(): return os.getpid()
 def dies(): os._exit(7)
+def aborts(): os.abort()
+def loops():
+    with processor_time(1):
+        while True: pass
 def sleeps(): time.sleep(60)
 def no_scene(): raise SceneError('there is no floor', fix='add one')
 def breaks(): raise KeyError('x')
@@ -40,6 +45,18 @@ def test_a_call_runs_elsewhere(functions):
 def test_a_process_that_dies_is_an_error_of_the_policy(functions):
     with pytest.raises(PolicyError, match=r"card: the process .* died \(exit code 7\)"):
         call_isolated(functions.dies, subject="card")
+
+
+def test_a_process_that_aborts_is_no_mistake_of_the_user(functions):
+    with pytest.raises(CrashError, match=r"died \(SIGABRT, exit code -6\)") as caught:
+        call_isolated(functions.aborts, subject="card")
+    assert caught.value.exit_code == 4
+
+
+def test_a_part_of_a_call_has_a_limit_of_processor_time_of_its_own(functions):
+    with pytest.raises(PolicyError, match="more processor time than it may") as caught:
+        call_isolated(functions.loops, subject="card")
+    assert caught.value.exit_code == 2
 
 
 def test_a_process_that_hangs_is_ended(functions):

@@ -131,3 +131,12 @@ def test_near_points_cover_far_ones():
     points = np.array([[1.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [-90.0, 0.0, 0.0]])
     picture = points_from_behind(points, (100, 60))
     assert (picture != 18).any(axis=-1).sum() == 4
+
+
+@pytest.mark.parametrize("axes", ["chw", "hwc"])
+def test_colours_of_several_images_along_the_channels_are_shown_as_the_newest_image(axes):
+    rng = np.random.default_rng(0)
+    older, newest = rng.integers(0, 256, (2, 12, 20, 3), dtype=np.uint8)
+    stack = np.concatenate([older, newest], axis=-1)
+    sample = np.moveaxis(stack, -1, 0) if axes == "chw" else stack
+    np.testing.assert_array_equal(picture_of(sample, "rgb"), newest)

@@ -1,5 +1,7 @@
 """Cones in pictures of a splat: whole where geometry shows them, and in the picture's light."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,7 +61,8 @@ def see(world, card_of, moment_of):
 @pytest.fixture
 def before_a_cone(world):
     """Put the eye 50 cm before the one cone, 2 m ahead; return the pixels that it must be in."""
-    world.scene.trail[1] = [50.0, 0.0, -0.5]
+    trail = np.array([world.scene.trail[0], [50.0, 0.0, -0.5]])
+    world.scene = replace(world.scene, trail=trail)
     world.reset(position=(1.23, 0.0, 0.3), yaw=0.0)
     fovy = world.robot.cameras["ego"].fovy
     camera = Camera.from_fovy(**SIZE, fovy=fovy, T_world_camera=np.eye(4))
@@ -98,7 +101,8 @@ def test_what_only_the_splat_shows_hides_a_cone(see, before_a_cone):
 
 def test_geometry_hides_a_cone_where_the_splat_has_a_hole(see, before_a_cone, world):
     assert before_a_cone.any()
-    world.scene.trail[0] = [3.0, 0.0, -0.3]  # In view, but for the ground.
+    trail = np.array([[3.0, 0.0, -0.3], world.scene.trail[1]])  # In view, but for the ground.
+    world.scene = replace(world.scene, trail=trail)
     np.testing.assert_array_equal(see(Nothing(), cones=True), see(Nothing()))
 
 

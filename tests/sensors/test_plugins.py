@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.cards import load_card
+from nw_eval.cards import JointControl, load_card
 from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS, installed
 from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
 from nw_eval.errors import PolicyError
-from nw_eval.sensors import build_sensors, check_card
+from nw_eval.rollout.episode.actions import Actions
+from nw_eval.sensors import Moment, build_sensors, check_card
 from nw_eval.sensors.plugins import PluginWarning, usable
+from nw_eval.sim import TrailProgress
 
 GOOD = """
 import numpy as np
@@ -58,6 +60,37 @@ class Counts:
         return {"count": np.array(self.count)}
     def restore(self, state):
         self.count = int(state["count"])
+
+class InPlace:
+    # Halves in place, and returns the same array for every sample.
+    def __init__(self):
+        self.given = None
+    def __call__(self, sample, shot):
+        sample *= np.float32(0.5)
+        if self.given is None:
+            self.given = sample.copy()
+        self.given[:] = sample
+        return self.given
+
+class Clock:
+    # Returns the same array for every measurement.
+    shape, dtype = (1,), np.float32
+    def __init__(self, robot):
+        self.given = np.zeros(1, np.float32)
+    def measure(self, moment):
+        self.given[:] = moment.step
+        return self.given
+
+class Meddles(Clock):
+    def __init__(self, robot, what):
+        super().__init__(robot)
+        self.what = what
+    def measure(self, moment):
+        what, place = self.what, moment.world.scene
+        array = {"trail": place.trail, "cones": moment.cones}.get(what)
+        array = getattr(moment, what) if array is None else array
+        (array[0] if isinstance(array, tuple) else array)[:] = 7.0
+        return self.given
 
 class Half:
     def __call__(self, sample, shot):
@@ -260,3 +293,63 @@ def test_a_misspelt_key_of_a_wrapper_is_told_with_its_line(tmp_path):
     with pytest.raises(PolicyError) as caught:
         load_card(tmp_path / "policy.yaml")
     assert ":10:25: unknown key 'topp'; did you mean 'top'?" in str(caught.value)
+
+
+def test_a_wrapper_that_writes_into_its_sample_and_its_answer_changes_no_other_sample(
+    world, card_of, moment_of, tmp_path
+):
+    (tmp_path / "writing.py").write_text(GOOD)
+    halved = {"wrapper": "writing:InPlace"}
+    scaled = {"wrapper": "scale", "scale": 0.5}
+    stack = {"wrapper": "stack", "steps": 2}
+    for before in ([], [stack]):
+        card, plain = (
+            card_of({"o": DEPTH | {"wrap": [*before, wrap, stack], "latency": 0.02}})
+            for wrap in (halved, scaled)
+        )
+        writing = build_sensors(card, world, code_from=tmp_path)["o"]
+        scaling = build_sensors(plain, world)["o"]
+        for sensor in (writing, scaling):
+            sensor.reset(0)
+        pairs = []
+        for step in range(4):
+            world.step(world.joint_positions + 0.1)
+            pairs.append([sensor.read(moment_of(world, step)) for sensor in (writing, scaling)])
+        assert not np.array_equal(pairs[0][1], pairs[-1][1])
+        for ours, theirs in pairs:
+            np.testing.assert_array_equal(ours, theirs)
+    sys.modules.pop("writing", None)
+
+
+def test_a_sensor_that_writes_into_what_it_returned_changes_no_earlier_measurement(
+    world, card_of, moment_of, tmp_path
+):
+    (tmp_path / "ticking.py").write_text(GOOD)
+    card = card_of({"o": {"sensor": "ticking:Clock", "latency": 0.04}})
+    sensor = build_sensors(card, world, code_from=tmp_path)["o"]
+    sensor.reset(0)
+    seen = [sensor.read(moment_of(world, step)) for step in range(5)]
+    assert [float(sample[0]) for sample in seen] == [0.0, 0.0, 0.0, 1.0, 2.0]
+    sys.modules.pop("ticking", None)
+
+
+@pytest.mark.parametrize("what", ["applied_action", "last_output", "position", "cones", "trail"])
+def test_a_sensor_cannot_write_into_what_it_is_shown(what, world, card_of, tmp_path):
+    (tmp_path / "meddling.py").write_text(GOOD)
+    card = card_of({"o": {"sensor": "meddling:Meddles", "what": what}})
+    sensor = build_sensors(card, world, code_from=tmp_path)["o"]
+    control = JointControl.from_card(card, world.robot)
+    progress = TrailProgress(world.scene.trail)
+    actions = Actions(control, world.robot.joints, delay_steps=1, action_filter=None)
+    actions.take(np.ones(12))
+    moment = Moment(
+        world=world,
+        progress=progress,
+        step=1,
+        applied_action=actions.applied.array,
+        last_output=actions.output.array,
+    )
+    sensor.reset(0)
+    with pytest.raises(PolicyError, match=r"measure raised ValueError: .* read-only"):
+        sensor.read(moment)
+    sys.modules.pop("meddling", None)

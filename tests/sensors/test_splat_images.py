@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -160,16 +162,19 @@ def test_a_published_cone_is_hidden_by_geometry_not_by_the_splat(look, world, mo
     world.reset(position=(0.0, 0.0, 0.1), yaw=0.0)
     # So narrow is the far cone that it must stand on a column that is looked at: 8 pixels of 1280
     # right of the middle, at f = 360 pixels.
-    world.scene.trail[1] = [4.0, -3.73 * 8.0 / 360.0, 0.0]
+    trail = np.array([world.scene.trail[0], [4.0, -3.73 * 8.0 / 360.0, 0.0]])
+    world.scene = replace(world.scene, trail=trail)
     published = {"sampling": "published", "width": 80, "height": 45}
     plain, _ = look(**published)
     painted, _ = look(**published, cones=True)
     before, after = plain.read(moment_of(world)), painted.read(moment_of(world))
     assert (before != after).any()
-    world.scene.trail[0] = [50.0, 0.0, 0.0]  # Only the far cone is left.
+    trail[0] = [50.0, 0.0, 0.0]  # Only the far cone is left.
+    world.scene = replace(world.scene, trail=trail)
     far, _ = look(**published, cones=True)
     assert (far.read(moment_of(world)) != before).any()
-    world.scene.trail[1, 2] = -0.5  # Under the ground, nothing of it is seen.
+    trail[1, 2] = -0.5  # Under the ground, nothing of it is seen.
+    world.scene = replace(world.scene, trail=trail)
     under, _ = look(**published, cones=True)
     np.testing.assert_array_equal(under.read(moment_of(world)), before)
 

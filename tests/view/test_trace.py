@@ -8,12 +8,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import nw_eval
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.results.moment_link import PORT, MomentLink, read_link
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.view.loading import open_shelf
 from nw_eval.view.trace import APART, parting, read_trace
 
+SUITE = """\
+nw-eval: 1
+name: looked-at
+robot: go1
+policy: go1-parkour
+trials: 2
+seed: 7
+episode: {duration: 1.6}
+scenes: [hurdles/one_low_carpet]
+record: all
+"""
 FIRST, SECOND = "hurdles-one_low_carpet-000", "hurdles-one_low_carpet-001"
 
 
@@ -125,3 +137,30 @@ def test_a_request_without_a_moment_is_no_link(path):
 @pytest.mark.parametrize("time", ["nan", "inf", "soon", "", "1e999"])
 def test_a_time_that_is_none_is_the_beginning(time):
     assert read_link(f"/?trial=a&t={time}").time == 0.0
+
+
+SEES = """\
+nw-policy: 1
+name: sees
+robot: go1
+adapter: zero
+control: {action: joint_position_offset, scale: 0.25}
+observations:
+  rgb: {sensor: splat_rgb, camera: ego, width: 16, height: 9, rate: 10}
+"""
+
+
+def test_pictures_of_the_head_are_said_to_be_seen_only_where_the_policy_was_given_some(
+    trace, tmp_path
+):
+    assert len(trace.frames[0])
+    assert not trace.is_seen  # go1-parkour is told heights, and given no picture.
+    (tmp_path / "sees").mkdir()
+    (tmp_path / "sees/policy.yaml").write_text(SEES)
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(SUITE.replace("trials: 2", "trials: 1").replace("1.6", "0.2"))
+    out = tmp_path / "run"
+    nw_eval.run(suite, policy=str(tmp_path / "sees"), out=out, in_process=True)
+    seen = read_trace(next(out.rglob("*.mcap")))
+    assert seen.is_seen
+    assert len(seen.frames[0])

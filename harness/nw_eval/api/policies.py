@@ -207,9 +207,12 @@ def serve_policy(
         from nw_eval.policies import load_bundle
         from nw_eval.policies.remote.serve import serving
         from nw_eval.rollout.confined.access import fence_in_server
+        from nw_eval.rollout.confined.vetting import vet_bundle
         from nw_eval.sensors import check_card
 
         bundle = load_bundle(policy, checkpoint=checkpoint)
+        if bundle.files and not allow_code:
+            vet_bundle(bundle, bundle.card.robot)  # With the limits of a run, which a server lacks.
         code_from = bundle.folder if allow_code else None
         specs = check_card(bundle.card, where=bundle.card_path, code_from=code_from)
         shapes = {spec.name: spec.shape for spec in specs}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nw_eval.cards.card import Card
+from nw_eval.cards.networks import listed_inputs
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.plural import plural
 
@@ -20,6 +21,8 @@ class InputSpec:
     name: str
     shape: tuple[int | None, ...]
     dtype: np.dtype[Any]
+    is_list: bool = False
+    """Whether it is a list of arrays, one of each observation; not one array of all."""
 
 
 def resolve_inputs(
@@ -33,7 +36,11 @@ def resolve_inputs(
     parts = card.input_parts()
     if not specs:
         # The order of the card is the order of the arguments, with a batch axis of unknown length.
-        return tuple((_undeclared(name or f"input {i}"), p) for i, (name, p) in enumerate(parts))
+        listed = listed_inputs(card.inputs)
+        return tuple(
+            (_undeclared(name or f"input {i}", is_list=name in listed), names)
+            for i, (name, names) in enumerate(parts)
+        )
     known = {spec.name: spec for spec in specs}
     if len(parts) == 1 and parts[0][0] is None:
         if len(specs) > 1:
@@ -55,8 +62,8 @@ def resolve_inputs(
     return tuple((spec, named[spec.name]) for spec in specs)
 
 
-def _undeclared(name: str) -> InputSpec:
-    return InputSpec(name=name, shape=(), dtype=np.dtype(np.float32))
+def _undeclared(name: str, *, is_list: bool) -> InputSpec:
+    return InputSpec(name=name, shape=(), dtype=np.dtype(np.float32), is_list=is_list)
 
 
 def shape_problems(
@@ -74,6 +81,8 @@ def shape_problems(
     """
     problems: list[str] = []
     for spec, names in resolve_inputs(card, specs):
+        if spec.is_list:
+            continue
         joined = _joined_shape([shapes[name] for name in names])
         if joined is None:
             image = next(name for name in names if len(shapes[name]) != 1)

@@ -10,7 +10,15 @@ from nw_eval.cards.checkpoint import Checkpoint, NetworkAdapter
 from nw_eval.cards.model import CardModel, Rate
 from nw_eval.cards.observations.proprio import Select
 
-Inputs = dict[str, list[str]] | list[str]
+
+class TensorList(CardModel):
+    """An input that is a list of arrays: `forward(obs_1d: Tensor, obs_2d: List[Tensor])`."""
+
+    parts: list[str] = Field(alias="list", min_length=1)
+    """The observations and networks that it holds, one array each, in this order."""
+
+
+Inputs = dict[str, list[str] | TensorList] | list[str]
 """By input of a file, what is joined to make it; a list makes the one input of a file."""
 
 OutputKey = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
@@ -71,4 +79,14 @@ def input_parts(inputs: Inputs) -> tuple[tuple[str | None, tuple[str, ...]], ...
     """Return input names with what they are made of; no name where the file has one input."""
     if isinstance(inputs, list):
         return ((None, tuple(inputs)),)
-    return tuple((name, tuple(parts)) for name, parts in inputs.items())
+    return tuple(
+        (name, tuple(parts.parts if isinstance(parts, TensorList) else parts))
+        for name, parts in inputs.items()
+    )
+
+
+def listed_inputs(inputs: Inputs | None) -> frozenset[str]:
+    """Return the names of the inputs that are lists of arrays."""
+    if not isinstance(inputs, dict):
+        return frozenset()
+    return frozenset(name for name, parts in inputs.items() if isinstance(parts, TensorList))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, assert_never
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from nw_eval.cards.model import CardModel, Limits
 
@@ -15,6 +15,10 @@ Foot = Literal["FR", "FL", "RR", "RL"]
 
 EARLIER_OUTPUTS = 4
 """How many outputs before the last one a card can ask for."""
+
+
+_NUMBERS = 10_000
+"""Of one constant."""
 
 
 class _Term(CardModel):
@@ -184,8 +188,33 @@ class Constant(_Term):
     """Numbers that never change."""
 
     term: Literal["constant"]
-    values: Annotated[list[float], Field(min_length=1, max_length=1000)]
-    """The numbers."""
+    values: Annotated[list[float], Field(max_length=_NUMBERS)] = Field(default_factory=list[float])
+    """The numbers; or, where all are the same, `value` and `width`."""
+    value: float | None = Field(default=None, exclude=True)
+    """What each of them is."""
+    width: Annotated[int, Field(ge=1, le=_NUMBERS)] | None = Field(default=None, exclude=True)
+    """How many there are."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _written_out(cls, data: Any) -> Any:
+        """Read `value` and `width` as `values`: both forms are the same card."""
+        if not isinstance(data, dict) or "values" in data:
+            return data
+        value, width = data.get("value"), data.get("width")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return data
+        if not isinstance(width, int) or not 1 <= width <= _NUMBERS:
+            return data
+        rest = {key: data[key] for key in data if key not in {"value", "width"}}
+        return {**rest, "values": [float(value)] * width}
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Constant:
+        if not self.values or self.value is not None or self.width is not None:
+            message = "a constant has `values: [...]`, or `value` and `width`"
+            raise ValueError(f"{message}; write `{{term: constant, value: 0.0, width: 187}}`")
+        return self
 
 
 def _bare_word(value: Any) -> Any:

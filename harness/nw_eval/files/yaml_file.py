@@ -130,14 +130,17 @@ def parse_yaml(text: str, *, file: str) -> YamlFile:
         line, column = (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
         if "'\\t'" in str(error.problem):
             raise fail("is not YAML: a tab stands here", "use spaces", line, column) from None
-        raise fail(f"is not YAML: {error.problem}", "correct the syntax", line, column) from None
+        fix = "correct the syntax"
+        if (alias := re.search("undefined alias '(.*?):?'", str(error.problem))) is not None:
+            fix = f'put a pattern that begins with `*` in quotes: "*{alias[1]}"'
+        raise fail(f"is not YAML: {error.problem}", fix, line, column) from None
     except (YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise fail(f"is not YAML: {reason}", "correct the syntax") from None
     if not isinstance(root, MappingNode):
         kind = "empty" if root is None else "not a mapping"
         raise fail(f"the file is {kind}", "write `key: value` lines")
-    reader = _Reader(file)
+    reader = _Reader(file, text)
     read = YamlFile(path=file, data=reader.value(root, ()) or {}, places=reader.places)
     if reader.problems:
         raise YamlProblems(sorted(reader.problems, key=lambda p: (p.line, p.column)), read)
@@ -174,8 +177,9 @@ def _too_deep(text: str) -> Place | None:
 class _Reader:
     """Turns nodes into plain values, noting places and faults."""
 
-    def __init__(self, file: str) -> None:
+    def __init__(self, file: str, text: str) -> None:
         self.file = file
+        self._lines = text.splitlines()
         self.places: dict[Location, Place] = {(): (1, 1)}
         self.problems: list[Problem] = []
         self._yaml = YAML(typ="safe", pure=True)
@@ -218,6 +222,11 @@ class _Reader:
                 self._fault(key_node, "a key must be a plain word", "use a name")
                 continue
             key = str(key_node.value)
+            if self._follows_mark(key_node):
+                # YAML takes the mark as its own in `{?L_hip: 1}`, and the key is `L_hip`.
+                message = f"a key that begins with `?` is read by YAML as {key[:40]!r}"
+                self._fault(key_node, message, f'put it in quotes: "?{key[:40]}"')
+                continue
             if not key.isprintable() or len(key) > _KEY_LIMIT:
                 # Keys name observations and inputs, and go where names go.
                 self._fault(key_node, f"{key[:40]!r}... is not a key", "use a short printable name")
@@ -230,6 +239,12 @@ class _Reader:
             self.places[*location, key] = _mark(key_node)
             result[key] = self.value(child, (*location, key))
         return result
+
+    def _follows_mark(self, node: ScalarNode) -> bool:
+        """Whether a `?` stands right before a key."""
+        mark = node.start_mark
+        before = self._lines[mark.line][: mark.column] if mark.line < len(self._lines) else ""
+        return before.endswith("?")
 
     def _scalar(self, node: Node) -> Any:
         try:

@@ -29,14 +29,28 @@ class InputAssembler:
         self._parts = resolve_inputs(card, specs)
 
     def __call__(self, observation: Observation) -> dict[str, NDArray[Any]]:
-        """Return an array for each input of the checkpoint, with a batch axis of 1."""
-        feeds: dict[str, NDArray[Any]] = {}
-        for spec, names in self._parts:
-            if len(names) == 1:
-                joined = np.asarray(observation[names[0]], dtype=spec.dtype)
-            else:
-                joined = np.concatenate([observation[name] for name in names], dtype=spec.dtype)
-            if len(spec.shape) != joined.ndim:
-                joined = joined[np.newaxis]
-            feeds[spec.name] = np.ascontiguousarray(joined)
-        return feeds
+        """Return the inputs of a checkpoint that declares them, by name, with a batch axis of 1.
+
+        Each has memory of its own, which no other input, step or log shares: networks normalise
+        their inputs in place (`obs.clamp_(...)`), and a sensor shows one sample at several steps.
+        """
+        return {spec.name: _joined(spec, names, observation) for spec, names in self._parts}
+
+    def in_order(self, observation: Observation) -> list[NDArray[Any] | list[NDArray[Any]]]:
+        """Return the same for one that declares none, in the card's order, and lists as lists."""
+        return [
+            [_joined(spec, (name,), observation) for name in names]
+            if spec.is_list
+            else _joined(spec, names, observation)
+            for spec, names in self._parts
+        ]
+
+
+def _joined(spec: InputSpec, names: Sequence[str], observation: Observation) -> NDArray[Any]:
+    if len(names) == 1:
+        joined = np.array(observation[names[0]], dtype=spec.dtype, order="C")
+    else:
+        joined = np.concatenate([observation[name] for name in names], dtype=spec.dtype)
+    if len(spec.shape) != joined.ndim:
+        joined = joined[np.newaxis]
+    return np.ascontiguousarray(joined)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.errors import ActionError
+from nw_eval.errors import ActionError, NotFiniteError
 from nw_eval.memory import Memory
 
 Observation = Mapping[str, NDArray[Any]]
@@ -76,7 +76,7 @@ def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
     action = np.array(array.reshape(joints), dtype=np.float64)
     if not all_finite(action):
         index = int(np.argmin(np.isfinite(action)))
-        raise ActionError(
+        raise NotFiniteError(
             f"policy {policy!r} returned {action[index]} for joint {index} of its action",
             fix="check the checkpoint, and the observations' scales on its card",
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec, shape_problems
-from nw_eval.errors import NwEvalError, PolicyError
+from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
 from nw_eval.policies import Bundle, Policy, open_policy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.robots import RobotSpec
@@ -20,7 +20,11 @@ Answer = TypeVar("Answer")
 
 
 def check_bundle(
-    bundle: Bundle, robot: RobotSpec | None = None, *, allow_code: bool = False
+    bundle: Bundle,
+    robot: RobotSpec | None = None,
+    *,
+    allow_code: bool = False,
+    may_fail: bool = False,
 ) -> tuple[ObservationSpec, ...]:
     """Check a card against its robot and its files of weights: sizes, and one action on zeros.
 
@@ -28,6 +32,8 @@ def check_bundle(
         bundle: card and checkpoint.
         robot: the robot that the suite runs; None = the card's own.
         allow_code: whether Python code that the card names may be imported.
+        may_fail: whether a NaN or inf that it answers to zeros is left to its trials, which fail
+            of it: it is the policy's own failure, and no fault of the card.
 
     Raises:
         PolicyError: as `check_card`; the checkpoint, or a network that feeds it, cannot be loaded,
@@ -48,6 +54,9 @@ def check_bundle(
                 sizes |= {name: sized(name, array.shape) for name, array in fed.items()}
                 arrays |= fed
         _tried(bundle, own.inputs, own.act, arrays, sizes)
+    except PolicyError as error:
+        if not (may_fail and isinstance(error.__cause__, NotFiniteError)):
+            raise
     finally:
         policy.close()
     return specs
@@ -91,7 +100,7 @@ def _tried(
         raise PolicyError(
             f"{bundle.where}: on an observation of zeros, {error}",
             fix=f"compare with what the card makes: {sums}",
-        ) from None
+        ) from error
 
 
 def _wanted_size(text: str, shape: tuple[int, ...]) -> int | None:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
 from nw_eval.scenes.captures import CaptureCameras
 from nw_eval.scenes.digest import digest
@@ -120,6 +121,10 @@ class Scene:
     T_world_splat: NDArray[np.float64] = field(default_factory=_identity)
     licence: str = "MIT"
     captures: CaptureCameras | None = None
+
+    def __post_init__(self) -> None:
+        # All trials of a process share it, and so do the sensors of others.
+        object.__setattr__(self, "trail", read_only(self.trail))
 
     def mesh(self) -> TriangleMesh:
         """Return what every ray against static geometry meets: ground, obstacles, walls, clutter.

@@ -155,7 +155,8 @@ def draw_card(
                 high=float(finite.max()) if finite.size else None,
             )
         )
-        image = pictures.picture_of(sample, sensors[name].unit)
+        is_grey = any(wrap.wrapper == "grayscale" for wrap in kind.wrap)
+        image = pictures.picture_of(sample, "" if is_grey else sensors[name].unit)
         if image is not None:
             wrapped = "".join(f" > {wrap.wrapper}" for wrap in kind.wrap)
             caption = f"{kind.sensor}{wrapped}: {form}"

@@ -75,7 +75,7 @@ class PluginSensor(Measurement):
         elif sample.shape != self.shape or sample.dtype != self.dtype:
             form = f"{sample.shape} {sample.dtype}"
         else:
-            return sample
+            return sample.copy()  # It may write the next sample into the same array.
         raise CodeError(
             f"`{self._name}`: sensor {self._sensor} returned {form}",
             fix=f"it says that it returns {self.shape} {self.dtype}",

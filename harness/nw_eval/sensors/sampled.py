@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import pack, unpack
+from nw_eval.arrays import pack, read_only, unpack
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.memory import Arrays
 from nw_eval.scenes.captures import Nearness
@@ -93,6 +93,7 @@ class Sampled:
             sample = self._measurement.measure(moment)
             if self._is_wrapped:
                 sample = self._chain(sample, moment)
+            sample = read_only(sample)  # It is shown at several steps, and logged.
             if not self._delay:
                 samples.clear()
                 self.fresh = True
@@ -125,7 +126,7 @@ class Sampled:
         """Go back to a `state` of the same trial, with the seed of the last `reset`."""
         arrays = unpack(state)
         steps = arrays.pop("steps").tolist()
-        samples = arrays.pop("samples") if steps else ()
+        samples = read_only(arrays.pop("samples")) if steps else ()
         self._samples = deque(zip(steps, samples, strict=True))
         self._measurement.restore(_under("memory.", arrays))
         self._chain.restore(_under("chain.", arrays))

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.arrays import read_only
 from nw_eval.cards import Action
 from nw_eval.memory import Memory
 from nw_eval.scenes.captures import Nearness
@@ -46,7 +47,7 @@ class Moment:
     """What one sensor has worked out and another one can use, by a key of their own."""
 
     def __post_init__(self) -> None:
-        self.position = self.world.trunk_position
+        self.position = read_only(self.world.trunk_position)
         w, x, y, z = self.world.trunk_quat.tolist()
         self.roll_pitch_yaw = (
             math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),

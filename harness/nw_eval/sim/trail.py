@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
 from nw_eval.protocol import STRICT, EvaluationProtocol
 
@@ -52,7 +53,7 @@ class TrailProgress:
         *,
         control_period: float = 0.02,
     ) -> None:
-        self.waypoints = np.array(waypoints, dtype=np.float64).reshape(-1, 3)
+        self.waypoints = read_only(np.array(waypoints, dtype=np.float64).reshape(-1, 3))
         if not len(self.waypoints):
             raise SceneError("a trail without waypoints", fix="give the scene at least one")
         self._forgets = protocol.reach_timer_forgets

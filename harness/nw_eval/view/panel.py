@@ -22,6 +22,7 @@ _PLOT_EVERY = 0.25
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2")
 _MOST_OTHERS = 8
 _WIDTH = 320  # pixels
+_BLIND = "From its head (not seen by the policy)"
 
 
 class Watched(Protocol):
@@ -103,7 +104,8 @@ class TrialPanel:
         if shown.has_splat:
             mesh = gui.add_checkbox("Mesh", initial_value=False)
             mesh.on_update(lambda _: page.show_mesh(mesh.value))
-        self._ego = gui.add_image(np.zeros((9, 16, 3), np.uint8), label="What the policy saw")
+        label = "What the policy saw" if shown.traces[0].is_seen else _BLIND
+        self._ego = gui.add_image(np.zeros((9, 16, 3), np.uint8), label=label)
         self._ego.visible = bool(len(shown.traces[0].frames[0]))
         with gui.add_folder("Events"):
             for moment, words in events_of(shown.traces):

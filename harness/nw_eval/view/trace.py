@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.file.load import CARD_FILE, parse_card
+from nw_eval.cards.observations.cameras import CameraObservation
 from nw_eval.clean import clean
-from nw_eval.errors import StoreError
+from nw_eval.errors import PolicyError, StoreError
 from nw_eval.robots import get_robot
 from nw_eval.rollout.replaying.logged import LoggedTrial, read_logged_trial
 
@@ -55,6 +57,7 @@ class Trace:
         series: what is plotted.
         frames: times, s, of the ego camera's pictures, ascending, and the pictures (H, W, 3); none
             where they were not kept.
+        is_seen: whether the policy was given these pictures.
     """
 
     logged: LoggedTrial
@@ -66,6 +69,7 @@ class Trace:
     events: tuple[tuple[float, str], ...]
     series: tuple[Series, ...]
     frames: tuple[F64, tuple[NDArray[np.uint8], ...]]
+    is_seen: bool
 
     @property
     def trunk(self) -> F64:
@@ -139,7 +143,21 @@ def _trace(logged: LoggedTrial, messages: dict[str, list[tuple[float, Any]]]) ->
         ),
         series=_series(messages, logged.log.elements()),
         frames=(np.array([time for time, _ in ego]), tuple(picture for _, picture in ego)),
+        is_seen=_is_seen(logged),
     )
+
+
+def _is_seen(logged: LoggedTrial) -> bool:
+    """Whether the policy was given the pictures of the ego camera, as the card in the log says.
+
+    For a policy that is given no camera's image, the log has a camera of its own there.
+    """
+    text = logged.log.attachments().get(CARD_FILE, b"").decode("utf-8", "replace")
+    try:
+        card = parse_card(text, file=CARD_FILE)
+    except PolicyError:  # A log of another version, or of no card: then nothing is claimed.
+        return False
+    return any(isinstance(seen, CameraObservation) for seen in card.observations.values())
 
 
 def _bodies(logged: LoggedTrial) -> tuple[str, ...]:

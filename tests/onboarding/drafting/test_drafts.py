@@ -8,6 +8,8 @@ import subprocess
 import sys
 import zipfile
 
+import numpy as np
+import onnx
 import pytest
 import torch
 from torch import nn
@@ -19,6 +21,7 @@ from nw_eval.onboarding.drafting import write_card_draft
 from nw_eval.onboarding.reading import inspect_checkpoint
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.robots import get_robot
+from nw_eval.sensors import check_card
 
 GO1 = get_robot("go1")
 
@@ -226,7 +229,7 @@ def test_arguments_with_defaults_are_no_inputs_and_dicts_cannot_be_fed(tmp_path)
     (tmp_path / "policy.yaml").write_text(text)
     card = load_card(tmp_path / "policy.yaml")
     sensors = [card.observations[name].sensor for name in ("obs", "height_scan", "depth")]
-    assert sensors == ["proprio", "scandots", "splat_rgb"]
+    assert sensors == ["proprio", "scandots", "depth"]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -311,3 +314,74 @@ def test_drafting_can_be_imported_before_all_else_as_the_verb_does():
     line = "import nw_eval.onboarding.drafting.draft"
     ended = subprocess.run([sys.executable, "-c", line], check=False, capture_output=True)
     assert ended.returncode == 0, ended.stderr
+
+
+class Wide(nn.Module):
+    """45 numbers through a function first, then layers of which one is wider."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.value = nn.Sequential(nn.Linear(512, 480), nn.ELU(), nn.Linear(480, 1))
+        self.actor = nn.Sequential(nn.Linear(45, 512), nn.ELU(), nn.Linear(512, 12))
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        return self.actor(torch.clamp(obs, -100.0, 100.0) * 1.0)
+
+
+class Hidden(Wide):
+    """Likewise, but code that is not followed sees the numbers first."""
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        return self.actor(torch.cat([obs[:, 3:], obs[:, :3]], dim=1))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("module", [Wide, Hidden])
+def test_the_size_of_an_input_is_the_width_of_its_first_layer_not_of_the_widest(tmp_path, module):
+    torch.jit.save(torch.jit.script(module()), tmp_path / "p.pt")
+    (tmp_path / "policy.yaml").write_text(
+        write_card_draft(inspect_checkpoint(tmp_path / "p.pt"), GO1)
+    )
+    (observation,) = check_card(load_card(tmp_path / "policy.yaml"))
+    assert observation.shape == (45,)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "sensor"),
+    [
+        ("depth", [1, 1, 18, 32], "depth"),
+        ("camera", [1, 1, 18, 32], "depth"),
+        ("depth_image", [1, 4, 18, 32], "depth"),
+        ("depth", [1, 18, 32, 1], "depth"),
+        ("gray_image", [1, 1, 18, 32], "splat_rgb"),
+        ("rgb", [1, 3, 18, 32], "splat_rgb"),
+    ],
+)
+def test_a_picture_is_drafted_in_the_shape_that_the_checkpoint_takes(
+    onnx_file, tmp_path, name, shape, sensor
+):
+    text = write_card_draft(inspect_checkpoint(onnx_file({name: shape})), GO1)
+    (tmp_path / "policy.yaml").write_text(text)
+    card = load_card(tmp_path / "policy.yaml")
+    assert card.observations[name].sensor == sensor
+    (spec,) = check_card(card)
+    assert spec.shape == tuple(shape[1:])
+
+
+def test_the_drafted_output_is_the_action_not_the_first_one(tmp_path):
+    sizes = {"value": 1, "latent": 12, "actions": 12}
+    values = [onnx.helper.make_tensor_value_info(n, 1, [1, s]) for n, s in sizes.items()]
+    nodes = [
+        onnx.helper.make_node("MatMul", ["obs", f"w{i}"], [name]) for i, name in enumerate(sizes)
+    ]
+    weights = [
+        onnx.numpy_helper.from_array(np.zeros((45, size), np.float32), f"w{i}")
+        for i, size in enumerate(sizes.values())
+    ]
+    obs = onnx.helper.make_tensor_value_info("obs", 1, [1, 45])
+    graph = onnx.helper.make_graph(nodes, "g", [obs], values, weights)
+    opset = [onnx.helper.make_opsetid("", 17)]
+    file = tmp_path / "p.onnx"
+    onnx.save(onnx.helper.make_model(graph, opset_imports=opset, ir_version=8), file)
+    text = write_card_draft(inspect_checkpoint(file), GO1)
+    assert "output: actions  # CHECK: or latent, value" in text.replace('"', "")

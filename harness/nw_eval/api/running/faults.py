@@ -96,7 +96,7 @@ def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
 
 
 def open_policy(
-    draft: Draft, faults: Faults, request: Request, *, card: Path | None
+    draft: Draft, faults: Faults, request: Request, *, card: Path | None, may_fail: bool
 ) -> Bundle | None:
     """Return the policy of a request or else of the suite, checked; None if it cannot be used.
 
@@ -105,6 +105,7 @@ def open_policy(
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
         card: where the policy lies, if that is known.
+        may_fail: as for `vet_bundle`.
     """
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
@@ -126,7 +127,7 @@ def open_policy(
     except NwEvalError as error:
         faults.add(error)
         return None
-    return vet_policy(draft, faults, request, bundle)
+    return vet_policy(draft, faults, request, bundle, may_fail=may_fail)
 
 
 def is_own_policy(draft: Draft, request: Request) -> bool:
@@ -153,7 +154,9 @@ def is_own_policy(draft: Draft, request: Request) -> bool:
         return False
 
 
-def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -> Bundle | None:
+def vet_policy(
+    draft: Draft, faults: Faults, request: Request, bundle: Bundle, *, may_fail: bool
+) -> Bundle | None:
     """Return a policy that is loaded already, checked; None if it cannot be used.
 
     Args:
@@ -161,6 +164,7 @@ def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
         bundle: the policy.
+        may_fail: as for `vet_bundle`.
     """
     from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
@@ -173,6 +177,7 @@ def vet_policy(draft: Draft, faults: Faults, request: Request, bundle: Bundle) -
             robot or bundle.card.robot,
             protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
             allow_code=request.allow_code,
+            may_fail=may_fail,
         )
     except NwEvalError as error:
         faults.add(error)

@@ -40,14 +40,20 @@ def plan(request: Request | Suite | str | Path | None, **changes: Any) -> Plan:
         SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
         PolicyError: only the policy cannot be used, and its own files are to blame.
     """
+    return _planned(request, changes, may_fail=True)
+
+
+def _planned(
+    request: Request | Suite | str | Path | None, changes: dict[str, Any], *, may_fail: bool
+) -> Plan:
     from nw_eval.suite import Suite, draft_of, draft_suite
 
     if isinstance(request, Suite):
-        return plan_of(Request.of(None, **changes), draft_of(request))
+        return plan_of(Request.of(None, **changes), draft_of(request), may_fail=may_fail)
     request = Request.of(request, **changes)
     if request.suite is None:
         raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
-    return plan_of(request, draft_suite(request.suite))
+    return plan_of(request, draft_suite(request.suite), may_fail=may_fail)
 
 
 def plan_of(
@@ -60,6 +66,7 @@ def plan_of(
     against: Against | None = None,
     arm: Arm = "candidate",
     own_policy: bool | None = None,
+    may_fail: bool = True,
 ) -> Plan:
     """Resolve what is asked of a suite, as `plan` does.
 
@@ -73,6 +80,8 @@ def plan_of(
         against: a bank that is read already, in place of the request's.
         arm: whether its policy is the one that is judged.
         own_policy: whether the policy is the suite's own; None = the request says.
+        may_fail: whether a policy that answers zeros with NaN is left to its trials, which count
+            it as the policy's own failure; else it is a fault.
 
     Raises:
         IncomparableError: the bank does not hold for it.
@@ -103,9 +112,9 @@ def plan_of(
         for place in found:
             _ = place.scene.digest  # Kept; what looks at the policy is still starting.
         if bundle is None:
-            bundle = open_policy(draft, faults, request, card=card)
+            bundle = open_policy(draft, faults, request, card=card, may_fail=may_fail)
         else:
-            bundle = vet_policy(draft, faults, request, bundle)
+            bundle = vet_policy(draft, faults, request, bundle, may_fail=may_fail)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -290,7 +299,7 @@ def check(
     from nw_eval.engine.forecast import forecast
 
     check_workers(workers)
-    return forecast(plan(request, **changes), workers=workers)
+    return forecast(_planned(request, changes, may_fail=False), workers=workers)
 
 
 def check_workers(workers: int | None) -> None:

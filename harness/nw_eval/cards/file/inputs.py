@@ -7,7 +7,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from nw_eval.cards.file.feeding_order import feeding_order, way_back
-from nw_eval.cards.networks import input_parts
+from nw_eval.cards.networks import input_parts, listed_inputs
 from nw_eval.errors import Problem, nearest
 
 if TYPE_CHECKING:
@@ -47,11 +47,13 @@ class _Checked:
     def look(self) -> None:
         """Find all of them."""
         card = self._card
-        used = self._inputs(("inputs",), card.inputs or {}, card.recurrent)
+        used = self._inputs(("inputs",), card.inputs or {}, card.recurrent, card.adapter)
         for name, network in card.networks.items():
             place = ("networks", name)
             self._names(place, name)
-            used |= self._inputs((*place, "inputs"), network.inputs, network.recurrent)
+            used |= self._inputs(
+                (*place, "inputs"), network.inputs, network.recurrent, network.adapter
+            )
             if network.recurrent and network.adapter != "onnx":
                 words = (
                     f"`recurrent` is for adapter onnx; `{network.adapter}` keeps its state itself"
@@ -80,14 +82,20 @@ class _Checked:
                 self._tell(where, f"{one!r} is not a valid name", fix)
 
     def _inputs(
-        self, place: Location, inputs: Inputs, recurrent: dict[str, str] | None
+        self, place: Location, inputs: Inputs, recurrent: dict[str, str] | None, adapter: str
     ) -> set[str]:
         """Check the inputs of one file; return all that they are made of."""
         used: set[str] = set()
+        listed = listed_inputs(inputs)
         for name, parts in input_parts(inputs) if inputs else ():
             where = place if name is None else (*place, name)
             if name in (recurrent or {}):
                 self._tell(where, f"{name!r} is in `recurrent` too", "name it in one of them")
+            if name in listed:
+                where = (*where, "list")
+                if adapter != "torchscript":
+                    words = f"{name!r} is a list of arrays, which adapter `{adapter}` does not take"
+                    self._tell(where, words, "name what is joined to make it: `[...]`")
             if not parts:
                 self._tell(where, f"{name!r} has no observations", "name at least one")
             for index, part in enumerate(parts):

@@ -15,6 +15,8 @@ from nw_eval.onboarding.reading.facts import ArrayFacts, CheckpointFacts
 from nw_eval.onboarding.reading.script import ScriptInput
 from nw_eval.onboarding.reading.text import CHECK, RATE_LINE, key
 
+_WEIGHT = re.compile(r"(^|\.)weight(_ih_l0)?$")
+_BRIGHTNESS = re.compile(r"gr[ae]y|mono|rgb|colou?r|intensity", re.IGNORECASE)
 _IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
 
 
@@ -27,6 +29,8 @@ class Wanted:
     """How its size is known, for a comment."""
     known: bool = True
     """Whether the size is in the file."""
+    images: tuple[int | None, ...] = ()
+    """Channels of each image, where it is a list of them."""
 
     @property
     def seen(self) -> bool:
@@ -43,8 +47,11 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
             for array in facts.inputs
         )
     layers = [tensor for tensor in facts.tensors if len(tensor.shape) == 2]
-    first = re.compile(r"(^|\.)(0\.)?weight(_ih_l0)?$")
-    sizes = [tensor.shape[1] for tensor in layers if first.search(tensor.name)]
+    weights = [tensor for tensor in layers if _WEIGHT.search(tensor.name)]
+    outputs = {tensor.shape[0] for tensor in weights}
+    # What no layer makes is an input: of 45 -> 512 -> 256 -> 12 that is 45, not the widest.
+    sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in outputs]
+    sizes = sizes or [tensor.shape[1] for tensor in weights]
     known = [size for size in sizes if frames_of(size)]
     reason = (
         f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
@@ -62,7 +69,7 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
         what = "of what size its input is" if facts.script else "how many inputs it takes, of what"
         reason = f"the file does not say {what}; {reason}"
     array = ArrayFacts(
-        name="obs", shape=(1, direct or max(known or sizes or [48])), dtype="float32"
+        name="obs", shape=(1, direct or (known or sizes or [48])[0]), dtype="float32"
     )
     return (Wanted(array=array, reason=reason),)
 
@@ -78,6 +85,14 @@ def parts_of(
         likely: layouts that are taken before others.
     """
     array, name = wanted.array, key(wanted.array.name)
+    if wanted.images:
+        return tuple(
+            ObservationDraft(
+                name=f"{name}_{place}" if len(wanted.images) > 1 else name,
+                lines=tuple(_image(array, (channels or 1, None, None))),
+            )
+            for place, channels in enumerate(wanted.images)
+        )
     batch, shape = _batch(array.shape), _without_batch(array.shape)
     if wanted.seen:
         lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)
@@ -137,7 +152,9 @@ def _argument(argument: ScriptInput, frame: int, reason: str) -> Wanted:
     if argument.size is None:
         scan = SCANS[0].size if is_scan(argument.name) else frame
         shape = (1, None, None, None) if _IMAGE.search(argument.name) else (1, scan)
-    if argument.kind != "Tensor":
+    if argument.kind == "List[Tensor]":
+        reason = f"it is a list of tensors; {reason}"
+    elif argument.kind != "Tensor":
         reason = (
             f"it is a {argument.kind}, which no card can feed: export it with tensors; {reason}"
         )
@@ -147,6 +164,7 @@ def _argument(argument: ScriptInput, frame: int, reason: str) -> Wanted:
         array=ArrayFacts(name=argument.name, shape=shape, dtype="float32"),
         reason=reason,
         known=argument.size is not None,
+        images=argument.images,
     )
 
 
@@ -169,28 +187,61 @@ def _noted(part: ObservationDraft, note: str) -> ObservationDraft:
 
 def _image(array: ArrayFacts, shape: tuple[int | None, ...]) -> list[str]:
     stack, (first, second, third) = shape[0] if len(shape) == 4 else None, shape[-3:]
-    chw = first in {1, 3, None}
-    height, width = (second, third) if chw else (first, second)
+    chw = first is None or first in {1, 3} or (third not in {1, 3} and first < (third or 0))
+    (channels, height, width) = (first, second, third) if chw else (third, first, second)
+    is_grey = channels == 1 and bool(_BRIGHTNESS.search(array.name))
+    if ("depth" in array.name.lower() or channels not in {3, None}) and not is_grey:
+        return _depth((height, width), channels=channels or 1, chw=chw, stack=stack)
     lines = [
         "sensor: splat_rgb",
         f"camera: ego  {CHECK} a camera of the robot",
-        f"width: {width or 80}",
-        f"height: {height or 45}",
+        *_sizes(height, width),
         RATE_LINE,
-        f"axes: {'chw' if chw else 'hwc'}",
     ]
-    if stack:
+    if is_grey:
+        lines += _wraps("grayscale", *_channel(chw=chw), *_stacked(stack))
+    else:
+        lines.append(f"axes: {'chw' if chw else 'hwc'}")
+    if stack and not is_grey:
         lines.append(f"stack: {stack}")
     if array.dtype == "uint8":
         return [*lines, "dtype: uint8"]
     return [*lines, "dtype: float32", f"mean: 0  {CHECK} (byte - mean) / std", "std: 255"]
 
 
-def _depth(shape: tuple[int | None, ...]) -> list[str]:
+def _sizes(height: int | None, width: int | None) -> list[str]:
+    note = "" if height and width else f"  {CHECK} the file leaves the size of the image free"
+    return [f"width: {width or 80}{note}", f"height: {height or 45}"]
+
+
+def _channel(*, chw: bool) -> list[str]:
+    """Return the wrapper that gives a flat image an axis for its one channel."""
+    return [f"{{wrapper: channels, axis: {'first' if chw else 'last'}}}"]
+
+
+def _stacked(steps: int | None, axis: str = "first") -> list[str]:
+    return [f"{{wrapper: stack, steps: {steps}, axis: {axis}}}"] if steps and steps > 1 else []
+
+
+def _wraps(*wrappers: str) -> list[str]:
+    return [f"wrap: [{', '.join(wrappers)}]"] if wrappers else []
+
+
+def _depth(
+    shape: tuple[int | None, ...],
+    *,
+    channels: int = 0,
+    chw: bool = True,
+    stack: int | None = None,
+) -> list[str]:
+    """Return a depth image; its channels are frames, 0 = there is no axis of channels."""
+    wraps = _channel(chw=chw) if channels == 1 else _stacked(channels, "first" if chw else "last")
+    notes = [f"{CHECK} its {channels} channels are taken for frames, oldest first"]
     return [
         "sensor: depth",
+        *(notes if channels > 1 else ()),
         f"camera: ego  {CHECK} a camera of the robot, and its near and far",
-        f"width: {shape[1] or 80}",
-        f"height: {shape[0] or 45}",
+        *_sizes(*shape),
         RATE_LINE,
+        *_wraps(*wraps, *_stacked(stack)),
     ]

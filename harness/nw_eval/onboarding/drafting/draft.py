@@ -15,10 +15,11 @@ from nw_eval.onboarding.drafting.known import known_observations
 from nw_eval.onboarding.drafting.motors import control_lines
 from nw_eval.onboarding.drafting.others import other_layouts
 from nw_eval.onboarding.drafting.vectors import ObservationDraft
-from nw_eval.onboarding.reading.facts import EXPORT, CheckpointFacts, inspect_checkpoint
+from nw_eval.onboarding.reading.facts import EXPORT, ArrayFacts, CheckpointFacts, inspect_checkpoint
 from nw_eval.onboarding.reading.text import CHECK, plain, quoted, slug
 from nw_eval.robots import RobotSpec, get_robot
 
+_ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
 
 
@@ -50,7 +51,7 @@ def write_card_draft(
             f"{facts.path}: weights of an unknown network: {shown}, ...",
             fix=f"{EXPORT}, which hold the network too",
         )
-    body, parts = _body(facts, layout)
+    body, parts = _body(facts, layout, len(robot.joints))
     frames = [part.fits[0][0] for part in parts if part.fits]
     # What one of them feeds back clipped, `control` must clip.
     frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
@@ -115,7 +116,9 @@ def _summary(facts: CheckpointFacts) -> list[str]:
     return lines
 
 
-def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[ObservationDraft]]:
+def _body(
+    facts: CheckpointFacts, layout: str | None, joints: int
+) -> tuple[list[str], list[ObservationDraft]]:
     """Return command, observations, inputs and output as lines; and the observations."""
     if (known := known_observations(facts)) is not None:
         _refuse_unknown(layout, [], facts.path)
@@ -129,15 +132,24 @@ def _body(facts: CheckpointFacts, layout: str | None) -> tuple[list[str], list[O
         follow = "command: {source: trail_follower, speed: 0.8}  # steers towards the next waypoint"
         body = [follow, "", *body]
     if len(parts) > 1:
-        inputs = (
-            f"{quoted(name)}: [{', '.join(part.name for part in several)}]"
-            for name, several in by_input.items()
-        )
+        listed = {argument.name for argument in facts.script if argument.images}
+        inputs: list[str] = []
+        for name, several in by_input.items():
+            combined = f"[{', '.join(part.name for part in several)}]"
+            inputs.append(
+                f"{quoted(name)}: {f'{{list: {combined}}}' if name in listed else combined}"
+            )
         body += ["", f"inputs: {{{', '.join(inputs)}}}"]
     if len(facts.outputs) > 1:
-        others = plain(", ".join(array.name for array in facts.outputs[1:]))
-        body += ["", f"output: {quoted(facts.outputs[0].name)}  {CHECK} or {others}"]
+        first, *rest = sorted(facts.outputs, key=lambda output: _unlikeness(output, joints))
+        others = plain(", ".join(array.name for array in rest))
+        body += ["", f"output: {quoted(first.name)}  {CHECK} or {others}"]
     return body, parts
+
+
+def _unlikeness(output: ArrayFacts, joints: int) -> tuple[bool, bool]:
+    """Return what an output is sorted by that may be the action: the likeliest comes first."""
+    return output.shape[-1:] not in {(joints,), (None,)}, not _ACTION.search(output.name)
 
 
 def _parts(facts: CheckpointFacts, layout: str | None) -> dict[str, list[ObservationDraft]]:

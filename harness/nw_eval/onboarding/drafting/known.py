@@ -73,7 +73,9 @@ def _act(facts: CheckpointFacts) -> list[str]:
     chunk = shapes["decoder_pos_embed.weight"][0]
     images = any(name.startswith("backbone.") for name in shapes)
     proprio = (
-        "layout: parkour53" if size == 53 else f"terms: [{{term: constant, values: {[0] * size}}}]"
+        "layout: parkour53"
+        if size == 53
+        else f"terms: [{{term: constant, value: 0, width: {size}}}]"
     )
     note = f"{CHECK} {size} numbers" if size == 53 else zeros_note(size)
     lines = [

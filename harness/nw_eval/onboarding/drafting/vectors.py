@@ -13,6 +13,9 @@ from nw_eval.onboarding.reading.exporter import ExportedTerm
 from nw_eval.onboarding.reading.text import CHECK, in_brackets, number
 from nw_eval.plural import plural
 
+_WIDEST = 10_000
+"""Numbers of one constant term."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationDraft:
@@ -71,12 +74,12 @@ def named_parts(
 
 
 def zeros(size: int, what: str = "what the checkpoint really sees") -> list[str]:
-    """Return lines that make `size` zeros in place of `what`: few ones, repeated by a history."""
-    steps = max(n for n in range(1, 101) if size % n == 0)
-    full, rest = divmod(size // steps, 1000)
-    parts = [1000] * full + ([rest] if rest else [])
+    """Return lines that make `size` zeros in place of `what`; very many by a history."""
+    steps = 1 if size <= _WIDEST else max(n for n in range(1, 101) if size % n == 0)
+    full, rest = divmod(size // steps, _WIDEST)
+    parts = [_WIDEST] * full + ([rest] if rest else [])
     lines = [zeros_note(size, what), "terms:"]
-    lines += [f"  - {{term: constant, values: {in_brackets([0.0] * n)}}}" for n in parts]
+    lines += [f"  - {{term: constant, value: 0, width: {n}}}" for n in parts]
     return lines if steps == 1 else [*lines, f"history: {{steps: {steps}}}"]
 
 
@@ -122,7 +125,7 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
             others = ", ".join([term.name, *left_out])
             lines += [
                 f"  {zeros_note(width, others)}",
-                f"  - {{term: constant, values: {in_brackets([0.0] * width)}}}",
+                f"  - {{term: constant, value: 0, width: {width}}}",
             ]
         if unread:
             lines[-1] += f"  {CHECK} its {unread} cannot be read"

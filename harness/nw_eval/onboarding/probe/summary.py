@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nw_eval.cards import Card, JointControl, load_card
 from nw_eval.cards.joints import short_name
-from nw_eval.cards.networks import Inputs, input_parts
+from nw_eval.cards.networks import Inputs, input_parts, listed_inputs
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.variants.motors import motor_values
@@ -217,8 +217,10 @@ def _inputs(card: Card) -> list[str]:
 
 
 def _made_of(prefix: str, inputs: Inputs) -> list[str]:
+    listed = listed_inputs(inputs)
     return [
-        f"{prefix}input{'' if name is None else f' {name}'} = {' | '.join(parts)}"
+        f"{prefix}input{'' if name is None else f' {name}'} = "
+        + (f"list of {', '.join(parts)}" if name in listed else " | ".join(parts))
         for name, parts in input_parts(inputs)
     ]
 

@@ -15,6 +15,10 @@ from nw_eval.policies.safety import FileLimits, TensorFacts, open_archive
 from nw_eval.policies.safety.objects import Record, read_objects
 
 _CODE_BYTES = 2**20
+_FOLLOWED = 8
+"""Functions that an argument is followed through to its first layer."""
+_KEEP_WIDTH = "clamp|clip|sub|add|mul|div|to|unsqueeze|squeeze|nan_to_num|contiguous|clone|tanh"
+_NOWHERE = "\0"
 _ARGUMENT = re.compile(r"^(\w+): ([\w.\[\], ]+?)(?:\s*=.*)?$")
 
 
@@ -28,6 +32,8 @@ class ScriptInput:
     size: int | None
     """How many numbers the layer takes that it is passed to; None where other code sees it first.
     """
+    images: tuple[int | None, ...] = ()
+    """Of a list of tensors: for each that is used, the channels of the convolution it goes into."""
 
 
 def script_inputs(
@@ -61,7 +67,8 @@ def script_inputs(
             return ()
         if "=" not in argument:
             size = _size(parts[1], body, tensors)
-            found.append(ScriptInput(name=parts[1], kind=parts[2], size=size))
+            images = _images(parts[1], body, tensors) if parts[2] == "List[Tensor]" else ()
+            found.append(ScriptInput(name=parts[1], kind=parts[2], size=size, images=images))
     return tuple(found)
 
 
@@ -77,13 +84,38 @@ def _forward(code: str, name: str) -> str:
 
 
 def _size(argument: str, body: str, tensors: Sequence[TensorFacts]) -> int | None:
-    """Return the width of the first layer of a submodule that an argument goes straight into."""
-    call = re.search(rf"\((\w+)\)\.forward\({argument}, \)", body)
-    if call is None:
-        return None
-    path = re.search(rf'\n    {call[1]} = (?:\w+\.(\w+)|getattr\(\w+, "(\w+)"\))\n', body)
-    if path is None:
-        return None
-    prefix = f"{path[1] or path[2]}."
-    layers = (t for t in tensors if t.name.startswith(prefix) and len(t.shape) == 2)
-    return next((tensor.shape[1] for tensor in layers), None)
+    """Return the width of the first layer that an argument goes into, one function at a time."""
+    for _ in range(_FOLLOWED):
+        call = re.search(rf"(?:(\w+) = |\()\(?(\w+)\)\.forward\w*\({argument}, ", body)
+        if call is not None:
+            prefix = _path(call[2], body)
+            layers = (t for t in tensors if prefix and t.name.startswith(prefix))
+            size = next((tensor.shape[1] for tensor in layers if len(tensor.shape) == 2), None)
+            if size is not None:
+                return size
+        else:
+            call = re.search(rf"(\w+) = torch\.(?:{_KEEP_WIDTH})\({argument}[,)]", body)
+        if call is None or call[1] is None:
+            return None
+        argument = call[1]
+    return None
+
+
+def _images(argument: str, body: str, tensors: Sequence[TensorFacts]) -> tuple[int | None, ...]:
+    """Return the channels of the convolutions that the items of a list go into, by their place."""
+    used = [int(place) for place in re.findall(rf"\b{argument}\[(\d{{1,2}})\]", body)]
+    found: list[int | None] = [None] * (max(used, default=-1) + 1)
+    for call in re.finditer(rf"\((\w+)\)\.forward\w*\({argument}\[(\d{{1,2}})\], ", body):
+        prefix = _path(call[1], body)
+        layers = (t for t in tensors if prefix and t.name.startswith(prefix))
+        found[int(call[2])] = next((t.shape[1] for t in layers if len(t.shape) == 4), None)
+    return tuple(found)
+
+
+def _path(name: str, body: str) -> str:
+    """Return what the names of the tensors begin with of the submodule in a variable; or ""."""
+    found = re.search(rf'\n    {name} = (?:(\w+)\.(\w+)|getattr\((\w+), "(\w+)"\))\n', body)
+    if found is None:
+        return ""
+    of, own = found[1] or found[3], found[2] or found[4]
+    return f"{own}." if of == "self" else f"{_path(of, body) or _NOWHERE}{own}."

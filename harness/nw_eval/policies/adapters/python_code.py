@@ -15,6 +15,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+import numpy as np
+
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
@@ -60,15 +62,16 @@ class PythonPolicy:
         self._call("reset", seed)
 
     def act(self, observation: Observation) -> Action:
-        """Ask the object.
+        """Ask the object, which gets copies: it may write into them.
 
         Raises:
             TrialError: it raised, or its action is not twelve finite numbers.
         """
         if self._policy is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
+        copies = {name: np.array(array) for name, array in observation.items()}
         try:
-            raw = getattr(self._policy, "act", self._policy)(observation)
+            raw = getattr(self._policy, "act", self._policy)(copies)
         except Exception as error:
             raise _failed(self._name, "act", error) from error
         return checked_action(raw, joints=self._joints, policy=self._name)

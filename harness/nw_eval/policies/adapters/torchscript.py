@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import listed_inputs
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.plural import plural
@@ -57,6 +58,7 @@ class TorchScriptNetwork:
         # More threads change the order of sums, and with it the last bits of an action.
         torch.set_num_threads(1)
         self._module: Any = _open(bundle)
+        _check_signature(self._module, bundle)
         self._assemble = InputAssembler(bundle.card, self.inputs)
         self._slots = state_slots(self._module, str(bundle.checkpoint))
         self._first = read_state(self._module, self._slots)
@@ -70,11 +72,16 @@ class TorchScriptNetwork:
         """Run the module once."""
         if self._module is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        tensors = [torch.from_numpy(array) for array in self._assemble(observation).values()]
+        tensors = [
+            [torch.from_numpy(array) for array in one]
+            if isinstance(one, list)
+            else torch.from_numpy(one)
+            for one in self._assemble.in_order(observation)
+        ]
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)
-        except (RuntimeError, torch.jit.Error) as error:
+        except (RuntimeError, IndexError, torch.jit.Error) as error:
             reason = clean(str(error).strip().splitlines()[-1])
             fix = "export it in float32: module.float()" if "dtype" in reason else None
             raise TrialError(f"{self._subject} failed: {reason}", fix=fix) from error
@@ -125,6 +132,45 @@ class TorchScriptPolicy(ActingNetwork):
     def __init__(self, bundle: Bundle, *, joints: int) -> None:
         network = TorchScriptNetwork(bundle, [bundle.card.output])
         super().__init__(network, joints=joints, policy=bundle.name)
+
+
+def _check_signature(module: Any, bundle: Bundle) -> None:
+    """Compare what `forward` takes with the inputs of the card.
+
+    Raises:
+        PolicyError: it takes something that no card can feed, or the card feeds something else.
+    """
+    parts, listed = bundle.card.input_parts(), listed_inputs(bundle.card.inputs)
+    if not module._c._has_method("forward"):  # noqa: SLF001 - torch shows it nowhere else.
+        raise PolicyError(
+            f"{bundle.where}: the checkpoint has no method `forward`", fix="script a whole module"
+        )
+    schema = module._c._get_method("forward").schema  # noqa: SLF001 - as above.
+    arguments = [(a.name, str(a.type), a.has_default_value()) for a in schema.arguments[1:]]
+    shown = ", ".join(f"{name}: {kind}" for name, kind, _ in arguments)
+    where = f"{bundle.where}: the checkpoint's `forward({clean(shown, at_most=200)})`"
+    needed = [name for name, _, is_optional in arguments if not is_optional]
+    for name, kind, is_optional in arguments:
+        if kind not in {"Tensor", "Optional[Tensor]", "List[Tensor]"} and not is_optional:
+            raise PolicyError(
+                f"{where} takes `{name}`, a {clean(kind, at_most=80)}, which no card can feed",
+                fix="export it with tensors, or lists of tensors, as its arguments",
+            )
+    if not len(needed) <= len(parts) <= len(arguments):
+        names = ", ".join(f"{name}: [...]" for name in needed)
+        raise PolicyError(
+            f"{where} takes {plural(len(needed), 'input')}, the card feeds {len(parts)}",
+            fix=f"say which observations make each, in this order: `inputs: {{{names}}}`",
+        )
+    for (own, names), (name, kind, _) in zip(parts, arguments, strict=False):
+        is_list, joined = kind == "List[Tensor]", ", ".join(names)
+        if is_list != (own in listed):
+            one = f"{{list: [{joined}]}}" if is_list else f"[{joined}]"
+            raise PolicyError(
+                f"{where} takes `{name}`, a {kind}; the card feeds it "
+                f"{'one array' if is_list else 'a list'}",
+                fix=f"write `inputs: {{{own or name}: {one}}}`",
+            )
 
 
 def _place(wanted: str | int | None, bundle: Bundle) -> int:

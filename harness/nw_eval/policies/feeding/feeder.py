@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.checkpoint import NetworkAdapter
 from nw_eval.cards.networks import NetworkOutput
 from nw_eval.cards.observations.proprio import selected_indices
-from nw_eval.errors import ActionError, TrialError
+from nw_eval.errors import NotFiniteError, TrialError
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.network import OpenNetwork, Wanted
@@ -65,7 +65,7 @@ class Feeder:
         """Ask it; return what it gives by name, each in memory of its own.
 
         Raises:
-            ActionError: an output is not finite.
+            NotFiniteError: an output is not finite.
             TrialError: it failed, or `select` or `scale` does not fit an output.
         """
         raw = self.network.run(observation)
@@ -78,7 +78,7 @@ class Feeder:
         if np.isfinite(array).all():
             return array
         index = int(np.argmin(np.isfinite(array)))
-        raise ActionError(
+        raise NotFiniteError(
             f"{self.bundle.subject} gave {array.flat[index]} for number {index} of `{name}`",
             fix="check its file, and the observations' scales on the card",
         )

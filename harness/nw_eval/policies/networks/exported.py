@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -161,9 +164,10 @@ class ExportedGraph:
         versions = {name: tensor._version for name, tensor in self._tensors.items()}  # noqa: SLF001
         zeros = [torch.zeros(spec.shape, dtype=spec.dtype) for spec in self.inputs]
         try:
-            shapes = {name: tensor.to("meta") for name, tensor in self._tensors.items()}
-            self._run(shapes, [tensor.to("meta") for tensor in zeros], "meta")
-            self.run(zeros)
+            with _without_compiler():
+                shapes = {name: tensor.to("meta") for name, tensor in self._tensors.items()}
+                self._run(shapes, [tensor.to("meta") for tensor in zeros], "meta")
+                self.run(zeros)
         except TrialError as error:
             raise PolicyError(f"{where}: {error}", fix="export it again") from None
         for name, tensor in self._tensors.items():
@@ -221,6 +225,31 @@ class ExportedGraph:
         """Go back to a `state`."""
         for name in self._initial:
             self._tensors[name].copy_(state[name])
+
+
+@contextmanager
+def _without_compiler() -> Generator[None]:
+    """Let torch compute shapes without importing its compiler, which nothing here uses.
+
+    Some shapes are computed by Python functions of torch that it keeps out of its compiler's way
+    (`torch._compile`), with `torch._dynamo.disable`. The import of that takes 4 s and fails where
+    no temporary file can be made, as behind the fence.
+    """
+    name = "torch._dynamo"
+    if name in sys.modules:
+        yield
+        return
+    stand_in = ModuleType(name)
+    stand_in.__dict__["disable"] = _undecorated
+    sys.modules[name] = stand_in
+    try:
+        yield
+    finally:
+        del sys.modules[name]
+
+
+def _undecorated(function: Any, *_: Any, **__: Any) -> Any:
+    return function
 
 
 def _read(archive: Archive, limits: FileLimits) -> tuple[dict[str, Any], dict[str, Tensor]]:

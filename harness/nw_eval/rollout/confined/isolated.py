@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.errors import (
+    CrashError,
     IncomparableError,
     NwEvalError,
     PolicyError,
@@ -71,7 +72,8 @@ def call_isolated(
 
     Raises:
         NwEvalError: what the function raised, of the same class.
-        PolicyError: the process died, took more than it may, or did not come back in time.
+        CrashError: the process died.
+        PolicyError: it took more than it may, or did not come back in time.
     """
     with IsolatedCall(
         function, subject=subject, rules=rules, renders=renders, arguments=arguments
@@ -187,10 +189,18 @@ def _died(subject: str, code: int | None) -> PolicyError:
             f"{subject}: opening the checkpoint takes too long: more processor time than it may",
             fix="run it on its own: it may never end, or be too large",
         )
-    return PolicyError(
-        f"{subject}: the process that opened the checkpoint died (exit code {code})",
+    return CrashError(
+        f"{subject}: the process that opened the checkpoint died ({_ending(code)})",
         fix="load the checkpoint on its own with an observation of the card's shapes",
     )
+
+
+def _ending(code: int | None) -> str:
+    """Return an exit code in words."""
+    try:
+        return f"{signal.Signals(-(code or 0)).name}, exit code {code}"
+    except ValueError:
+        return f"exit code {code}"
 
 
 def _answer(

@@ -21,10 +21,12 @@ def vet_bundle(
     *,
     protocol: EvaluationProtocol = STRICT,
     allow_code: bool = False,
+    may_fail: bool = False,
 ) -> Bundle:
     """Check a card against robot, protocol and checkpoint.
 
-    Checkpoints, and Python code, are opened in a confined process.
+    Checkpoints, and Python code, are opened in a confined process. `may_fail` is as for
+    `check_bundle`.
 
     Returns:
         The bundle; a remote one with the digest of what its server says that it serves.
@@ -40,7 +42,7 @@ def vet_bundle(
         from nw_eval.rollout.check_bundle import check_bundle
 
         # There is nothing of a stranger's to open but the card, and a server was asked already.
-        check_bundle(bundle, get_robot(robot), allow_code=allow_code)
+        check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
         return bundle
     prepare_for(bundle.card)
     arguments = {
@@ -48,6 +50,7 @@ def vet_bundle(
         "checkpoint": None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         "robot": robot,
         "allow_code": allow_code,
+        "may_fail": may_fail,
     }
     with IsolatedCall(
         _check,
@@ -85,9 +88,11 @@ def _size(shape: tuple[int, ...]) -> str:
     return " x ".join(str(side) for side in shape)
 
 
-def _check(*, card: str, checkpoint: str | None, robot: str, allow_code: bool) -> None:
+def _check(
+    *, card: str, checkpoint: str | None, robot: str, allow_code: bool, may_fail: bool
+) -> None:
     # It knows sensors, and they the simulator, for which the caller may have no use.
     from nw_eval.rollout.check_bundle import check_bundle
 
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
-    check_bundle(bundle, get_robot(robot), allow_code=allow_code)
+    check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)

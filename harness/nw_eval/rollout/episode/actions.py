@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.arrays import read_only
 from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.policies import ActionDelay
 from nw_eval.rollout.fault import PolicyFailedError
@@ -66,10 +67,10 @@ class Actions:
 
     def take(self, action: Array) -> None:
         """Take a new action of the policy, (12,) raw."""
-        # A policy may write into what it has returned.
-        self.earlier.arrays = (self.output.array.copy(), *self.earlier.arrays[:-1])
-        self.output.array = action
-        self.applied.array = self.delay.push(action)
+        self.earlier.arrays = (self.output.array, *self.earlier.arrays[:-1])
+        # A policy may write into what it has returned, and a sensor into what it is shown.
+        self.output.array = read_only(action.copy())
+        self.applied.array = read_only(self.delay.push(action))
         if self.filter is not None:
             self.filter.push(self.applied.array)
 
@@ -96,7 +97,7 @@ class Held:
     """An array of float64 that is replaced as a whole, never written into."""
 
     def __init__(self, array: Array) -> None:
-        self.array = array
+        self.array = read_only(array)
 
     def state(self) -> bytes:
         """Return its numbers."""
@@ -104,14 +105,14 @@ class Held:
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of an array of the same shape."""
-        self.array = np.frombuffer(state).reshape(self.array.shape).copy()
+        self.array = np.frombuffer(state).reshape(self.array.shape)  # bytes: read-only, too
 
 
 class HeldRow:
     """Several arrays of float64 of one shape, likewise."""
 
     def __init__(self, arrays: Sequence[Array]) -> None:
-        self.arrays = tuple(arrays)
+        self.arrays = tuple(map(read_only, arrays))
 
     def state(self) -> bytes:
         """Return their numbers."""
@@ -120,7 +121,7 @@ class HeldRow:
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of as many arrays of the same shape."""
         rows = np.frombuffer(state).reshape(len(self.arrays), *self.arrays[0].shape)
-        self.arrays = tuple(rows.copy())
+        self.arrays = tuple(rows)
 
 
 def _first_huge(targets: Array) -> int | None:

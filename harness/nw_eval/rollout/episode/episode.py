@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.arrays import read_only
 from nw_eval.errors import DivergedError, TrialError
 from nw_eval.policies.policy import all_finite
 from nw_eval.rollout.episode.actions import Actions
@@ -87,7 +88,7 @@ class Episode:
         self._termination = termination
         self._clock = clock
         self._pushes = pushes
-        self._cones = cones
+        self._cones = None if cones is None else read_only(cones)
         self._actions = actions = Actions(
             control, world.robot.joints, delay_steps=delay_steps, action_filter=action_filter
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.arrays import read_only
 from nw_eval.cards.command import Command
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.observations import ProprioObservation, selected_indices
@@ -101,7 +102,7 @@ class Proprio(Measurement):
             frame = frame + self._offset
         if self._clip is not None:
             frame = np.clip(frame, *self._clip)
-        single = frame.astype(np.float32)
+        single = read_only(frame.astype(np.float32))
         moment.shared[self._key] = single
         return single
 

@@ -142,6 +142,8 @@ class SplatRgb(Measurement):
             # The splat's scale stays in the matrix: the renderer then measures depth in metres.
             camera = self._camera(self._T_splat_world @ T_world_camera)
             image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
+            for part in (image.rgb, image.depth, image.alpha):
+                part.flags.writeable = False
         return image
 
     def _camera(self, T: NDArray[np.float64]) -> Camera:

@@ -40,12 +40,15 @@ def picture_of(sample: NDArray[Any], unit: str) -> Bytes | None:
 
     Args:
         sample: (H, W), (H, W, C), (C, H, W), or a stack of one of these, of which the newest shows.
-        unit: of the sensor; `class` is shown in the colours of `sensors.palette`.
+        unit: of the sensor; `class` is shown in the colours of `sensors.palette`, and `rgb` may
+            have the colours of several images along its channels, the newest last.
     """
     if unit == "class" and sample.ndim == 2 and sample.max(initial=0) < len(CLASSES):
         return PALETTE[sample.astype(np.intp)]
     while sample.ndim > 3:
         sample = sample[-1]
+    if unit == "rgb" and sample.ndim == 3:
+        sample = _newest_colours(sample)
     if sample.ndim == 3 and sample.shape[-1] > 4:
         # Few channels before many rows and columns; else a stack of flat images.
         sample = np.moveaxis(sample, 0, -1) if sample.shape[0] in {1, 3} else sample[-1]
@@ -63,6 +66,14 @@ def picture_of(sample: NDArray[Any], unit: str) -> Bytes | None:
         low, high = float(sample.min()), float(sample.max())
         return ((sample - low) / max(high - low, 1e-12) * 255).astype(np.uint8)
     return None
+
+
+def _newest_colours(sample: NDArray[Any]) -> NDArray[Any]:
+    """Return the last three channels of images that are stacked along the channels."""
+    first, _, last = sample.shape
+    if first % 3 == 0 and first < last:
+        return sample[-3:]
+    return sample[..., -3:] if last % 3 == 0 and last < first else sample
 
 
 def enlarged(image: Bytes, size: Size) -> Bytes:

@@ -35,7 +35,9 @@ class _Foreign:
         self._wrapper = wrapper
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:
-        return self._wrapper(sample, shot)
+        # It may write into what it gets, and into what it has returned.
+        result = self._wrapper(sample.copy(), shot)
+        return np.array(result) if hasattr(result, "dtype") else result
 
     def reset(self, rng: np.random.Generator) -> None:
         if hasattr(self._wrapper, "reset"):
