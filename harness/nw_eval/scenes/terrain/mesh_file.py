@@ -7,6 +7,7 @@ triangles.
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import struct
@@ -502,7 +503,10 @@ class _Glb:
             )
         self.path, self.said = path, said
         self.told: dict[str, Any] = json.loads(data[20 : 20 + length])
-        self.numbers = data[28 + length : whole]  # After the head of the second part.
+        self.buffers = [
+            self._buffer(one.get("uri"), data[28 + length : whole])
+            for one in self.told.get("buffers", ())
+        ]
         needed = [str(one) for one in self.told.get("extensionsRequired", ())]
         unknown = [name for name in needed if not _GLTF_LOOKS.fullmatch(name)]
         if unknown:
@@ -510,6 +514,18 @@ class _Glb:
                 f"{path}: it needs {clean(', '.join(unknown), at_most=100)}",
                 fix="export it without compression of the mesh",
             )
+
+    def _buffer(self, uri: str | None, binary: bytes) -> bytes:
+        """Return the bytes of a buffer: the file's second part, or what is written in the JSON."""
+        if uri is None:
+            return binary
+        kind, _, text = uri.partition(";base64,")
+        if not kind.startswith("data:"):
+            raise SceneError(
+                f"{self.path}: its numbers lie in {clean(uri, at_most=60)!r}",
+                fix="export one .glb file",
+            )
+        return base64.b64decode(text, validate=True)
 
     def read(self) -> _Arrays:
         """Walk the tree of nodes."""
@@ -588,20 +604,19 @@ class _Glb:
                 fix="export it plainly",
             )
         view = self.told["bufferViews"][one["bufferView"]]
-        if view.get("buffer", 0) != 0 or "uri" in self.told["buffers"][0]:
-            raise SceneError(f"{self.path}: its numbers lie in another file", fix="export one .glb")
+        numbers = self.buffers[view["buffer"]]
         kind = np.dtype(_GLTF_KINDS[one["componentType"]])
         columns, rows = (3 if shape == "VEC3" else 1), int(one["count"])
         stride = int(view.get("byteStride", columns * kind.itemsize))
         first = int(view.get("byteOffset", 0)) + int(one.get("byteOffset", 0))
         end = first + (rows - 1) * stride + columns * kind.itemsize
-        if rows < 1 or stride < columns * kind.itemsize or first < 0 or end > len(self.numbers):
+        if rows < 1 or stride < columns * kind.itemsize or first < 0 or end > len(numbers):
             raise SceneError(
                 f"{self.path}: accessor {number} of {rows} rows ends at byte {end} of "
-                f"{len(self.numbers)}",
+                f"{len(numbers)}",
                 fix=_CUT_SHORT,
             )
-        raw = np.ndarray((rows, columns), kind, self.numbers, first, (stride, kind.itemsize))
+        raw = np.ndarray((rows, columns), kind, numbers, first, (stride, kind.itemsize))
         values = raw.astype(np.float64)
         if one.get("normalized"):
             values = np.maximum(values / np.iinfo(kind).max, -1.0)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 _EVEN = 1e-9
 """A corner is a notch if it turns back by more than this share of the polygon's area."""
-_LOOKS = 2_000_000
-"""Ears that are looked at in one file: some ten seconds."""
+_LOOKS = 10_000_000
+"""Corners that are held against ears in one file: some five seconds."""
 
 
 class PolygonError(ValueError):
@@ -98,7 +98,7 @@ def _clipped(points: NDArray[np.float64], face: int, looks: int) -> tuple[list[l
     cut: list[list[int]] = []
     at = failed = 0
     while len(left) > 3:
-        looks -= 1
+        looks -= len(left)
         if looks < 0:
             raise PolygonError(face, "its polygons have too many notches")
         at %= len(left)

@@ -46,9 +46,10 @@ _EXTENSION_BYTES = 1 << 20
 _AXES_RECORD = 0xADBE0003  # SPZ_ADOBE_coordinate_system
 _SYSTEMS = (
     "RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
-    "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU",
+    "LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD",
 )  # fmt: skip
-"""What x, y and z point to, by the record's number; 0 says nothing."""
+"""What x, y and z point to, by the record's number; 0 says nothing. As nianticlabs' library packs
+them: its header calls 9 and 10 LFD and RFD, 15 and 16 LBU and RBU, and converts the other way."""
 _POINTING = {
     "R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1),
     "B": (0, 0, -1),
