@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from splat_rooms import cloud
 
 from nw_eval.errors import SceneError
@@ -55,9 +56,9 @@ FILES = {
 
 def covariances(gaussians):
     """Of all Gaussians: turned or mirrored scales and rotations may say the same."""
-    held = unpack(memory_store(gaussians).layout)
-    order = np.lexsort(held.means.round(2).T)
-    return held.covariances[order]
+    R = Rotation.from_quat(np.roll(gaussians.quats, -1, axis=1)).as_matrix()
+    half = R * np.exp(gaussians.log_scales.astype(np.float64))[:, None]
+    return half @ half.transpose(0, 2, 1)
 
 
 def opacities(gaussians):
@@ -97,9 +98,8 @@ def test_the_files_of_a_sog_side_by_side_are_read_as_well(tmp_path):
 def _webp(pixels):
     """A lossless image of (n, 4) bytes, one row."""
     file = io.BytesIO()
-    Image.fromarray(pixels[None].astype(np.uint8), "RGBA").save(
-        file, "WEBP", lossless=True, exact=True
-    )
+    image = Image.fromarray(pixels[None].astype(np.uint8))
+    image.save(file, "WEBP", lossless=True, exact=True)
     return file.getvalue()
 
 
@@ -135,7 +135,7 @@ def test_the_first_version_of_sog_is_read_by_its_bounds(tmp_path):
     ("changes", "words"),
     [
         ({"version": 3}, "SOG version 3; versions 1 and 2 are read"),
-        ({"means": {"shape": [900, 3], "mins": [0] * 3, "maxs": [1] * 3, "files": ["l", "u"]}}, "3 pix"),
+        ({"means": {"shape": [900, 3], "files": ["l", "u"]}}, "l has 3 x 1 pixels|l has 3 pixels"),
         ({"means": {"shape": [10**9, 3]}}, "1000000000 Gaussians"),
         ({"means": {"shape": [10**7, 3]}}, "10000000 Gaussians in"),
         ({"quats": {"files": ["../../q"]}}, "no readable SOG"),
@@ -288,7 +288,7 @@ def test_the_mark_survives_files_stores_and_frames(tmp_path, mode):
     write_splat(tmp_path / "a.ply", gaussians)
     assert read_splat(tmp_path / "a.ply").rasterize_mode == mode
     write_splat(tmp_path / "a.spz", gaussians)
-    assert read_splat(tmp_path / "a.spz").rasterize_mode == mode or "antialiased"
+    assert read_splat(tmp_path / "a.spz").rasterize_mode == (mode or "antialiased")
     compile_store(gaussians, tmp_path / "a.nwsplat")
     assert open_store(tmp_path / "a.nwsplat").rasterize_mode == mode
     assert read_splat(tmp_path / "a.nwsplat").rasterize_mode == mode
@@ -324,9 +324,8 @@ def reference(gaussians, camera, *, antialiased):
         a, b, c = np.linalg.inv(after)[[0, 0, 1], [0, 1, 1]]
         dx = columns - (camera.fx * x / z + camera.cx)
         dy = rows - (camera.fy * y / z + camera.cy)
-        alpha = np.minimum(
-            0.999, opacity * np.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
-        )
+        power = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
+        alpha = np.minimum(0.999, opacity * np.exp(power))
         alpha[alpha < 1 / 255] = 0
         view = held.means[i].astype(np.float64) - camera.T_world_camera[:3, 3]
         values = harmonics((view / np.linalg.norm(view))[None])[0, : held.sh.shape[1]]

@@ -541,6 +541,7 @@ class _Glb:
             )
         count = triangles = 0
         met: set[int] = set()
+        parts: dict[int, list[_Arrays]] = {}
         waiting = [(int(root), np.eye(4)) for root in reversed(roots)]
         while waiting:
             number, T_parent = waiting.pop()
@@ -554,7 +555,9 @@ class _Glb:
                 continue
             if "skin" in node:
                 self.said.dropped["skins (bodies stand as they were modelled)"] += 1
-            for points, corners in self._parts(self.told["meshes"][node["mesh"]]):
+            if node["mesh"] not in parts:
+                parts[node["mesh"]] = list(self._parts(self.told["meshes"][node["mesh"]]))
+            for points, corners in parts[node["mesh"]]:
                 # A mirror turns faces inside out; glTF turns them back.
                 wound = corners[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else corners
                 vertices.append(points @ T[:3, :3].T + T[:3, 3])

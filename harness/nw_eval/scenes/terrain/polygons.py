@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 _EVEN = 1e-9
 """A corner is a notch if it turns back by more than this share of the polygon's area."""
-_LOOKS = 10_000_000
-"""Corners that are held against ears in one file: some five seconds."""
+_LOOKS = 4_000_000
+"""Corners that are held against ears in one file: some seconds."""
 
 
 class PolygonError(ValueError):
