@@ -85,7 +85,7 @@ def read_model(folder: Path) -> Solution:
         images = list(read.images(_bytes(folder / f"images{suffix}")))
         path = folder / f"points3D{suffix}"
         points = dict(read.points(_bytes(path))) if path.is_file() else {}
-        return _solution(lenses, images, points)
+        return _solution(folder, lenses, images, points)
     except (OSError, struct.error, ValueError, LookupError, TypeError, OverflowError) as error:
         raise SceneError(f"the COLMAP model in {folder} is damaged: {error}", fix=_FIX) from None
 
@@ -123,7 +123,10 @@ def _bytes(path: Path) -> bytes:
 
 
 def _solution(
-    lenses: dict[int, Lens], images: list[tuple[Any, ...]], points: dict[int, tuple[Any, ...]]
+    folder: Path,
+    lenses: dict[int, Lens],
+    images: list[tuple[Any, ...]],
+    points: dict[int, tuple[Any, ...]],
 ) -> Solution:
     ids = np.array(sorted(points), dtype=np.uint64)
     placed: list[Placed] = []
@@ -132,7 +135,8 @@ def _solution(
         rows = np.searchsorted(ids, seen)
         known = rows < len(ids)
         known[known] = ids[rows[known]] == seen[known]
-        T = rigid(_matrix(np.asarray(quaternion), np.asarray(translation)), name)
+        whose = f"{clean(name, at_most=100)} of the COLMAP model in {folder}"
+        T = rigid(_matrix(np.asarray(quaternion), np.asarray(translation)), whose)
         placed.append(
             Placed(
                 name=name,

@@ -52,7 +52,7 @@ def nerfstudio_in(folder: Path, size_of: SizeOf) -> Footage | None:
     frames = whole.get("frames")
     if not isinstance(frames, list) or not frames:
         raise SceneError(f"{folder / FILE} names no frames", fix=_FIX)
-    applied, scale = _applied(whole)
+    applied, scale = _applied(whole, folder / FILE)
     files: list[Found] = []
     placed: list[Placed] = []
     for place, frame in enumerate(frames):
@@ -60,18 +60,21 @@ def nerfstudio_in(folder: Path, size_of: SizeOf) -> Footage | None:
             raise SceneError(f"frame {place} of {folder / FILE} has no file_path", fix=_FIX)
         one = _file(folder, frame)
         files.append(one)
-        lens = _lens({**whole, **frame}, one, size_of)
+        whose = f"{clean(one.name, at_most=100)} in {folder / FILE}"
+        lens = _lens({**whole, **frame}, one, whose, size_of)
         if lens is not None:
-            pose = _pose(frame.get("transform_matrix"), f"transform_matrix of {one.name}")
+            pose = _pose(frame.get("transform_matrix"), f"transform_matrix of {whose}")
             pose[:3, 3] /= scale
-            pose = rigid(inverse(applied) @ pose @ OPENGL, one.name)
+            pose = rigid(inverse(applied) @ pose @ OPENGL, whose)
             placed.append(Placed(name=one.name, lens=lens, T_world_camera=pose))
     alone = {one.name: one for one in files}
     poses = {one.name: one for one in placed}
     for one in placed:  # Twice the same is what splits into training and test write.
         if not np.array_equal(one.T_world_camera, poses[one.name].T_world_camera):
             raise SceneError(
-                f"{folder / FILE} names the photograph {one.name} twice, with two poses", fix=_FIX
+                f"{folder / FILE} names the photograph {clean(one.name, at_most=100)} twice, with "
+                "two poses",
+                fix=_FIX,
             )
     cameras = Solution(placed=tuple(poses.values()))
     return Footage(kind="nerfstudio", files=in_order(alone.values()), cameras=cameras)
@@ -115,24 +118,24 @@ def _array(value: Any, shape: tuple[int, int], what: str) -> NDArray[np.float64]
     return array
 
 
-def _applied(whole: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
+def _applied(whole: dict[str, Any], file: Path) -> tuple[NDArray[np.float64], float]:
     """Return `applied_transform` (4, 4) and `applied_scale`, which came after it."""
     applied = np.eye(4)
     if "applied_transform" in whole:
-        applied[:3] = _pose(whole["applied_transform"], "applied_transform")[:3]
-    scale = number(whole.get("applied_scale", 1.0), "applied_scale")
+        applied[:3] = _pose(whole["applied_transform"], f"applied_transform of {file}")[:3]
+    scale = number(whole.get("applied_scale", 1.0), f"applied_scale of {file}")
     if scale <= 0:
-        raise SceneError(f"applied_scale is {scale}", fix=_FIX)
-    return rigid(applied, "applied_transform"), scale
+        raise SceneError(f"applied_scale of {file} is {scale}", fix=_FIX)
+    return rigid(applied, f"applied_transform of {file}"), scale
 
 
-def _lens(values: dict[str, Any], one: Found, size_of: SizeOf) -> Lens | None:
+def _lens(values: dict[str, Any], one: Found, whose: str, size_of: SizeOf) -> Lens | None:
     """Return a frame's lens; None if its size must be looked up and its picture cannot be read."""
 
     def value(key: str, otherwise: float | None = None) -> float:
         if values.get(key) is None and otherwise is not None:
             return otherwise
-        return number(values.get(key), f"{key} of {one.name}")
+        return number(values.get(key), f"{key} of {whose}")
 
     if "w" in values and "h" in values:
         width, height = round(value("w")), round(value("h"))
@@ -150,14 +153,14 @@ def _lens(values: dict[str, Any], one: Found, size_of: SizeOf) -> Lens | None:
         if values.get("camera_angle_y") is not None:
             fy = 0.5 * height / math.tan(0.5 * value("camera_angle_y"))
     else:
-        raise SceneError(f"{one.name} has neither fl_x nor camera_angle_x", fix=_FIX)
+        raise SceneError(f"{whose} has neither fl_x nor camera_angle_x", fix=_FIX)
     pinhole = (fx, fy, value("cx", 0.5 * width), value("cy", 0.5 * height))
     bends = {key: value(key, 0.0) for key in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
     kind = values.get("camera_model") or "OPENCV"
     kind = "OPENCV_FISHEYE" if values.get("is_fisheye") is True else kind
     if kind not in _KINDS:
         raise SceneError(
-            f"{one.name} has the camera_model {clean(repr(kind), at_most=60)}",
+            f"{whose} has the camera_model {clean(repr(kind), at_most=60)}",
             fix="undistort it with `colmap image_undistorter`, or give the photographs alone",
         )
     model, bent = _model(kind in _FISHEYES, **bends)
