@@ -103,9 +103,7 @@ def test_a_mesh_of_another_format_is_refused_by_its_name(tmp_path, file):
     folder = place(tmp_path)
     (folder / "scene.yaml").write_text(SCENE + f"collision: {file}\n")
     (folder / file).write_bytes(b"\0\1")
-    with pytest.raises(
-        SceneError, match=rf"{file}' is a mesh of a format that is not read"
-    ):
+    with pytest.raises(SceneError, match=rf"{file}' is a mesh of a format that is not read"):
         get_scene(folder)
 
 
