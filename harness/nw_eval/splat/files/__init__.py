@@ -2,8 +2,8 @@
 
     .ply      3DGS (gsplat, splatfacto, Polycam, SuperSplat), and SuperSplat's compressed form
     .spz      Niantic's, versions 1 to 4
-    .splat    antimatter15's 32 bytes per Gaussian, no harmonics
     .sog      PlayCanvas's, versions 1 and 2; also its meta.json; only read
+    .splat    antimatter15's 32 bytes per Gaussian, no harmonics
     .pt       a gsplat training checkpoint, with the other ranks of its step beside it
     .nwsplat  nw-eval's own compiled form, from its cache; only read
     folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
