@@ -65,3 +65,8 @@ ROBOTS: tuple[Robot, ...] = get_args(Robot)
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)
+
+RasterizeMode = Literal["classic", "antialiased"]
+"""What Gaussians were trained for, in gsplat's words: `antialiased` compensates opacity for the
+blur of small ones, `classic` does not."""
+RASTERIZE_MODES: tuple[RasterizeMode, ...] = get_args(RasterizeMode)

@@ -9,6 +9,7 @@ import contextlib
 import io
 import itertools
 import json
+import struct
 import sys
 import warnings
 from dataclasses import dataclass
@@ -154,11 +155,24 @@ def _mesh_files():
     made = {}
     for name, options in (
         ("a.obj", {}), ("a.stl", {}), ("a.ply", {}),
-        ("b.ply", {"encoding": "ascii"}), ("b.stl", {"file_type": "stl_ascii"}),
+        ("b.ply", {"encoding": "ascii"}), ("b.stl", {"file_type": "stl_ascii"}), ("a.glb", {}),
     ):  # fmt: skip
         kind = options.pop("file_type", name.rsplit(".", 1)[1])
         content = mesh.export(file_type=kind, **options)
         made[name] = content if isinstance(content, bytes) else content.encode()
+    # Relative indices, continued lines, a notch; then triangles beside a quad, and a strip.
+    made["b.obj"] = (
+        b"v 0 0 0\nv 2 0 0\n v 2 1 0\nv 1 1 0 .5 .5 .5\r\nv 1 2 0\nv 0 2 0\n"
+        b"f -6 -5 \\\n-4 -3 -2 -1\n"
+        b"v 0 0 1\nv 1 0 1\nv 1 1 1\nvt 0 0\nf -3/-1 -2/-1 -1/-1\nl 1 2\n"
+    )
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\n"
+    head += b"property float y\nproperty float z\nelement face 2\nproperty list uchar int %s\n"
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4").tobytes()
+    lists = struct.pack("<B4iB3i", 4, 0, 1, 2, 3, 3, 0, 1, 2)
+    made["c.ply"] = head % b"vertex_indices" + b"end_header\n" + points + lists
+    strips = head.replace(b"element face 2", b"element tristrips 2") % b"vertex_indices"
+    made["d.ply"] = strips + b"end_header\n" + points + lists
     return made
 
 
@@ -195,8 +209,16 @@ def _splat_files(folder):
     }  # fmt: skip
     plain = {name: torch.from_numpy(np.array(array)) for name, array in splats.items()}
     torch.save({"step": 1, "splats": plain}, folder / "a.pt")
-    fixture = Path(__file__).parents[1] / "splat" / "fixtures" / "cloud.compressed.ply"
-    (folder / "c.ply").write_bytes(fixture.read_bytes())
+    fixtures = Path(__file__).parents[1] / "splat" / "fixtures"
+    (folder / "c.ply").write_bytes((fixtures / "cloud.compressed.ply").read_bytes())
+    for name in ("st.sog", "spz_v3_axes8.spz", "spz_v4_axes10.spz", "spz_v2_orbit_antialiased.spz"):
+        (folder / name).write_bytes((fixtures / "written" / name).read_bytes())
+    names = [*"xyz", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
+    names += [*(f"rot_{i}" for i in range(4)), "filter_3D"]
+    head = "ply\nformat ascii 1.0\nelement vertex 3\n"
+    head += "".join(f"property float {name}\n" for name in names)
+    rows = "0.1 -0.2 0.3 0.5 0.5 0.5 2 -3 -3 -3 1 0 0.1 0 0.01\n" * 3
+    (folder / "text.ply").write_text(head + "end_header\n" + rows)
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -410,6 +432,40 @@ def _read_mesh(folder):
 
     (path,) = folder.iterdir()
     read_mesh(path)
+
+
+def _camera_seeds(_):
+    import tempfile
+
+    import pycolmap
+
+    found = []
+    for name in ("OPENCV", "EUCM", "SIMPLE_FISHEYE"):
+        model = pycolmap.Reconstruction()
+        model.add_camera_with_trivial_rig(
+            pycolmap.Camera.create_from_model_name(1, name, 500.0, 640, 480)
+        )
+        for number in (1, 2):
+            image = pycolmap.Image(name=f"images/{number}.jpg", camera_id=1, image_id=number)
+            model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+        for write, suffix in ((model.write_binary, ".bin"), (model.write_text, ".txt")):
+            with tempfile.TemporaryDirectory() as folder:
+                write(folder)
+                files = {p.name: p.read_bytes() for p in sorted(Path(folder).glob(f"*{suffix}"))}
+            kept = (f"cameras{suffix}", f"images{suffix}", f"points3D{suffix}")
+            found.append({name: files[name] for name in kept})
+    frame = {"file_path": "images/1", "transform_matrix": np.eye(4).tolist(), "k1": None}
+    whole = {"fl_x": 50, "w": 64, "h": 48, "camera_angle_y": 1.0, "applied_scale": 2.0,
+             "camera_model": "FULL_OPENCV", "applied_transform": np.eye(4).tolist(),
+             "frames": [frame, frame, {**frame, "file_path": "images\\2.png"}]}  # fmt: skip
+    return [*found, {"transforms.json": json.dumps(whole).encode()}]
+
+
+def _read_cameras(folder):
+    from nw_eval.twin.calibrate.sources.find import find_source
+
+    footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
+    assert np.isfinite([one.lens.params for one in footage.cameras.placed[:1]]).all()
 
 
 def _read_splat(folder):
@@ -706,6 +762,7 @@ _ALL = (
         seeds=lambda folder: [{name: data} for name, data in _splat_files(folder).items()],
         read=_read_splat,
     ),
+    Target(name="cameras", seeds=_camera_seeds, read=_read_cameras),
     Target(name="store", seeds=_store_seeds, read=_store),
     Target(name="journal", seeds=_journal_seeds, read=_journal),
     Target(name="parquet", seeds=_parquet_seeds, read=_parquet),

@@ -22,8 +22,9 @@ from nw_eval.results.machine import (
 )
 from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
+from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
-from nw_eval.words import Backend
+from nw_eval.words import Backend, RasterizeMode
 
 if TYPE_CHECKING:
     from nw_eval.cards import Card
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.scenes.scene import Scene
 
 _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 """Libraries whose versions make bits differ between runs of the same trials."""
@@ -160,9 +162,19 @@ def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
             trials=trials[found.scene.name],
             split=split_for(plan.bundle.card, found),
             fetched=_fetched(reference_path(found.reference)),
+            rasterize_mode=_rasterize_mode(found.scene) if plan.renders else None,
         )
         for found in plan.found
     }
+
+
+def _rasterize_mode(scene: Scene) -> RasterizeMode | None:
+    """Return what a scene's splat file says that it was trained for, or scene.yaml does."""
+    if not isinstance(scene.splat, FileSplat):
+        return None
+    from nw_eval.splat.store import open_store
+
+    return open_store(scene.splat_store()).rasterize_mode
 
 
 def _fetched(path: Path) -> FetchedInfo | None:

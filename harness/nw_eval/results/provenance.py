@@ -13,7 +13,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.request import Request
 from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal
-from nw_eval.words import PanelKind
+from nw_eval.words import PanelKind, RasterizeMode
 
 _MOST = 16 * 2**20
 """Bytes of a run.json that is read: some 50,000 scenes."""
@@ -52,6 +52,7 @@ class SceneInfo(_Saved):
     # Whether the policy was trained in it; None: its card names no scene, or it is not built in.
     split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
+    rasterize_mode: RasterizeMode | None = None  # Of a splat file that says one, where it is drawn.
 
 
 class PolicyInfo(_Saved):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,12 +22,19 @@ from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.name import checked_name
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
-from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
+from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, inspect_mesh
 from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.words import Collision, Task
+from nw_eval.words import Collision, RasterizeMode, Task
 
 SCENE_FILE = "scene.yaml"
 _GROUND_REACH = 60.0
+_LEAST_WIDE, _MOST_WIDE = 0.3, 2.0 * limits.REACH
+# A place this much wider than its trail is told, metres and times.
+_ODDLY_WIDE, _TIMES_COURSE = 200.0, 40.0
+_OTHER_MESHES = (
+    ".3ds", ".3mf", ".abc", ".blend", ".dae", ".fbx", ".gltf", ".off", ".step", ".stp", ".usd",
+    ".usda", ".usdc", ".usdz", ".wrl", ".x3d",
+)  # fmt: skip
 
 _Read = TypeVar("_Read", bound=BaseModel)
 
@@ -144,9 +150,11 @@ class _SceneFile(_FolderModel):
     ground: Length = 0.0
     """Height of the ground plane under boxes, m; a mesh is its own ground."""
     collision: str = "collision.yaml"
-    """A file of boxes, or a mesh (.obj, .ply, .stl) in metres, inside the folder."""
+    """A file of boxes, or a mesh (.obj, .ply, .stl, .glb) in metres, inside the folder."""
     splat: str | None = None
     """A file of Gaussians inside the folder, which `splat_rgb` looks at."""
+    rasterize_mode: RasterizeMode | None = None
+    """What the splat was trained for; when absent, what its file says, else `antialiased`."""
     T_world_splat: _Similarity = _Similarity()
     """Where the splat lies in the world."""
     captures: str | None = None
@@ -158,10 +166,12 @@ class FileSplat:
     """Gaussians read from a splat file."""
 
     path: Path
+    rasterize_mode: RasterizeMode | None = None
+    """How scene.yaml says that it is drawn; None: by the file's own mark."""
 
     @property
     def key(self) -> str:
-        """Hex SHA-256 of the file.
+        """Hex SHA-256 of the file, or of its ranks', and how scene.yaml says that it is drawn.
 
         Raises:
             SceneError: the file cannot be read.
@@ -170,14 +180,10 @@ class FileSplat:
 
     @cached_property
     def _key(self) -> str:
-        try:
-            with self.path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise SceneError(
-                f"{self.path}: the splat cannot be read: {error.strerror}",
-                fix="check the key `splat` of scene.yaml",
-            ) from None
+        from nw_eval.splat.compiled import digest_of_files
+
+        found = digest_of_files(self.path)
+        return found if self.rasterize_mode is None else f"{found}:{self.rasterize_mode}"
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store in the cache."""
@@ -185,7 +191,7 @@ class FileSplat:
 
         if progress is not None:
             progress("read", 0.0)
-        path = compiled_store(self.path, self.key)
+        path = compiled_store(self.path, self.key, rasterize_mode=self.rasterize_mode)
         if progress is not None:
             progress("stored", 1.0)
         return path
@@ -219,7 +225,8 @@ def inspect_folder(
         # Embree loads with it; listing scenes needs neither.
         from nw_eval.scenes.terrain.store import compiled_terrain
 
-        static_mesh = read_mesh(path)
+        static_mesh, read = inspect_mesh(path)
+        wide = _place_of(static_mesh, trail, path)
         terrain = compiled_terrain(
             static_mesh,
             trail=trail,
@@ -227,13 +234,23 @@ def inspect_folder(
             options=TerrainOptions(collision=collision),
         )
         solids, ground, findings = terrain.solids, Plane(z=terrain.floor), terrain.findings
+        findings = (*read, *wide, *findings)
+    elif path.suffix.lower() in _OTHER_MESHES:
+        problem = file.problem(
+            ("collision",),
+            f"{text.collision!r} is a mesh of a format that is not read",
+            f"export it as {', '.join(MESH_SUFFIXES)}",
+        )
+        raise SceneError([problem])
     else:
         boxes = _boxes(path)
         static_mesh = solids_mesh(boxes, text.ground)
         solids, ground = boxes, Plane(z=text.ground)
     splat = None
     if text.splat is not None:
-        splat = FileSplat(path=_beside(folder, file, "splat", text.splat))
+        splat = FileSplat(
+            path=_beside(folder, file, "splat", text.splat), rasterize_mode=text.rasterize_mode
+        )
         if what_is(splat.path) != "file":
             problem = file.problem(
                 ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
@@ -269,7 +286,13 @@ def folder_files(folder: Path) -> dict[str, Path]:
     files = {SCENE_FILE: folder / SCENE_FILE}
     files[text.collision] = _beside(folder, file, "collision", text.collision)
     if text.splat is not None:
-        files[text.splat] = _beside(folder, file, "splat", text.splat)
+        from nw_eval.splat.files import files_of_splat
+
+        path = _beside(folder, file, "splat", text.splat)
+        files[text.splat] = path
+        # The other ranks of a checkpoint, which are read with it.
+        for one in files_of_splat(path):
+            files.setdefault(str(Path(text.splat).with_name(one.name)), one)
     if text.captures is not None:
         files[text.captures] = _beside(folder, file, "captures", text.captures)
     return files
@@ -295,6 +318,57 @@ def _beside(folder: Path, file: YamlFile, key: str, name: str) -> Path:
     except OutsideError as error:
         message = f"{key}: {name!r} leaves the scene's folder: {error}"
         raise SceneError([file.problem((key,), message, "put the file into the folder")]) from None
+
+
+def _place_of(
+    mesh: TriangleMesh, trail: NDArray[np.float64], path: Path
+) -> tuple[SceneFinding, ...]:
+    """Return what is odd about the size and the origin of a scene's mesh.
+
+    Judged by the bulk of its vertices: a scan has stray points far behind the place.
+
+    Raises:
+        SceneError: no robot walks in a place of this size, or so far from the origin.
+    """
+    low, high = np.percentile(mesh.vertices, [5, 95], axis=0)
+    middle = np.median(mesh.vertices, axis=0)
+    wide = float((high - low)[:2].max())
+    whole = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+    far = float(np.abs(middle).max())
+    label = "or measure a length with `nw-eval twin label`"
+    if whole < _LEAST_WIDE:
+        raise SceneError(
+            f"{path}: the mesh is {whole:.3g} m wide, less than a robot is long: its unit is not "
+            "the metre",
+            fix=f"multiply it by 1000 if it is in kilometres, {label}",
+        )
+    if far > limits.REACH and far > wide:
+        shift = ", ".join(f"{value:.0f}" for value in middle)
+        raise SceneError(
+            f"{path}: the middle of the mesh is at ({shift}) m, {far / 1000:.1f} km from the "
+            f"origin; a scene lies within {limits.REACH:g} m of it, and single precision holds "
+            f"{far * 2.0**-24:.1g} m there",
+            fix=f"subtract ({shift}) from its vertices before it is exported, with the start near "
+            "(0, 0, 0)",
+        )
+    if wide > _MOST_WIDE:
+        raise SceneError(
+            f"{path}: the mesh is {wide:.0f} m wide: its unit is not the metre",
+            fix=f"multiply it by 0.001 if it is in millimetres, by 0.01 in centimetres, {label}",
+        )
+    course = float(np.ptp(np.vstack([trail, np.zeros((1, 3))])[:, :2], axis=0).max())
+    if wide > _ODDLY_WIDE and wide > _TIMES_COURSE * course:
+        return (
+            SceneFinding(
+                code="mesh_wide",
+                severity="warning",
+                message=f"{path.name}: the mesh is {wide:.0f} m wide, its trail {course:.1f} m",
+                fix="multiply the mesh by 0.01 if it is in centimetres, or cut off what is far "
+                "from the trail",
+                value=wide,
+            ),
+        )
+    return ()
 
 
 def _boxes(path: Path) -> tuple[Box, ...]:

@@ -28,7 +28,8 @@ class CudaRenderer:
     Args:
         store: what to render.
         preset: which gsplat; it must be the one installed, since they do not render alike.
-        antialiased: compensate opacity for the blur of small splats.
+        antialiased: compensate opacity for the blur of small splats; None: unless the store is
+            marked classic.
         background: colour behind everything.
         device: torch device.
 
@@ -41,7 +42,7 @@ class CudaRenderer:
         store: Store,
         *,
         preset: PresetName = "gsplat-1.5",
-        antialiased: bool = True,
+        antialiased: bool | None = None,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
         device: str = "cuda",
     ) -> None:
@@ -58,7 +59,9 @@ class CudaRenderer:
             )
         self.store = store
         self._torch, self._device = torch, device
-        self._preset, self._antialiased = get_preset(preset), antialiased
+        classic = store.rasterize_mode == "classic"
+        self._antialiased = not classic if antialiased is None else antialiased
+        self._preset = get_preset(preset)
         self._background = np.asarray(background, dtype=np.float32)
         self._sh_degree = {1: 0, 4: 1, 9: 2, 16: 3}[store.sh_count]
         splats = unpack(store.layout)

@@ -8,6 +8,7 @@ import numpy as np
 
 from nw_eval.splat.files.quantise import sigmoid
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.words import RasterizeMode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +20,7 @@ class SplatFigures:
         visible: those with opacity of at least 1/255 and finite values.
         not_finite: those with a value that is not finite.
         sh_degree: degree of the harmonics, 0 to 3.
+        rasterize_mode: what the file says that they were trained for; None: nothing.
         bounds: (low, high) corners of all finite centres, x y z each.
         bulk: the same for the middle 98 % along each axis: floaters left out.
         scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.
@@ -29,6 +31,7 @@ class SplatFigures:
     visible: int
     not_finite: int
     sh_degree: int
+    rasterize_mode: RasterizeMode | None
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
     bulk: tuple[tuple[float, ...], tuple[float, ...]]
     scale_percentiles: tuple[float, float, float]
@@ -52,6 +55,7 @@ def describe(gaussians: Gaussians) -> SplatFigures:
         visible=int((opacity >= 1.0 / 255.0).sum()),
         not_finite=int((~finite).sum()),
         sh_degree=gaussians.sh_degree,
+        rasterize_mode=gaussians.rasterize_mode,
         bounds=(_point(centres.min(axis=0)), _point(centres.max(axis=0))),
         bulk=(
             _point(np.percentile(centres, 1, axis=0)),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.words import RasterizeMode
 
 SH_COUNTS = (1, 4, 9, 16)
 """Spherical-harmonic coefficients per channel at degree 0, 1, 2, 3."""
@@ -20,6 +21,8 @@ MOST = 12_000_000
 """Gaussians of one file: large scenes have 6 million, and each takes 500 bytes while it is read."""
 
 F32 = NDArray[np.float32]
+
+_ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +36,8 @@ class Gaussians:
         opacity_logits: (N,) float32; opacity = 1 / (1 + exp(-logit)).
         sh: (N, K, 3) float32, K in 1, 4, 9, 16; coefficients in the order and signs of 3DGS.
             Colour seen along unit direction d = max(0, 0.5 + sum_k Y_k(d) sh[:, k]).
+        rasterize_mode: what they were trained for, by the file's own mark; None where there is
+            none: such are drawn antialiased.
     """
 
     means: F32
@@ -40,6 +45,7 @@ class Gaussians:
     quats: F32
     opacity_logits: F32
     sh: F32
+    rasterize_mode: RasterizeMode | None = None
 
     def __post_init__(self) -> None:
         """Make arrays contiguous float32 and check shapes.
@@ -47,9 +53,9 @@ class Gaussians:
         Raises:
             SceneError: when shapes do not agree or K is not 1, 4, 9 or 16.
         """
-        for field in fields(self):
-            array = np.ascontiguousarray(getattr(self, field.name), dtype=np.float32)
-            object.__setattr__(self, field.name, array)
+        for name in _ARRAYS:
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
+            object.__setattr__(self, name, array)
         n = len(self.means)
         expected = {
             "means": (n, 3),
@@ -83,7 +89,8 @@ class Gaussians:
         return self._map(lambda array: array[selection])
 
     def _map(self, change: Callable[[F32], F32]) -> Gaussians:
-        return Gaussians(**{f.name: change(getattr(self, f.name)) for f in fields(self)})
+        arrays = {name: change(getattr(self, name)) for name in _ARRAYS}
+        return Gaussians(**arrays, rasterize_mode=self.rasterize_mode)
 
 
 def check_count(origin: object, count: int) -> None:
@@ -97,7 +104,10 @@ def check_count(origin: object, count: int) -> None:
 
 
 def concatenate(*parts: Gaussians) -> Gaussians:
-    """Join sets; harmonics of lower degree are padded with zeros to the highest degree."""
+    """Join sets; harmonics of lower degree are padded with zeros to the highest degree.
+
+    Of sets with different marks the first one's counts.
+    """
     if not parts:
         raise SceneError("no Gaussians to concatenate", fix="give at least one set")
     most = max(part.sh.shape[1] for part in parts)
@@ -108,4 +118,5 @@ def concatenate(*parts: Gaussians) -> Gaussians:
         quats=np.concatenate([part.quats for part in parts]),
         opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
         sh=np.concatenate(sh),
+        rasterize_mode=parts[0].rasterize_mode,
     )

@@ -73,7 +73,8 @@ class CpuRenderer:
     Args:
         store: what to render; shared between renderers and processes.
         preset: which gsplat's numerical choices.
-        antialiased: compensate opacity for the blur of small splats.
+        antialiased: compensate opacity for the blur of small splats; None: unless the store is
+            marked classic.
         background: colour behind everything.
         threads: split a frame into this many windows side by side, one thread each.
     """
@@ -83,7 +84,7 @@ class CpuRenderer:
         store: Store,
         *,
         preset: PresetName = "gsplat-1.5",
-        antialiased: bool = True,
+        antialiased: bool | None = None,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
         threads: int = 1,
     ) -> None:
@@ -93,7 +94,8 @@ class CpuRenderer:
             raise UsageError(f"background is {background}", fix="give three finite numbers")
         self.store = store
         self._preset = get_preset(preset)
-        self._antialiased = antialiased
+        classic = store.rasterize_mode == "classic"
+        self._antialiased = not classic if antialiased is None else antialiased
         self._background = np.asarray(background, dtype=np.float32)
         self._works = [_Workspace(store) for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None

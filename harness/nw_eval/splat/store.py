@@ -19,6 +19,7 @@ from nw_eval.errors import SceneError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.layout import Layout, arrange
+from nw_eval.words import RASTERIZE_MODES, RasterizeMode
 
 FORMAT = 4
 """Changes with the layout of the arrays; part of every cache key."""
@@ -45,6 +46,7 @@ class Store:
         layout: the arrays, read-only.
         path: the file behind them; None when they live in memory.
         key: what was compiled, as given to `compile_store`.
+        rasterize_mode: see `Gaussians`; None is drawn antialiased.
     """
 
     count: int
@@ -52,6 +54,7 @@ class Store:
     layout: Layout
     path: Path | None
     key: str
+    rasterize_mode: RasterizeMode | None = None
 
     @property
     def chunks(self) -> int:
@@ -68,7 +71,12 @@ def memory_store(gaussians: Gaussians) -> Store:
     """Compile Gaussians without a file, for tests and one-off pictures."""
     layout = arrange(gaussians)
     return Store(
-        count=layout.count, sh_count=gaussians.sh.shape[1], layout=layout, path=None, key=""
+        count=layout.count,
+        sh_count=gaussians.sh.shape[1],
+        layout=layout,
+        path=None,
+        key="",
+        rasterize_mode=gaussians.rasterize_mode,
     )
 
 
@@ -99,6 +107,7 @@ def compile_store(gaussians: Gaussians, path: Path, *, key: str = "") -> None:
         "sh_count": store.sh_count,
         "chunks": store.chunks,
         "arrays": places,
+        "rasterize_mode": store.rasterize_mode,
     }
     with sealed_path(path) as temporary, temporary.open("wb") as file:
         file.write(json.dumps(header).encode().ljust(_HEADER_LIMIT - 1) + b"\n")
@@ -149,6 +158,7 @@ def open_store(path: Path, *, key: str | None = None) -> Store:
         layout=layout,
         path=path,
         key=header["key"],
+        rasterize_mode=header.get("rasterize_mode"),
     )
 
 
@@ -169,6 +179,8 @@ def _read_header(raw: bytes, path: Path) -> dict[str, Any]:
         )
     if not all(isinstance(header.get(k), int) for k in ("count", "sh_count")):
         raise SceneError(f"{path}: its header is incomplete", fix=_REBUILD)
+    if header.get("rasterize_mode") not in (None, *RASTERIZE_MODES):
+        raise SceneError(f"{path}: its header names no way to draw it", fix=_REBUILD)
     return header
 
 
@@ -179,4 +191,6 @@ def digest(gaussians: Gaussians) -> str:
         array = getattr(gaussians, name)
         total.update(f"{name}{array.shape}".encode())
         total.update(array.data)
+    if gaussians.rasterize_mode is not None:
+        total.update(gaussians.rasterize_mode.encode())
     return total.hexdigest()

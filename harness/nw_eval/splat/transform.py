@@ -42,6 +42,7 @@ def transformed(gaussians: Gaussians, T: NDArray[np.float64]) -> Gaussians:
         quats=(gaussians.quats @ left.T).astype(np.float32),
         opacity_logits=gaussians.opacity_logits,
         sh=rotate_harmonics(gaussians.sh, rotation),
+        rasterize_mode=gaussians.rasterize_mode,
     )
 
 

@@ -74,9 +74,9 @@ def test_faces_without_area_are_left_out(tmp_path):
         ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("v 0 0 0\nv 1e9 0 0\nv 0 1 0\nf 1 2 3\n", "coordinate is 1e"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "names vertex|readable"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", r"bad\.obj:4: a face names vertex 9, there are 3"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has an area"),
-        ("v 0 0 zero\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "readable"),
+        ("v 0 0 zero\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", r"bad\.obj:1: `v` is not followed by three"),
     ],
 )
 def test_bad_files_are_named_errors(tmp_path, text, words):
@@ -124,11 +124,17 @@ end_header
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("1 0 0\n", "1 0\n"), "no readable PLY mesh"),  # Ragged rows.
-        (("4 0 1 2 3", "4 0 1"), "readable|nothing there"),
-        (("element vertex 4", "element vertex 900000000"), "a.ply:3: 900000000 rows"),
-        (("element vertex 4", "element vertex -4"), "a.ply:3: -4 rows"),
-        (("element face 1", "element edge 1"), "a.ply:7: it has edges"),
+        (("1 0 0\n", "1 0\n"), r"a\.ply:11: a vertex row has not the numbers"),
+        (("4 0 1 2 3", "4 0 1"), r"a\.ply:14: a face row has not the numbers"),
+        (("4 0 1 2 3\n", ""), r"a\.ply: 1 face rows are said, 0 are there"),
+        (("4 0 1 2 3", "4 0 1 2 x"), r"a\.ply:14: a face row is no row of numbers"),
+        (("4 0 1 2 3", "4 0 1 2 4"), "a face names vertex 4 of 4"),
+        (
+            ("element vertex 4", "element vertex 900000000"),
+            "a.ply:3: 900000000 vertex rows; dec",
+        ),
+        (("element vertex 4", "element vertex -4"), "a.ply:3: header line not understood"),
+        (("element face 1", "element edge 1"), "no triangles in it, 1 rows of 'edge'"),
     ],
 )
 def test_a_ply_that_does_not_keep_its_promise_is_a_named_error(tmp_path, change, words):

@@ -2,8 +2,9 @@
 
     .ply      3DGS (gsplat, splatfacto, Polycam, SuperSplat), and SuperSplat's compressed form
     .spz      Niantic's, versions 1 to 4
+    .sog      PlayCanvas's, versions 1 and 2; also its meta.json; only read
     .splat    antimatter15's 32 bytes per Gaussian, no harmonics
-    .pt       a gsplat training checkpoint
+    .pt       a gsplat training checkpoint, with the other ranks of its step beside it
     .nwsplat  nw-eval's own compiled form, from its cache; only read
     folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
 
@@ -14,22 +15,25 @@ a zero quaternion, are left out when the splat is compiled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.ply import Ply
 from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
 from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat
-from nw_eval.splat.files.gsplat_pt import read_gsplat_pt, write_gsplat_pt
+from nw_eval.splat.files.gsplat_pt import rank_files, read_gsplat_pt, write_gsplat_pt
 from nw_eval.splat.files.nerfstudio import read_nerfstudio
-from nw_eval.splat.files.ply import Ply
+from nw_eval.splat.files.sog import META, is_sog, read_sog
 from nw_eval.splat.files.spz import read_spz, write_spz
 from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply, write_threedgs_ply
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import MARK
 
-__all__ = ["RestOrder", "read_splat", "write_splat"]
+__all__ = ["RestOrder", "files_of_splat", "read_splat", "write_splat"]
 
 _WRITERS = {
     ".ply": write_threedgs_ply,
@@ -53,28 +57,63 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
     path = Path(path)
     try:
         if path.is_dir():
+            if (path / META).is_file():
+                return read_sog(path / META)
             return read_nerfstudio(path, rest_order=rest_order)
         with path.open("rb") as file:
             mark = file.read(len(MARK))
-        if mark == MARK:
-            return read_compiled(path)
-        if mark[:3] == b"ply":
-            ply = Ply.open(path)
-            if "chunk" in ply.elements:
-                return read_compressed_ply(ply)
-            return read_threedgs_ply(ply, rest_order=rest_order)
-        if mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP":
-            return read_spz(path)
-        if mark[:4] == b"PK\x03\x04":
-            return read_gsplat_pt(path)
-        if path.suffix.lower() == ".splat":
-            return read_dot_splat(path)
+        return _reader(path, mark, rest_order)(path)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix="give a splat file") from error
+
+
+def _reader(path: Path, mark: bytes, rest_order: RestOrder) -> Callable[[Path], Gaussians]:
+    """Return what reads a file that begins with `mark`."""
+    suffix = path.suffix.lower()
+    if mark == MARK:
+        return read_compiled
+    if mark[:3] == b"ply":
+        return partial(_read_ply, rest_order=rest_order)
+    if mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP":
+        return read_spz
+    if mark[:4] == b"PK\x03\x04":
+        return read_sog if is_sog(path) else read_gsplat_pt
+    if path.name == META:
+        return read_sog
+    if suffix == ".splat":
+        return read_dot_splat
+    known = _NOT_READ.get(suffix)
+    if known is None and mark[:1] == b"\x80":
+        known = "a pickle", "load it with torch and save it again with torch.save"
+    if known is not None:
+        raise SceneError(f"{path}: {known[0]}, which is not read", fix=known[1])
     raise SceneError(
         f"{path}: starts with {mark[:4]!r}, which is not a splat format",
-        fix="give .ply, .spz, .splat, a gsplat .pt, or a nerfstudio export folder",
+        fix="give .ply, .spz, .sog, .splat, a gsplat .pt, or a nerfstudio export folder",
     )
+
+
+def _read_ply(path: Path, *, rest_order: RestOrder) -> Gaussians:
+    ply = Ply.open(path)
+    if "chunk" in ply.elements:
+        return read_compressed_ply(ply)
+    return read_threedgs_ply(ply, rest_order=rest_order)
+
+
+_CONVERT = "convert it with `npx @playcanvas/splat-transform FILE out.ply`"
+_NOT_READ = {
+    ".ksplat": ("a splat of GaussianSplats3D", _CONVERT),
+    ".lcc": ("a splat of XGRIDS", _CONVERT),
+}
+
+
+def files_of_splat(path: Path) -> tuple[Path, ...]:
+    """Return the files that `read_splat` reads at a path: one, or all ranks of a checkpoint.
+
+    Raises:
+        SceneError: a rank is missing.
+    """
+    return rank_files(path)
 
 
 def write_splat(path: Path, gaussians: Gaussians) -> None:

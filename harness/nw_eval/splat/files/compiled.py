@@ -25,7 +25,8 @@ def read_compiled(path: Path) -> Gaussians:
     Raises:
         SceneError: it is damaged, or another version wrote it.
     """
-    held = unpack(open_store(path).layout)
+    store = open_store(path)
+    held = unpack(store.layout)
     # A seal keeps damage out, and no stranger's hand.
     whole = np.isfinite(held.covariances).all(axis=(1, 2)) & np.isfinite(held.opacities)
     variances, axes = np.linalg.eigh(held.covariances[whole].astype(np.float64))
@@ -38,4 +39,5 @@ def read_compiled(path: Path) -> Gaussians:
         quats=quaternions(axes).astype(np.float32),
         opacity_logits=np.log(opacities / (1.0 - opacities)).astype(np.float32),
         sh=held.sh[whole],
+        rasterize_mode=store.rasterize_mode,
     )

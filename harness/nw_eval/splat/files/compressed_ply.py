@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.files.ply import Ply
+from nw_eval.files.ply import Ply
 from nw_eval.splat.files.quantise import logit
+from nw_eval.splat.files.threedgs_ply import mode_of
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count
 
 _CHUNK = 256
@@ -52,6 +53,7 @@ def read_compressed_ply(ply: Ply) -> Gaussians:
         quats=_quats(_packed(ply, "packed_rotation")),
         opacity_logits=logit(colour[:, 3]),
         sh=np.concatenate([dc[:, None], _rest(ply, n)], axis=1),
+        rasterize_mode=mode_of(ply),
     )
 
 

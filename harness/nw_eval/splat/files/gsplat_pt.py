@@ -1,5 +1,8 @@
 """A gsplat training checkpoint: a torch file with `splats`, or their state dict itself.
 
+A training on several GPUs writes a file for each, `ckpt_29999_rank0.pt` and so on, and each holds
+its share of the Gaussians: all that lie side by side are read.
+
 Keys means (N, 3), scales (N, 3) logarithms, quats (N, 4) w x y z, opacities (N,) logits, sh0
 (N, 1, 3), shN (N, K, 3). Loaded with weights_only: no code of the file runs.
 """
@@ -16,10 +19,13 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+from nw_eval.files.inside import OutsideError, inside
+from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count, concatenate
 
 _KEYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 _FIX = "give a checkpoint of gsplat's simple_trainer"
+_RANK = re.compile(r"(?P<step>ckpt_[0-9]+)_rank(?P<rank>[0-9]{1,4})\.pt")
+_EXPORT = "run `ns-export gaussian-splat` and give the folder that it writes"
 _MEMBERS = re.compile(
     r"data\.pkl|data/[0-9]+|version|byteorder|\.format_version|\.storage_alignment"
     r"|\.data/serialization_id"
@@ -27,13 +33,53 @@ _MEMBERS = re.compile(
 """What torch.save writes, below one folder. Torch's reader ignores case: another one would not."""
 
 
-def read_gsplat_pt(path: Path) -> Gaussians:
-    """Read a gsplat checkpoint.
+def rank_files(path: Path) -> tuple[Path, ...]:
+    """Return the files of all ranks that lie beside one of them, in order; itself if it is none.
 
     Raises:
-        SceneError: when it is damaged or lacks a key.
+        SceneError: a rank below one that is there is missing, or leads out of the folder.
+    """
+    mine = _RANK.fullmatch(path.name)
+    if mine is None:
+        return (path,)
+    found: dict[int, str] = {}
+    for one in sorted(path.parent.glob(f"{mine['step']}_rank*.pt")):
+        other = _RANK.fullmatch(one.name)
+        if other is not None:
+            found[int(other["rank"])] = one.name
+    lost = sorted(set(range(max(found, default=0))) - set(found))
+    if lost:
+        names = ", ".join(f"{mine['step']}_rank{rank}.pt" for rank in lost[:5])
+        raise SceneError(
+            f"{path}: it holds the share of one GPU, and {names} of the same step "
+            f"{'is' if len(lost) == 1 else 'are'} missing",
+            fix="put the files of all ranks side by side",
+        )
+    if len(found) < 2:
+        return (path,)
+    try:
+        return tuple(inside(path.parent, found[rank]) for rank in sorted(found))
+    except OutsideError as error:
+        raise SceneError(f"{path}: {error}", fix="put the files of all ranks there") from None
+
+
+def read_gsplat_pt(path: Path) -> Gaussians:
+    """Read a gsplat checkpoint, and the other ranks of its step that lie beside it.
+
+    Raises:
+        SceneError: when it is damaged or lacks a key, or a rank is missing.
         PrerequisiteError: without torch.
     """
+    parts = [_read_one(one) for one in rank_files(path)]
+    check_count(path, sum(map(len, parts)))
+    return concatenate(*parts)
+
+
+def _read_one(path: Path) -> Gaussians:
+    if path.suffix.lower() == ".ckpt":
+        raise SceneError(
+            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=_EXPORT
+        )
     _check_archive(path)
     torch = _torch(path)
     try:
@@ -43,6 +89,15 @@ def read_gsplat_pt(path: Path) -> Gaussians:
         raise SceneError(f"{path}: torch cannot load it: {first[0][:120]}", fix=_FIX) from error
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
         content = content["splats"]
+    if isinstance(content, dict) and "pipeline" in content:
+        raise SceneError(
+            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=_EXPORT
+        )
+    if isinstance(content, dict) and "features" in content and "sh0" not in content:
+        raise SceneError(
+            f"{path}: trained with --app_opt: its colours come from a network that is not read",
+            fix="train without it",
+        )
     size = path.stat().st_size
     arrays = {key: _array(path, content, key, torch.Tensor, size) for key in _KEYS}
     n = len(arrays["means"])

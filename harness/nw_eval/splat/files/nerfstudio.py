@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.files.ply import Ply
+from nw_eval.files.ply import Ply
 from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.transform import transformed

@@ -5,6 +5,10 @@ scales, rotations and harmonics. Version 4 is a 32-byte plain header, a table of
 zstd stream for each attribute. Axes are right-up-back, those of a 3DGS PLY right-down-front: y
 and z change sign on the way, and with them the quaternion's y and z and the harmonics that are
 odd in y z. After nianticlabs/spz (load-spz.cc, splat-utils.h).
+
+Flag 1 says that the splat was trained antialiased, flag 2 that records of extensions follow: behind
+the stream of versions 2 and 3, between header and table in version 4. One of them names other axes;
+the others change no Gaussian.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +27,8 @@ from numpy.typing import NDArray
 from nw_eval.errors import PrerequisiteError, SceneError
 from nw_eval.splat.files.quantise import logit, sigmoid, to_byte, unit_quats
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
+from nw_eval.splat.transform import harmonics as harmonics_at
+from nw_eval.splat.transform import transformed
 
 Bytes = NDArray[np.uint8]
 SpzVersion = Literal[2, 3, 4]
@@ -35,6 +41,20 @@ _SMALL = 1 << 26
 _FRACTION_BITS = 12
 _SQRT_HALF = 0.7071067811865476
 _BROKEN = "the file is damaged; export it again"
+_ANTIALIASED, _EXTENDED = 1, 2
+_EXTENSION_BYTES = 1 << 20
+_AXES_RECORD = 0xADBE0003  # SPZ_ADOBE_coordinate_system
+_SYSTEMS = (
+    "RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
+    "LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD",
+)  # fmt: skip
+"""What x, y and z point to, by the record's number; 0 says nothing. As nianticlabs' library packs
+them: its header calls 9 and 10 LFD and RFD, 15 and 16 LBU and RBU, and converts the other way."""
+_POINTING = {
+    "R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1),
+    "B": (0, 0, -1),
+}  # fmt: skip
+"""Directions in the axes of a 3DGS PLY: right, down, front."""
 
 # Sign of each harmonic under (x, y, z) -> (x, -y, -z), in 3DGS order.
 _SH_SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], dtype=np.float32)
@@ -48,6 +68,7 @@ class _Header:
     count: int
     sh_count: int
     fraction_bits: int
+    flags: int
 
     def sizes(self) -> tuple[int, ...]:
         """Bytes of positions, opacities, colours, scales, rotations, harmonics."""
@@ -65,20 +86,69 @@ def read_spz(path: Path) -> Gaussians:
         PrerequisiteError: for version 4 without the package zstandard.
     """
     raw = path.read_bytes()
-    header, parts = _unpack_v4(path, raw) if raw[:4] == b"NGSP" else _unpack_gzip(path, raw)
+    unpack = _unpack_v4 if raw[:4] == b"NGSP" else _unpack_gzip
+    header, parts, records = unpack(path, raw)
+    system = _system(path, records)
     positions, alphas, colours, scales, rotations, sh = parts
     n = header.count
     rest = (sh.reshape(n, -1, 3).astype(np.float32) - 128) / np.float32(128)
     rest = rest[:, :15]
     dc = (colours.reshape(n, 1, 3).astype(np.float32) / 255 - np.float32(0.5)) / np.float32(_COLOUR)
     harmonics = np.concatenate([dc, rest], axis=1)
-    return Gaussians(
+    gaussians = Gaussians(
         means=_positions(positions, header) * _AXES,
         log_scales=(scales.reshape(n, 3) / 16 - 10).astype(np.float32),
         quats=_rotations(rotations.reshape(n, -1)) * _QUAT_SIGNS,
         opacity_logits=logit(alphas.astype(np.float32) / 255),
         sh=harmonics * _SH_SIGNS[: harmonics.shape[1], None],
+        rasterize_mode="antialiased" if header.flags & _ANTIALIASED else "classic",
     )
+    return gaussians if system == "RUB" else _turned(gaussians, system)
+
+
+def _system(path: Path, records: bytes) -> str:
+    """Return what the stored x, y and z point to.
+
+    Raises:
+        SceneError: the records are damaged, or name other axes than there are.
+    """
+    at, system = 0, "RUB"
+    while at < len(records):
+        if at + 8 > len(records):
+            raise SceneError(f"{path}: a record of an extension is cut short", fix=_BROKEN)
+        kind, size = struct.unpack_from("<II", records, at)
+        at += 8 + size
+        if at > len(records):
+            raise SceneError(
+                f"{path}: record {kind:#x} of an extension says {size} bytes", fix=_BROKEN
+            )
+        if kind == _AXES_RECORD:
+            (number,) = struct.unpack_from("<I", records, at - size) if size >= 4 else (-1,)
+            if not 0 <= number < len(_SYSTEMS):
+                raise SceneError(f"{path}: its axes are number {number}", fix="0 to 16 are known")
+            system = _SYSTEMS[number]
+    return system
+
+
+def _turned(gaussians: Gaussians, system: str) -> Gaussians:
+    """Return Gaussians that were taken for right-up-back, but are in other axes."""
+    # From the stored numbers to PLY's axes, in place of what was done.
+    wanted = np.array([_POINTING[letter] for letter in system], dtype=np.float64).T
+    turn = wanted @ np.diag(_AXES.astype(np.float64))
+    if np.linalg.det(turn) < 0:
+        # A mirror: along x first, where it is a matter of signs, and then a rotation.
+        turn = turn @ np.diag([-1.0, 1.0, 1.0])
+        there = np.array([[0.48, 0.6, 0.64]])
+        signs = np.sign(harmonics_at(there * [[-1, 1, 1]]) * harmonics_at(there))[0]
+        gaussians = replace(
+            gaussians,
+            means=gaussians.means * np.array([-1, 1, 1], dtype=np.float32),
+            quats=gaussians.quats * np.array([1, 1, -1, -1], dtype=np.float32),
+            sh=gaussians.sh * signs[: gaussians.sh.shape[1], None].astype(np.float32),
+        )
+    T_ply_spz = np.eye(4)
+    T_ply_spz[:3, :3] = turn
+    return gaussians if np.array_equal(turn, np.eye(3)) else transformed(gaussians, T_ply_spz)
 
 
 def write_spz(path: Path, gaussians: Gaussians, *, version: SpzVersion = 3) -> None:
@@ -108,7 +178,8 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: SpzVersion = 3) -> N
     ]
     blobs = [part.tobytes() for part in parts]
     degree = SH_COUNTS.index(count)
-    fields = (_MAGIC, version, n, degree, _FRACTION_BITS, 0)
+    flags = 0 if gaussians.rasterize_mode == "classic" else _ANTIALIASED
+    fields = (_MAGIC, version, n, degree, _FRACTION_BITS, flags)
     if version < 4:
         packer = zlib.compressobj(6, zlib.DEFLATED, 31)
         head = struct.pack("<IIIBBBB", *fields, 0)
@@ -128,7 +199,7 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: SpzVersion = 3) -> N
 def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
     if len(raw) < 16:
         raise SceneError(f"{path}: SPZ header of {len(raw)} bytes", fix=_BROKEN)
-    magic, version, count, degree, bits = struct.unpack_from("<IIIBB", raw)
+    magic, version, count, degree, bits, flags = struct.unpack_from("<IIIBBB", raw)
     if magic != _MAGIC or version not in versions:
         raise SceneError(
             f"{path}: SPZ magic {magic:#x}, version {version}", fix="versions 1 to 4 are read"
@@ -138,7 +209,9 @@ def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
             f"{path}: SPZ header says degree {degree}, {bits} fraction bits, {count} Gaussians",
             fix=_BROKEN,
         )
-    return _Header(version=version, count=count, sh_count=_COUNTS[degree], fraction_bits=bits)
+    return _Header(
+        version=version, count=count, sh_count=_COUNTS[degree], fraction_bits=bits, flags=flags
+    )
 
 
 def _check_proportion(path: Path, header: _Header, needed: int, size: int) -> None:
@@ -161,20 +234,22 @@ def _split(path: Path, body: bytes, header: _Header) -> list[Bytes]:
     return [whole[a:b] for a, b in pairwise(edges)]
 
 
-def _unpack_gzip(path: Path, raw: bytes) -> tuple[_Header, list[Bytes]]:
+def _unpack_gzip(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]:
     try:
         head = zlib.decompressobj(31).decompress(raw, 16)
         header = _check_header(path, head, versions=range(1, 4))
         needed = sum(header.sizes()) + 16
         _check_proportion(path, header, needed, len(raw))
         # One byte more than needed tells a longer stream apart without holding it.
-        body = zlib.decompressobj(31).decompress(raw, needed + 1)
+        more = _EXTENSION_BYTES if header.flags & _EXTENDED else 1
+        body = zlib.decompressobj(31).decompress(raw, needed + more)
     except zlib.error as error:
         raise SceneError(f"{path}: gzip: {error}", fix=_BROKEN) from error
-    return header, _split(path, body[16:], header)
+    records = body[needed:] if header.flags & _EXTENDED else b""
+    return header, _split(path, body[16 : len(body) - len(records)], header), records
 
 
-def _unpack_v4(path: Path, raw: bytes) -> tuple[_Header, list[Bytes]]:
+def _unpack_v4(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]:
     header = _check_header(path, raw, versions=range(4, 5))
     if len(raw) < 32:
         raise SceneError(f"{path}: SPZ header of {len(raw)} bytes", fix=_BROKEN)
@@ -203,7 +278,8 @@ def _unpack_v4(path: Path, raw: bytes) -> tuple[_Header, list[Bytes]]:
         except (zstandard.ZstdError, MemoryError) as error:
             raise SceneError(f"{path}: stream {i}: {error}", fix=_BROKEN) from error
         offset += packed
-    return header, _split(path, b"".join(body), header)
+    records = raw[32:table] if header.flags & _EXTENDED else b""
+    return header, _split(path, b"".join(body), header), records
 
 
 def _zstandard(path: Path) -> Any:

@@ -6,6 +6,10 @@ red coefficients, then green, then blue. The published Neverwhere toolchain writ
 coefficient-major: red, green, blue of the first coefficient, then of the second. Nothing in such
 a file says so, but the three channels of a coefficient resemble one another much more than any
 other three values, which tells the two apart.
+
+A comment `SplatRenderMode: default | mip` (Brush) says whether they were trained classic or
+antialiased. A column filter_3D (Mip-Splatting, https://arxiv.org/abs/2311.16493, section 4.1) is a
+smoothing that was applied while training: it is folded into scales and opacities.
 """
 
 from __future__ import annotations
@@ -18,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.files.ply import Ply
+from nw_eval.files.ply import Ply
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
+from nw_eval.words import RasterizeMode
 
 RestOrder = Literal["detect", "channel", "coefficient"]
 """How f_rest is arranged: channel-major, coefficient-major, or to be found out."""
@@ -27,6 +32,7 @@ RestOrder = Literal["detect", "channel", "coefficient"]
 _SAMPLE = 20_000
 _MARGIN = 0.8
 _COMMENT = "f_rest order: channel"
+_MODES: dict[str, RasterizeMode] = {"default": "classic", "mip": "antialiased"}
 
 
 def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussians:
@@ -38,6 +44,12 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
     if "vertex" not in ply.elements:
         raise SceneError(f"{ply.path}: has no element vertex", fix="give a Gaussian splat")
     names = ply.elements["vertex"].dtype.names or ()
+    if {"scale_0", "scale_1", "rot_0"} <= set(names) and "scale_2" not in names:
+        raise SceneError(
+            f"{ply.path}: discs of 2DGS (scale_0 and scale_1 alone), which are drawn by another "
+            "rule than Gaussians",
+            fix="train the scene as 3DGS",
+        )
     rest = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
     if rest % 3 or rest // 3 + 1 not in SH_COUNTS:
         raise SceneError(
@@ -57,13 +69,48 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
             sh[:, 1:] = values.reshape(n, 3, rest // 3).transpose(0, 2, 1)
         else:
             sh[:, 1:] = values.reshape(n, rest // 3, 3)
+    log_scales = ply.columns("vertex", ["scale_0", "scale_1", "scale_2"])
+    opacity_logits = ply.columns("vertex", ["opacity"])[:, 0]
+    mode = mode_of(ply)
+    if "filter_3D" in names:
+        filters = ply.columns("vertex", ["filter_3D"])
+        log_scales, opacity_logits = _smoothed(log_scales, opacity_logits, filters)
+        mode = mode or "antialiased"
     return Gaussians(
         means=ply.columns("vertex", ["x", "y", "z"]),
-        log_scales=ply.columns("vertex", ["scale_0", "scale_1", "scale_2"]),
+        log_scales=log_scales,
         quats=ply.columns("vertex", ["rot_0", "rot_1", "rot_2", "rot_3"]),
-        opacity_logits=ply.columns("vertex", ["opacity"])[:, 0],
+        opacity_logits=opacity_logits,
         sh=sh,
+        rasterize_mode=mode,
     )
+
+
+def mode_of(ply: Ply) -> RasterizeMode | None:
+    """Return what a comment says the Gaussians were trained for."""
+    for comment in ply.comments:
+        words = comment.replace(":", " ").split()
+        if len(words) == 2 and words[0] == "SplatRenderMode":
+            return _MODES.get(words[1].lower())
+    return None
+
+
+def _smoothed(
+    log_scales: NDArray[np.float32], logits: NDArray[np.float32], filters: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return scales and opacities of Gaussians (N, 3), (N,) after a filter (N, 1), in scene units.
+
+    Variances grow by the filter's, opacity falls as the volume grows.
+    """
+    with np.errstate(all="ignore"):
+        before = np.exp(2 * log_scales.astype(np.float64))
+        after = before + filters.astype(np.float64) ** 2
+        share = np.sqrt((before / after).prod(axis=1))
+        opacity = share / (1 + np.exp(-logits.astype(np.float64)))
+        return (
+            (0.5 * np.log(after)).astype(np.float32),
+            np.log(opacity / (1 - opacity)).astype(np.float32),
+        )
 
 
 def _detect(ply: Ply, rest: NDArray[np.float32]) -> RestOrder:
@@ -93,6 +140,7 @@ def write_threedgs_ply(path: Path, gaussians: Gaussians) -> None:
         "ply",
         "format binary_little_endian 1.0",
         f"comment {_COMMENT}",
+        *(f"comment SplatRenderMode: {m}" for m in _MODES if _MODES[m] == gaussians.rasterize_mode),
         f"element vertex {n}",
     ]
     header += [f"property float {name}" for name in names] + ["end_header", ""]

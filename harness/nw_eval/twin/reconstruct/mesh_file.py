@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import SceneError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.ply import Ply
 from nw_eval.scenes.terrain.mesh_file import read_mesh
 
 
@@ -63,19 +63,12 @@ def read_colour_mesh(path: Path) -> ColourMesh:
     Raises:
         SceneError: as `nw_eval.scenes.terrain.mesh_file.read_mesh`.
     """
-    from trimesh.exchange.ply import load_ply
-
     mesh = read_mesh(path)  # Everything is checked there; colours are all that is left to read.
     colours = np.full((len(mesh.vertices), 3), 128, np.uint8)
-    with path.open("rb") as file:
-        found = load_ply(file, resolver=None, fix_texture=False, skip_materials=True)
-    stored = found.get("vertex_colors")
-    if stored is not None:
-        stored = np.asarray(stored)
-        if stored.shape[:1] != (len(colours),) or stored.ndim != 2 or stored.shape[1] < 3:
-            raise SceneError(
-                f"{path}: colours of shape {stored.shape} for {len(colours)} vertices",
-                fix="export the mesh again",
-            )
-        colours = stored[:, :3].astype(np.uint8)
+    table = Ply.open(path).elements["vertex"]
+    if {"red", "green", "blue"} <= set(table.dtype.names or ()):
+        colours = np.stack([table[name] for name in ("red", "green", "blue")], axis=-1)
+        if colours.dtype.kind == "f":  # Shares of 1.
+            colours = np.clip(np.nan_to_num(colours) * 255, 0, 255).round()
+        colours = colours.astype(np.uint8)
     return ColourMesh(vertices=mesh.vertices, faces=mesh.faces, colours=colours)

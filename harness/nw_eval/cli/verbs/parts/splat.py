@@ -18,7 +18,7 @@ class Info:
     """Say what a splat holds: counts, bounds, harmonics, sizes, opacities."""
 
     source: tyro.conf.Positional[str]
-    """3DGS or compressed PLY, SPZ, .splat, gsplat .pt, a nerfstudio export's folder, a file of
+    """3DGS or compressed PLY, SPZ, SOG, .splat, gsplat .pt, a nerfstudio export's folder, a file of
     nw-eval's cache, or the name of a built-in scene."""
 
     def __call__(self) -> int:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
 
@@ -30,10 +31,18 @@ _MODELS = {
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
+_SIZES = dict(_MODELS.values())
 _NO_POINT = 2**64 - 1
 _MOST_BYTES = 4 * 2**30
 _FIX = "export the model again, or give the photographs alone"
+_UNDISTORT = "undistort it with `colmap image_undistorter`, or give the photographs alone"
 
 
 def has_model(folder: Path) -> bool:
@@ -48,6 +57,17 @@ def _suffix(folder: Path) -> str | None:
     return None
 
 
+def image_count(folder: Path) -> int:
+    """Return how many photographs a model says that it holds; -1 if it cannot be read."""
+    try:
+        if _suffix(folder) == ".bin":
+            with (folder / "images.bin").open("rb") as file:
+                return int(struct.unpack("<Q", file.read(8))[0])
+        return sum(1 for _ in _Text().images(_bytes(folder / "images.txt")))
+    except (OSError, struct.error, ValueError, LookupError):
+        return -1
+
+
 def read_model(folder: Path) -> Solution:
     """Read a model.
 
@@ -60,12 +80,40 @@ def read_model(folder: Path) -> Solution:
     read = _Binary() if suffix == ".bin" else _Text()
     try:
         lenses = dict(read.cameras(_bytes(folder / f"cameras{suffix}")))
+        for key, lens in lenses.items():
+            _check_lens(lens, f"camera {key} of {folder / f'cameras{suffix}'}")
         images = list(read.images(_bytes(folder / f"images{suffix}")))
         path = folder / f"points3D{suffix}"
         points = dict(read.points(_bytes(path))) if path.is_file() else {}
-        return _solution(lenses, images, points)
+        return _solution(folder, lenses, images, points)
     except (OSError, struct.error, ValueError, LookupError, TypeError, OverflowError) as error:
         raise SceneError(f"the COLMAP model in {folder} is damaged: {error}", fix=_FIX) from None
+
+
+def _check_lens(lens: Lens, whose: str) -> None:
+    """Check that a lens is one that a picture can be flattened by.
+
+    Raises:
+        SceneError: it is not.
+    """
+    size = _SIZES.get(lens.model)
+    if size is None:
+        raise SceneError(
+            f"{whose} is of a model that is not known, {clean(lens.model, at_most=40)}",
+            fix=_UNDISTORT,
+        )
+    if lens.model == "EQUIRECTANGULAR":
+        raise SceneError(
+            f"{whose} is EQUIRECTANGULAR: no flat picture shows a panorama",
+            fix="cut the panoramas into flat pictures, as COLMAP's panorama_sfm.py does",
+        )
+    if len(lens.params) != size:
+        raise SceneError(
+            f"{whose} is {lens.model}, which has {size} parameters, with {len(lens.params)}",
+            fix=_FIX,
+        )
+    if not np.isfinite(lens.params).all():
+        raise SceneError(f"{whose} has the parameters {list(lens.params)}", fix=_FIX)
 
 
 def _bytes(path: Path) -> bytes:
@@ -75,7 +123,10 @@ def _bytes(path: Path) -> bytes:
 
 
 def _solution(
-    lenses: dict[int, Lens], images: list[tuple[Any, ...]], points: dict[int, tuple[Any, ...]]
+    folder: Path,
+    lenses: dict[int, Lens],
+    images: list[tuple[Any, ...]],
+    points: dict[int, tuple[Any, ...]],
 ) -> Solution:
     ids = np.array(sorted(points), dtype=np.uint64)
     placed: list[Placed] = []
@@ -84,7 +135,8 @@ def _solution(
         rows = np.searchsorted(ids, seen)
         known = rows < len(ids)
         known[known] = ids[rows[known]] == seen[known]
-        T = rigid(_matrix(np.asarray(quaternion), np.asarray(translation)), name)
+        whose = f"{clean(name, at_most=100)} of the COLMAP model in {folder}"
+        T = rigid(_matrix(np.asarray(quaternion), np.asarray(translation)), whose)
         placed.append(
             Placed(
                 name=name,
@@ -127,6 +179,10 @@ class _Binary:
         (count,), at = struct.unpack_from("<Q", data), 8
         for _ in range(count):
             key, model, width, height = struct.unpack_from("<IiQQ", data, at)
+            if model not in _MODELS:
+                # How long it is is not known either, so that nothing behind it can be read.
+                yield key, Lens(model=f"number {model}", width=width, height=height, params=())
+                return
             name, size = _MODELS[model]
             params = struct.unpack_from(f"<{size}d", data, at + 24)
             at += 24 + 8 * size

@@ -45,13 +45,21 @@ def find_source(path: Path, working: Path, *, frames: int, say: Say) -> Footage:
             raise SceneError(f"{path} is no video", fix=_FIX)
         path = path.parent
     source = (
-        nerfstudio_in(path, _size) or polycam_in(path) or colmap_in(path) or photographs_in(path)
+        nerfstudio_in(path, _size)
+        or polycam_in(path)
+        or colmap_in(path, say)
+        or photographs_in(path)
     )
     if source is not None:
         return source
     videos = [one for one in sorted(path.iterdir()) if one.suffix.lower() in VIDEOS]
     if len(videos) == 1 and what_is(videos[0]) == "file":
         return frames_of(videos[0], working, frames, say)
+    if (path / "transforms_train.json").is_file():
+        raise SceneError(
+            f"{path} has cameras in transforms_train.json, and no {FILE}",
+            fix=f"copy that file to {FILE}",
+        )
     raise SceneError(f"nothing in {path} is a photograph", fix=_FIX)
 
 
