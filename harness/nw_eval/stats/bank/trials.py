@@ -251,14 +251,10 @@ def _rule(scenes: Places, every: Looks, count: int, ended: Truths, rules: Rules)
         ended: which have, shape (T,).
         rules: of the gate.
     """
-    falls = every.own[:count] >= rules.names_at
-    alone = falls & np.isin(scenes[:count], list(rules.critical))
-    convicts = _first((every.regressed[:count] >= 1.0 / rules.alpha_regr) | alone)
-    passes = _first(every.passed[:count] >= 1.0 / rules.alpha_pass)
+    convicting, passing = _reached(scenes[:count], every, rules)
+    convicts, passes = _first(convicting), _first(passing)
     mean = min(count, convicts + 1, passes + 1)
-    found = _Scenes(rules)
-    for scene, own in zip(scenes[:mean].tolist(), every.own[:mean].tolist(), strict=True):
-        found.meet(scene, own)
+    found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
     followed, ahead = list[int](), list[int]()
     if convicts < mean:
@@ -278,28 +274,38 @@ def _rule(scenes: Places, every: Looks, count: int, ended: Truths, rules: Rules)
     )
 
 
-class _Scenes:
-    """What is known of single scenes, trial after trial."""
+def _reached(scenes: Places, every: Looks, rules: Rules) -> tuple[Truths, Truths]:
+    """Return where evidence convicts, and where that on the mean passes; of the shape of scenes."""
+    count = scenes.shape[-1]
+    convicts = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
+    if critical := rules.critical:
+        alone = every.own[..., :count] >= rules.names_at
+        convicts |= alone & np.isin(scenes, list(critical))
+    return convicts, every.passed[..., :count] >= 1.0 / rules.alpha_pass
 
-    def __init__(self, rules: Rules) -> None:
-        self._rules = rules
-        self._met = [0] * len(rules.tiers)
-        self._own = [1.0] * len(rules.tiers)
-        self.named = set[int]()
+
+class _Scenes:
+    """What is known of single scenes, trial after trial.
+
+    Args:
+        scenes: of the trials so far, in order, shape (T,).
+        own: E_s after each, shape (T,).
+        rules: of the gate.
+    """
+
+    def __init__(self, scenes: Places, own: Floats, rules: Rules) -> None:
+        self._critical, self._names_at = rules.critical, rules.names_at
+        self._met = np.bincount(scenes, minlength=len(rules.tiers))
+        self._own = np.ones(len(rules.tiers))
+        self._own[scenes] = own  # Of a scene that is met again the last one stays.
+        self.named = set[int](scenes[own >= self._names_at].tolist())
         self.waits = set[int]()
         """Scenes that hold back a PASS, once it is asked for."""
 
     @property
     def convicted(self) -> bool:
         """Whether a critical scene is named."""
-        return not self.named.isdisjoint(self._rules.critical)
-
-    def meet(self, scene: int, own: float) -> None:
-        """Take note of a trial, after which E_s of its scene is `own`."""
-        self._met[scene] += 1
-        self._own[scene] = own
-        if own >= self._rules.names_at:
-            self.named.add(scene)
+        return not self.named.isdisjoint(self._critical)
 
     def follow(
         self, scenes: Places, own: Floats, ended: Truths, begin: int
@@ -321,7 +327,10 @@ class _Scenes:
                 rest = np.isin(scenes[place:], list(self.waits))
                 return followed, (place + np.flatnonzero(rest)).tolist()
             followed.append(place)
-            self.meet(scene, float(own[place]))
+            self._met[scene] += 1
+            self._own[scene] = own[place]
+            if own[place] >= self._names_at:
+                self.named.add(scene)
             if not self._is_waited_for(scene):
                 self.waits.discard(scene)
         return followed, []
@@ -329,8 +338,8 @@ class _Scenes:
     def _is_waited_for(self, scene: int) -> bool:
         if scene in self.named:
             return False
-        few = scene in self._rules.critical and self._met[scene] < CRITICAL_TRIALS
-        return few or self._own[scene] >= SUSPECT
+        few = scene in self._critical and self._met[scene] < CRITICAL_TRIALS
+        return bool(few or self._own[scene] >= SUSPECT)
 
 
 def settle_all(bank: Bank, trials: Trials, rules: Rules) -> list[TrialRuling]:
@@ -349,7 +358,11 @@ def settle_all(bank: Bank, trials: Trials, rules: Rules) -> list[TrialRuling]:
     while going.size:
         cut = trials.only(going, count)
         every = looks(replace(bank, means=means[going]), cut, rules.margins)
+        convicts, passes = _reached(cut.scenes, every, rules)
+        reached = set(np.flatnonzero((convicts | passes).any(axis=-1)).tolist())
         for row, gate in enumerate(going.tolist()):
+            if row not in reached and count < budget:
+                continue
             one = Looks(every.passed[row], every.regressed[row], every.own[row])
             ruling = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
             if count == budget or ruling.word != "undecided":
