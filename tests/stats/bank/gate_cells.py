@@ -24,7 +24,7 @@ import numpy as np
 from nw_eval.results.bank import score
 from nw_eval.results.bank.file import read_bank
 from nw_eval.stats.bank import Bank, Margins
-from nw_eval.stats.bank.trials import Rules, Trials, settle_all
+from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle_all
 
 GATES = 2000
 BASELINES = Path(__file__).parents[3] / "reports" / "baselines"
@@ -185,8 +185,8 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
         below = replace(cell, drop=cell.drop + cell.drift)
         c = _candidate(population, waypoints, below, rng)(drawn, chosen)
     tiers = tuple("critical" if s < cell.critical else "supporting" for s in range(scenes))
-    rules = Rules(tiers=tiers, margins=margins, alpha_regr=cell.alpha_regr)
-    rulings = settle_all(bank, Trials(scenes=drawn, candidate=c, baseline=b), rules)
+    rules = TrialRules(tiers=tiers, margins=margins, alpha_regr=cell.alpha_regr)
+    rulings = settle_all(bank, DrawnTrials(scenes=drawn, candidate=c, baseline=b), rules)
     words = np.array([ruling.word for ruling in rulings])
     named = np.array([bool(ruling.named) for ruling in rulings])
     arms = 2 if cell.claim == "control" else 1

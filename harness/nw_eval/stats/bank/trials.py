@@ -70,7 +70,7 @@ _Word = Literal["PASS", "REGRESSED", "undecided"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trials:
+class DrawnTrials:
     """Trials in the order in which they were drawn; leading axes are gates apart.
 
     Raises:
@@ -93,14 +93,14 @@ class Trials:
         for values in (self.candidate, self.baseline):
             check_successes(values[~np.isnan(values)])
 
-    def only(self, which: Places, count: int) -> Trials:
+    def only(self, which: Places, count: int) -> DrawnTrials:
         """Return the first trials of some of the gates, by their places along the first axis."""
         cut = np.s_[which, :count]
-        return Trials(
+        return DrawnTrials(
             scenes=self.scenes[cut], candidate=self.candidate[cut], baseline=self.baseline[cut]
         )
 
-    def counted(self, missing: float) -> Trials:
+    def counted(self, missing: float) -> DrawnTrials:
         """Return the trials with this success of the candidate where it is missing.
 
         A control's is then 1 less it: what is missing speaks for the same side in both arms.
@@ -124,7 +124,7 @@ class Looks(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
+class TrialRules:
     """By what a gate decides."""
 
     tiers: tuple[Tier, ...]
@@ -183,7 +183,7 @@ class TrialRuling:
         return self.mean + len(self.followed)
 
 
-def looks(bank: Bank, trials: Trials, margins: Margins) -> Looks:
+def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
     """Return the evidence after each trial.
 
     Args:
@@ -215,7 +215,7 @@ def looks(bank: Bank, trials: Trials, margins: Margins) -> Looks:
 
 
 def settle(
-    bank: Bank, trials: Trials, rules: Rules, known: Sequence[bool] | Truths | None = None
+    bank: Bank, trials: DrawnTrials, rules: TrialRules, known: Sequence[bool] | Truths | None = None
 ) -> TrialRuling:
     """Return what the trials that are known so far settle.
 
@@ -242,7 +242,9 @@ def settle(
     return _rule(trials.scenes, every, count, ended, rules)
 
 
-def _rule(scenes: Places, every: Looks, count: int, ended: Truths, rules: Rules) -> TrialRuling:
+def _rule(
+    scenes: Places, every: Looks, count: int, ended: Truths, rules: TrialRules
+) -> TrialRuling:
     """Return the ruling on one gate.
 
     Args:
@@ -276,7 +278,7 @@ def _rule(scenes: Places, every: Looks, count: int, ended: Truths, rules: Rules)
     )
 
 
-def _reached(scenes: Places, every: Looks, rules: Rules) -> tuple[Truths, Truths]:
+def _reached(scenes: Places, every: Looks, rules: TrialRules) -> tuple[Truths, Truths]:
     """Return where evidence convicts, and where that on the mean passes; of the shape of scenes."""
     count = scenes.shape[-1]
     convicts = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
@@ -295,7 +297,7 @@ class _Scenes:
         rules: of the gate.
     """
 
-    def __init__(self, scenes: Places, own: Floats, rules: Rules) -> None:
+    def __init__(self, scenes: Places, own: Floats, rules: TrialRules) -> None:
         self._critical, self._names_at = rules.critical, rules.names_at
         self._met = np.bincount(scenes, minlength=len(rules.tiers))
         self._own = np.ones(len(rules.tiers))
@@ -344,7 +346,7 @@ class _Scenes:
         return bool(few or self._own[scene] >= SUSPECT)
 
 
-def settle_all(bank: Bank, trials: Trials, rules: Rules) -> list[TrialRuling]:
+def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialRuling]:
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
@@ -374,17 +376,17 @@ def settle_all(bank: Bank, trials: Trials, rules: Rules) -> list[TrialRuling]:
     return [found[gate] for gate in range(gates)]
 
 
-def above_at(bank: Bank, trials: Trials) -> list[Floats]:
+def above_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
     """Return z - z_min of each trial for each beta, shape (..., T): what PASS is won by."""
     return [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
 
 
-def below_at(bank: Bank, trials: Trials) -> list[Floats]:
+def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
     """Return z_max - z of each trial for each beta, shape (..., T): what REGRESSED is won by."""
     return [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
 
 
-def _centred(bank: Bank, trials: Trials, beta: float) -> Floats:
+def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
     """Return z, shape (..., T): `Bank.adjusted`, of one scene a trial."""
     if bank.means.ndim == 1:
         means = bank.means[trials.scenes]
@@ -426,11 +428,11 @@ def _first(holds: Truths) -> int:
     return int(holds.argmax()) if holds.any() else len(holds)
 
 
-def _check(bank: Bank, rules: Rules) -> None:
+def _check(bank: Bank, rules: TrialRules) -> None:
     if len(rules.tiers) != bank.means.shape[-1]:
         raise ValueError(f"{len(rules.tiers)} tiers for {bank.means.shape[-1]} scenes")
 
 
-def _check_baseline(bank: Bank, trials: Trials) -> None:
+def _check_baseline(bank: Bank, trials: DrawnTrials) -> None:
     if not bank.paired and np.isnan(trials.baseline).any():
         raise ValueError("a bank has a result from every start; one is missing")
