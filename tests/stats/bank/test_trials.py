@@ -14,10 +14,10 @@ from nw_eval.stats.bank import (
     CRITICAL_TRIALS,
     SUSPECT,
     Bank,
+    DrawnTrials,
     Margins,
-    Rules,
+    TrialRules,
     TrialRuling,
-    Trials,
     drop_interval_after,
     looks,
     most_false_alarms,
@@ -32,32 +32,32 @@ EXACT = float(BASELINE.mean() - CANDIDATE.mean())
 """The true drop: 1/6."""
 
 
-def one_scene(candidate: list[float], baseline: float = 1.0) -> Trials:
-    return Trials(
+def one_scene(candidate: list[float], baseline: float = 1.0) -> DrawnTrials:
+    return DrawnTrials(
         scenes=np.zeros(len(candidate), dtype=np.intp),
         candidate=np.array(candidate),
         baseline=np.full(len(candidate), baseline),
     )
 
 
-def all_orders(baseline: np.ndarray, candidate: np.ndarray) -> Trials:
+def all_orders(baseline: np.ndarray, candidate: np.ndarray) -> DrawnTrials:
     """Every order in which all pairs of a scene and a start can be drawn."""
     pairs = list(product(range(baseline.shape[0]), range(baseline.shape[1])))
     orders = np.array(list(permutations(pairs)))
     scenes, starts = orders[..., 0], orders[..., 1]
-    return Trials(
+    return DrawnTrials(
         scenes=scenes, candidate=candidate[scenes, starts], baseline=baseline[scenes, starts]
     )
 
 
-def simulated(seed: int, gates: int, drop: float = 0.06) -> tuple[Bank, Trials]:
+def simulated(seed: int, gates: int, drop: float = 0.06) -> tuple[Bank, DrawnTrials]:
     """Gates on hurdles of a policy that falls in some trials; budgets of 160 trials."""
     rng, (scores, _) = np.random.default_rng(seed), scores_of(HURDLES)
     order = np.argsort(rng.random((gates, scores.size)), axis=1)[:, :160]
     scenes, starts = order // scores.shape[1], order % scores.shape[1]
     falls = rng.random(order.shape) < np.where(scenes == 3, 0.4, drop)
     known = scores[scenes, starts]
-    return Bank.of(scores).fresh(), Trials(
+    return Bank.of(scores).fresh(), DrawnTrials(
         scenes=scenes, candidate=np.where(falls, 0.0, known), baseline=known
     )
 
@@ -66,8 +66,8 @@ def tiers(scenes: int = 16, *critical: int) -> tuple[Tier, ...]:
     return tuple("critical" if s in critical else "supporting" for s in range(scenes))
 
 
-def cut(trials: Trials, gate: int) -> Trials:
-    return Trials(
+def cut(trials: DrawnTrials, gate: int) -> DrawnTrials:
+    return DrawnTrials(
         scenes=trials.scenes[gate],
         candidate=trials.candidate[gate],
         baseline=trials.baseline[gate],
@@ -141,7 +141,7 @@ def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_nev
 
 def test_gates_that_are_settled_together_end_as_each_alone() -> None:
     bank, trials = simulated(seed=1, gates=40)
-    rules = Rules(tiers=tiers(16, 3, 5))
+    rules = TrialRules(tiers=tiers(16, 3, 5))
     alone = [settle(bank, cut(trials, gate), rules) for gate in range(40)]
     together = settle_all(bank, trials, rules)
     for one, other in zip(alone, together, strict=True):
@@ -153,7 +153,7 @@ def test_gates_that_are_settled_together_end_as_each_alone() -> None:
 @pytest.mark.parametrize("workers", [1, 2, 3, 8, 64])
 def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int) -> None:
     bank, every = simulated(seed=2, gates=12)
-    rules = Rules(tiers=tiers(16, 3, 5))
+    rules = TrialRules(tiers=tiers(16, 3, 5))
     for gate in range(12):
         trials = cut(every, gate)
         rng = np.random.default_rng([gate, workers])
@@ -182,7 +182,7 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int)
 
 def test_of_a_trial_that_has_not_ended_nothing_is_looked_at() -> None:
     bank, every = simulated(seed=3, gates=1)
-    trials, rules = cut(every, 0), Rules(tiers=tiers())
+    trials, rules = cut(every, 0), TrialRules(tiers=tiers())
     known = np.arange(160) != 20
     ruling = settle(bank, trials, rules, known)
     assert (ruling.word, ruling.mean, ruling.ahead[:2]) == ("undecided", 20, (20, 21))
@@ -199,9 +199,9 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() ->
     scenes = np.tile(np.arange(4), 60)
     candidate = np.ones(240)
     candidate[[3, 7]] = 0.0
-    trials = Trials(scenes=scenes, candidate=candidate, baseline=np.ones(240))
+    trials = DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.ones(240))
     margins, bank = Margins(max_drop=0.4), Bank(means=np.ones(4))
-    ruling = settle(bank, trials, Rules(tiers=tiers(4), margins=margins))
+    ruling = settle(bank, trials, TrialRules(tiers=tiers(4), margins=margins))
     passed = looks(bank, trials, margins)
     first = int((passed.passed >= 20.0).argmax())
     assert (ruling.word, ruling.mean, ruling.named) == ("PASS", first + 1, ())
@@ -212,19 +212,19 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() ->
     # One that goes on failing is named, and the mean passes in spite of it.
     fails = replace(trials, candidate=np.where(scenes == 3, 0.0, 1.0))
     margins = Margins(max_drop=0.6, tolerate=0.5)
-    ruling = settle(bank, fails, Rules(tiers=tiers(4), margins=margins))
+    ruling = settle(bank, fails, TrialRules(tiers=tiers(4), margins=margins))
     assert (ruling.word, ruling.named) == ("PASS", (3,))
-    assert settle(bank, fails, Rules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
+    assert settle(bank, fails, TrialRules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
 
 
 def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back() -> None:
     scenes = np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
-    rules = Rules(tiers=tiers(4), margins=Margins(max_drop=0.4))
+    rules = TrialRules(tiers=tiers(4), margins=Margins(max_drop=0.4))
     bank, ones = Bank(means=np.ones(4)), np.ones(240)
-    whole = Trials(scenes=scenes, candidate=candidate, baseline=ones)
+    whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
     mean = settle(bank, whole, rules).mean
-    short = Trials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
+    short = DrawnTrials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
     ruling = settle(bank, short, rules)
     assert (ruling.word, ruling.waits_for, ruling.ahead) == ("undecided", (3,), ())
 
@@ -234,17 +234,20 @@ def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
     rng = np.random.default_rng(5)
     scenes = np.concatenate([rng.permutation(64) for _ in range(20)])
     ones = np.ones(len(scenes))
-    trials, bank = Trials(scenes=scenes, candidate=ones, baseline=ones), Bank(means=np.ones(64))
+    trials, bank = (
+        DrawnTrials(scenes=scenes, candidate=ones, baseline=ones),
+        Bank(means=np.ones(64)),
+    )
     last = int(scenes[63])
-    plain = settle(bank, trials, Rules(tiers=tiers(64)))
+    plain = settle(bank, trials, TrialRules(tiers=tiers(64)))
     assert plain.trials == 37
     assert last not in scenes[:37]
-    careful = settle(bank, trials, Rules(tiers=tiers(64, last)))
+    careful = settle(bank, trials, TrialRules(tiers=tiers(64, last)))
     assert (careful.word, careful.mean) == ("PASS", 37)
     assert scenes[list(careful.followed)].tolist() == [last] * CRITICAL_TRIALS
     failing = replace(trials, candidate=np.where(scenes == last, 0.0, 1.0))
-    assert settle(bank, failing, Rules(tiers=tiers(64))).word == "PASS"
-    ruling = settle(bank, failing, Rules(tiers=tiers(64, last)))
+    assert settle(bank, failing, TrialRules(tiers=tiers(64))).word == "PASS"
+    ruling = settle(bank, failing, TrialRules(tiers=tiers(64, last)))
     assert (ruling.word, ruling.named) == ("REGRESSED", (last,))
 
 
@@ -290,9 +293,9 @@ def test_interval_and_verdict_do_not_contradict_each_other() -> None:
     for which in (bank, Bank.control(16)):
         words = set[str]()
         for gate in range(25):
-            trials, rules = cut(every, gate), Rules(tiers=tiers())
+            trials, rules = cut(every, gate), TrialRules(tiers=tiers())
             ruling = settle(which, trials, rules)
-            first = Trials(
+            first = DrawnTrials(
                 scenes=trials.scenes[: ruling.mean],
                 candidate=trials.candidate[: ruling.mean],
                 baseline=trials.baseline[: ruling.mean],
@@ -303,7 +306,9 @@ def test_interval_and_verdict_do_not_contradict_each_other() -> None:
             if ruling.word == "PASS":
                 assert found.high < 0.10 + 1e-7
         assert "PASS" in words
-    nothing = Trials(scenes=np.zeros(0, dtype=np.intp), candidate=np.ones(0), baseline=np.ones(0))
+    nothing = DrawnTrials(
+        scenes=np.zeros(0, dtype=np.intp), candidate=np.ones(0), baseline=np.ones(0)
+    )
     whole = drop_interval_after(Bank(means=np.array([0.9])), nothing)
     assert (whole.low, whole.high) == (pytest.approx(-0.1), pytest.approx(0.9))
 
@@ -326,10 +331,10 @@ def test_the_parts_of_a_gate_err_together_with_the_sum_at_most() -> None:
     [
         (lambda: one_scene([1.2]), "success 1.2"),
         (lambda: replace(one_scene([1.0]), baseline=np.ones(2)), "trials of shapes"),
-        (lambda: Rules(tiers=("informational",)), "scene 0 is informational"),
-        (lambda: Rules(tiers=("critical",), alpha_regr=1.0), "alpha 1.0"),
+        (lambda: TrialRules(tiers=("informational",)), "scene 0 is informational"),
+        (lambda: TrialRules(tiers=("critical",), alpha_regr=1.0), "alpha 1.0"),
         (
-            lambda: settle(Bank(means=np.ones(2)), one_scene([1.0]), Rules(tiers=tiers(1))),
+            lambda: settle(Bank(means=np.ones(2)), one_scene([1.0]), TrialRules(tiers=tiers(1))),
             "1 tiers for 2 scenes",
         ),
         (

@@ -38,7 +38,7 @@ from nw_eval.stats.bank.evidence import (
     nulls_at_most,
 )
 from nw_eval.stats.bank.panel import Bank, Floats, Places
-from nw_eval.stats.bank.trials import Trials, above_at, below_at
+from nw_eval.stats.bank.trials import DrawnTrials, above_at, below_at
 from nw_eval.stats.bank.wealth import Bets, along
 from nw_eval.stats.interval import Interval
 
@@ -85,7 +85,7 @@ def drop_interval(
 
 
 def drop_interval_after(
-    bank: Bank, trials: Trials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
+    bank: Bank, trials: DrawnTrials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
 ) -> Interval:
     """Return the drops of mean success that are not ruled out after T trials of the random order.
 
