@@ -11,7 +11,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 
 _POLICY = "go1-parkour"
 _ABOUT_POLICY = """\
@@ -64,5 +64,5 @@ def write_ready_suite(
     stream = StringIO(_ABOUT_POLICY + _HEAD if policy == _POLICY else _HEAD)
     stream.seek(0, 2)
     yaml.dump(text, stream)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         temporary.write_text(stream.getvalue(), encoding="utf-8")

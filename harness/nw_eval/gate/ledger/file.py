@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.files.cache import sync_folder
+from nw_eval.files.cache import followed, open_own, sync_folder
 from nw_eval.gate.ledger.entry import LedgerEntry, entry_of
 from nw_eval.gate.verdict import Verdict
 from nw_eval.results.provenance import BaselineInfo, RunInfo
@@ -82,7 +82,8 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as handle:
+        opened = open_own(followed(path), os.O_RDWR | os.O_CREAT)
+        with os.fdopen(opened, "r+b", buffering=0) as handle:
             _lock(handle)
             contents = _read(path, handle)
             handle.truncate(contents.good_bytes)

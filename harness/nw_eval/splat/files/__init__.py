@@ -17,7 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nw_eval.errors import SceneError, UsageError, nearest
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
 from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat
@@ -77,8 +77,11 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
     )
 
 
-def write_splat(path: Path, gaussians: Gaussians) -> None:
+def write_splat(path: Path, gaussians: Gaussians) -> int:
     """Write Gaussians in the format of the name: .ply, .pt (exact), .spz or .splat (lossy).
+
+    Returns:
+        The size of the file in bytes.
 
     Raises:
         UsageError: for another suffix.
@@ -91,5 +94,6 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
             f"{path}: cannot write {path.suffix or 'a file without suffix'!r}",
             fix=nearest(path.suffix, _WRITERS),
         )
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         writer(temporary, gaussians)
+        return temporary.stat().st_size
