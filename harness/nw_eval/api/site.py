@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -117,7 +119,7 @@ def _emptied(out: Path) -> Path:
         if out.is_dir() and any(out.iterdir()):
             ours = False
             with suppress(ValueError, UnicodeDecodeError, FileNotFoundError):
-                ours = json.loads(mark.read_text(encoding="utf-8")) == {"nw-site": 1}
+                ours = json.loads(regular(mark).read_text(encoding="utf-8")) == {"nw-site": 1}
             if not ours:
                 raise UsageError(
                     f"{out} holds something that is no site of nw-eval", fix="give a new folder"
@@ -125,7 +127,8 @@ def _emptied(out: Path) -> Path:
             shutil.rmtree(out / REPORTS, ignore_errors=True)
             (out / PAGE).unlink(missing_ok=True)
         out.mkdir(parents=True, exist_ok=True)
-        mark.write_text('{"nw-site": 1}\n', encoding="utf-8")
+        with atomic_path(mark) as temporary:
+            temporary.write_text('{"nw-site": 1}\n', encoding="utf-8")
         (out / REPORTS).mkdir()
     except OSError as error:
         raise StoreError(
@@ -150,7 +153,8 @@ def _copied(run: RunReport, site: Path, number: int) -> str:
     try:
         target.mkdir()
         if own.is_file():
-            shutil.copyfile(own, target / "report.html")
+            with atomic_path(target / "report.html") as temporary:
+                shutil.copyfile(own, temporary)
             return f"{REPORTS}/{slug}/report.html"
     except OSError as error:
         raise StoreError(

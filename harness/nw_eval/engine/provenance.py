@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.confinement import Fence, offered
-from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
@@ -16,6 +15,7 @@ from nw_eval.results.machine import (
     library_versions,
     machine_info,
     rows_code_digest,
+    usable_cores,
 )
 from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
@@ -71,7 +71,7 @@ def run_info(
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         stopped_after=0 if plan.is_baseline else None,
-        workers=default_workers() if workers is None else workers,
+        workers=usable_cores() if workers is None else workers,
         renderer=_renderer(plan.render),
         fence=fence_of(
             plan.bundle.card.adapter,

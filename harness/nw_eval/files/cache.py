@@ -246,7 +246,7 @@ def _kind(path: Path) -> str | None:
     """Return what is at a path, in words; None = nothing is."""
     try:
         mode = path.lstat().st_mode
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     if stat.S_ISREG(mode):
         return _FILE

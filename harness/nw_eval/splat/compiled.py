@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import cache_dir
+from nw_eval.files.inside import regular
 from nw_eval.splat.files import read_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import FORMAT, SUFFIX, compile_store, digest, open_store
@@ -32,7 +33,7 @@ def compiled_store(source: Path | Gaussians, key: str | None = None) -> Path:
             key = digest(source)
         else:
             try:
-                with source.open("rb") as file:
+                with regular(source).open("rb") as file:
                     key = hashlib.file_digest(file, "sha256").hexdigest()
             except OSError as error:
                 raise SceneError(f"{source}: {error.strerror or error}") from error

@@ -50,6 +50,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
         StoreError: the page cannot be written.
     """
     from nw_eval.api.running.reports import as_begun
+    from nw_eval.files.cache import followed
     from nw_eval.reporting.html import render_index
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import open_run_folder
@@ -66,7 +67,8 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
             judged.append(as_begun(folder))
         except StoreError as error:
             unread.append(f"{folder.name}: {error}")
-    write_report(page, render_index([_listed(each, page) for each in judged], unread))
+    target = page if out is None else followed(page)
+    write_report(target, render_index([_listed(each, page) for each in judged], unread))
     return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page)
 
 

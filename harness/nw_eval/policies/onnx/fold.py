@@ -10,7 +10,7 @@ from pathlib import Path
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
-from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.policies.safety import FileLimits, check_onnx
 from nw_eval.policies.safety.onnx.fields import ONNX
 from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, encoded
@@ -103,7 +103,7 @@ class _Fold:
     def _read(self, path: Path) -> memoryview:
         if path not in self._files:
             try:
-                size = path.stat().st_size
+                size = regular(path).stat().st_size
                 if size > self._left:
                     raise PolicyError(
                         f"{path}: the policy's files have over "

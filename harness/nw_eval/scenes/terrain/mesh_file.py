@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 
@@ -45,7 +46,7 @@ def read_mesh(
             f"{path}: no mesh format that is read here", fix=f"give {', '.join(MESH_SUFFIXES)}"
         )
     try:
-        size = path.stat().st_size
+        size = regular(path).stat().st_size
         if size > MESH_BYTES:
             raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes")
         if suffix == ".ply":

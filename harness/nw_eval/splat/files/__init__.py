@@ -18,6 +18,7 @@ from pathlib import Path
 
 from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path, followed
+from nw_eval.files.inside import regular
 from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
 from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat
@@ -54,7 +55,7 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
     try:
         if path.is_dir():
             return read_nerfstudio(path, rest_order=rest_order)
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             mark = file.read(len(MARK))
         if mark == MARK:
             return read_compiled(path)

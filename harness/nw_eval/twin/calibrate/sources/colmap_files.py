@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
 
 _MODELS = {
@@ -69,7 +70,7 @@ def read_model(folder: Path) -> Solution:
 
 
 def _bytes(path: Path) -> bytes:
-    if path.stat().st_size > _MOST_BYTES:
+    if regular(path).stat().st_size > _MOST_BYTES:
         raise ValueError(f"{path.name} is larger than {_MOST_BYTES} bytes")
     return path.read_bytes()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from PIL import Image
 
 from nw_eval.errors import SceneError
-from nw_eval.files.inside import what_is
+from nw_eval.files.inside import regular, what_is
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import DAMAGE
 from nw_eval.twin.calibrate.sources.colmap import colmap_in
@@ -58,6 +58,7 @@ def find_source(path: Path, working: Path, *, frames: int, say: Say) -> Footage:
 
 def _size(path: Path) -> tuple[int, int] | None:
     try:
+        regular(path)
         with Image.open(path) as image:
             return image.size
     except DAMAGE:
