@@ -30,7 +30,7 @@ _WORD = b"\nnw-eval seal 1\n"
 _SEAL = hashlib.sha256().digest_size + len(_WORD)
 
 _FILE, _STREAM = "a file", "a device or a pipe"
-_REFUSED = ("a link in a circle", "a folder", "a socket", "a disk")
+_REFUSED = ("a link", "a folder", "a socket", "a disk")
 _LINKS = 40  # in a row, as many as Linux follows
 _READER_COMES, _READER_READS = 10.0, 600.0  # s that a pipe's reader may take
 
@@ -125,14 +125,17 @@ def followed(path: Path) -> Path:
     target = path
     try:
         for _ in range(_LINKS):
-            if _descriptor(target) is not None or not target.is_symlink():
+            if _descriptor(target) is not None:
+                return target
+            if not target.is_symlink():
                 break
             target = target.parent / target.readlink()
         kind = _kind(target)
     except OSError as error:
         raise _unwritable(path, error) from error
     if kind in _REFUSED:
-        raise UsageError(f"cannot write {path}: it is {kind}", fix="name a file")
+        fault = "its links form a circle" if kind == "a link" else f"it is {kind}"
+        raise UsageError(f"cannot write {path}: {fault}", fix="name a file")
     return target
 
 
