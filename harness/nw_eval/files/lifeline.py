@@ -1,11 +1,18 @@
-"""Helper processes that end at once when the process that started them does, however that died."""
+"""Helper processes that end at once when the process that started them does, however that died.
+
+    python -m nw_eval.files.lifeline MODULE ARGUMENTS
+
+runs a module as a program with its standard input as the lifeline.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
+import runpy
 import select
 import signal
+import sys
 
 
 def hold(line: int) -> None:
@@ -26,3 +33,8 @@ def hold(line: int) -> None:
     fcntl.fcntl(line, fcntl.F_SETFL, fcntl.fcntl(line, fcntl.F_GETFL) | os.O_ASYNC)
     if select.select([line], [], [], 0)[0]:  # It was gone before this was asked for.
         os._exit(1)
+
+
+if __name__ == "__main__":
+    hold(0)
+    runpy.run_module(sys.argv[1], run_name="__main__")

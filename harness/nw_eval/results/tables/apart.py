@@ -19,12 +19,6 @@ from typing import Any
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 
-_PROGRAM = """\
-from nw_eval.files.lifeline import hold
-hold(0)
-import runpy, sys
-runpy.run_module(sys.argv[1], run_name="__main__")
-"""
 _SECONDS = 60.0
 _MEMORY = 2**30  # bytes of address space, on top of what the libraries take
 _MOST_ANSWER = 512 * 2**20  # bytes
@@ -43,7 +37,7 @@ def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
         StoreError: as the module's reader; or reading took too long, or ended its process.
     """
     # `-P`: no module comes from the working folder, which may be the run's own.
-    command = [sys.executable, "-P", "-c", _PROGRAM, module, str(path)]
+    command = [sys.executable, "-P", "-m", "nw_eval.files.lifeline", module, str(path)]
     # The other process ends with this one: its standard input is closed then.
     life, ours = os.pipe()
     with TemporaryFile() as written, os.fdopen(life, "rb"), os.fdopen(ours, "wb"):
