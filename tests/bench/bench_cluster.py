@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
-from nw_eval.engine.machine.cores import default_workers
 from nw_eval.results.journal import read_journal
+from nw_eval.results.machine import usable_cores
 
 SUITES, SCENES = ("hurdles-state", "hurdles"), 16
 TRIALS = int(sys.argv[1]) if len(sys.argv) > 1 else 160
@@ -182,7 +182,7 @@ def span(hours):
 
 
 def main():
-    workers = default_workers()
+    workers = usable_cores()
     engines = {"local": ("--workers", str(workers)), "Ray": ("--engine", "ray")}
     held = []
     for suite in SUITES:

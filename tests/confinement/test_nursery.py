@@ -199,3 +199,70 @@ def test_without_a_nursery_processes_start_from_nothing(functions, monkeypatch):
         assert receiver.recv()[3] == os.getpid()
     process.join(30.0)
     assert process.exitcode == 0
+
+
+SLOW_OWNER = """\
+import sys, time
+from nw_eval.confinement import Nursery
+
+if __name__ == "__main__":
+    nursery = Nursery()
+    nursery.learn("slow_import")
+    print(nursery._process.pid, flush=True)
+    time.sleep(60)
+"""
+SLOW_IMPORT = """\
+import time
+from pathlib import Path
+
+Path(__file__).with_name("begun").touch()
+time.sleep(3)
+Path(__file__).with_name("ended").touch()
+time.sleep(60)
+"""
+
+
+def appears(path):
+    deadline = time.monotonic() + 60.0
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert path.exists()
+
+
+def test_a_nursery_ends_with_its_owner_in_the_midst_of_an_import(tmp_path):
+    (tmp_path / "owner.py").write_text(SLOW_OWNER)
+    (tmp_path / "slow_import.py").write_text(SLOW_IMPORT)
+    owner = subprocess.Popen([sys.executable, tmp_path / "owner.py"], stdout=subprocess.PIPE)
+    nursery = int(owner.stdout.readline())
+    appears(tmp_path / "begun")
+    assert is_running(nursery)
+    owner.kill()
+    owner.communicate()
+    while is_running(nursery) and not (tmp_path / "ended").exists():
+        time.sleep(0.01)
+    assert not (tmp_path / "ended").exists()
+    assert not is_running(nursery)
+
+
+def test_a_nursery_that_is_stopped_is_given_up_and_nobody_waits_for_it(functions):
+    nursery = Nursery()
+    child = nursery.fork(functions.dies, (7,))
+    assert wait([child.sentinel], 30.0)
+    os.kill(nursery._process.pid, signal.SIGSTOP)
+    assert child.exitcode == -signal.SIGKILL  # Nobody can say.
+    assert nursery._process.wait(30.0) == -signal.SIGKILL
+    assert not nursery.is_alive
+    with pytest.raises(OSError, match="is gone"):
+        nursery.fork(functions.sleeps, ())
+    child.close()
+
+
+def test_a_nursery_that_is_stopped_and_goes_on_is_kept(functions):
+    nursery = Nursery()
+    child = nursery.fork(functions.dies, (7,))
+    assert wait([child.sentinel], 30.0)
+    os.kill(nursery._process.pid, signal.SIGSTOP)
+    threading.Timer(0.7, os.kill, (nursery._process.pid, signal.SIGCONT)).start()
+    assert child.exitcode == 7
+    assert nursery.is_alive
+    child.close()

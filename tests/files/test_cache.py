@@ -213,3 +213,37 @@ def test_a_name_as_long_as_names_get_can_be_written(own):
     with atomic_path(path) as temporary:
         temporary.write_bytes(b"1")
     assert path.read_bytes() == b"1"
+
+
+def test_a_variable_that_is_empty_is_as_good_as_unset(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NW_EVAL_CACHE", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert cache_dir("splats") == tmp_path / "caches" / "nw-eval" / "splats"
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert cache_dir() == tmp_path / "home" / ".cache" / "nw-eval"
+    assert {one.name for one in tmp_path.iterdir()} <= {"caches", "home"}
+
+
+@pytest.mark.parametrize("name", ["NW_EVAL_CACHE_GB", "NW_EVAL_KERNELS"])
+def test_other_variables_that_are_empty_are_as_good_as_unset_too(tmp_path, name):
+    code = (
+        "from nw_eval.engine.cache.store import *; from nw_eval.machine_code.kept import *; "
+        "import nw_eval.engine.cache.store as s, nw_eval.machine_code.kept as k; "
+        "print(s.limit_bytes(), bool(k.folder_note()))"
+    )
+    environment = {**os.environ, "NW_EVAL_CACHE": str(tmp_path)}
+    environment.pop(name, None)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+            env={**environment, **more},
+        ).stdout
+        for more in ({}, {name: ""})
+    ]
+    assert said[0] == said[1]

@@ -10,8 +10,8 @@ from test_trainer import BUSY
 from nw_eval.arrays import pack
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sealed_path
+from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
-from nw_eval.twin.gaussians.population import NAMES
 from nw_eval.twin.gaussians.trainer import Trainer
 
 
@@ -28,7 +28,7 @@ def test_a_training_that_was_left_goes_on_with_the_same_bits(tmp_path, strategy)
         assert trainer.iteration == until
     trainer.run()
     assert trainer.is_done
-    for name in NAMES:
+    for name in ARRAYS:
         assert (getattr(trainer.gaussians, name) == getattr(whole.gaussians, name)).all()
     assert (trainer.exposures.maps == whole.exposures.maps).all()
 

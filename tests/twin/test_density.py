@@ -8,11 +8,12 @@ import pytest
 from splat_rooms import cloud
 
 from nw_eval.splat import Camera, Gaussians
+from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.densify.default import DefaultDensity, split
 from nw_eval.twin.gaussians.densify.mcmc import McmcDensity, relocated
 from nw_eval.twin.gaussians.densify.settings import Default, Mcmc
 from nw_eval.twin.gaussians.kernels.perturb import perturb
-from nw_eval.twin.gaussians.population import NAMES, Population
+from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.raster.images import Gradients
 
 CAMERA = Camera.from_fovy(width=200, height=100, fovy=1.0, T_world_camera=np.eye(4))
@@ -38,7 +39,7 @@ def _pull(centres, visible=None):
 
 
 def _shapes(n):
-    return {name: getattr(_row(n), name).shape for name in NAMES}
+    return {name: getattr(_row(n), name).shape for name in ARRAYS}
 
 
 def _density(n, *, most=1000, **settings):

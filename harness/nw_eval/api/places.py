@@ -121,12 +121,14 @@ def check_scenes(
     """
     from nw_eval.catalogue.inspect import inspect_scene
     from nw_eval.errors import UsageError
+    from nw_eval.files.cache import followed
+    from nw_eval.files.inside import what_is
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
     if policy is not None and suite is None:
         raise UsageError(f"--policy {policy} without --suite", fix="drop it")
-    if suite is not None and suite.exists():
+    if suite is not None and what_is(followed(suite)) == "file":
         raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
     checked: list[CheckedScene] = []
     for reference in references:
@@ -169,8 +171,10 @@ def render_scenes(
     from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import Silence
     from nw_eval.engine.prepare import build_splats
+    from nw_eval.files.cache import followed
     from nw_eval.rollout.replaying.contact_sheet import write_scene_sheet
 
+    followed(out)  # What can never be written is said before anything is drawn.
     found = match_scenes(tuple(patterns) or ("*",))
     build_splats(found, listener or Silence())
     write_scene_sheet(found, out, width=width)

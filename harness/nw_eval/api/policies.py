@@ -123,14 +123,15 @@ def init_policy(
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.file.load import CARD_FILE
-    from nw_eval.files.cache import atomic_path
+    from nw_eval.files.cache import atomic_path, followed
+    from nw_eval.files.inside import what_is
     from nw_eval.onboarding.drafting.draft import draft_of
     from nw_eval.onboarding.reading.beside import files_beside
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
     card = out or checkpoint.parent / CARD_FILE
-    if card.exists():
+    if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
     text = str(
         call_isolated(
@@ -145,7 +146,7 @@ def init_policy(
     )
     if card.parent.resolve() == checkpoint.parent.resolve():
         text += files_beside(checkpoint)
-    with atomic_path(card) as temporary:
+    with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return CardDraft(file=card, text=text, to_check=text.count("CHECK"))
 
@@ -159,19 +160,28 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
 
     Raises:
         PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
-        UsageError: `out` exists already, or cannot be written.
+        UsageError: `out` exists already, or is no file's path.
+        StoreError: `out` cannot be written.
     """
+    from nw_eval.files.cache import followed
+    from nw_eval.files.inside import what_is
     from nw_eval.policies.onnx.fold import fold
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
+    from nw_eval.rollout.replaying.readied import fetch, scratch_folder
 
-    size = call_isolated(
-        fold,
-        subject=str(checkpoint),
-        rules=folding_rules(checkpoint, out),
-        checkpoint=str(checkpoint),
-        out=str(out),
-    )
+    if what_is(followed(out)) == "file":
+        raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
+    with scratch_folder() as folder:
+        folded = folder / "folded.onnx"
+        size = call_isolated(
+            fold,
+            subject=str(checkpoint),
+            rules=folding_rules(checkpoint, folder),
+            checkpoint=str(checkpoint),
+            out=str(folded),
+        )
+        fetch(folded, out)
     return FoldedGraph(file=out, bytes=int(size))
 
 

@@ -116,7 +116,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
         UsageError: there is no such log.
         StoreError: the log cannot be read, or the layout not written.
     """
-    from nw_eval.files.cache import atomic_path
+    from nw_eval.files.cache import atomic_path, followed
     from nw_eval.rollout.mcap.reader import LogReader
     from nw_eval.viewing.foxglove import layout, layout_json
     from nw_eval.viewing.shown import shown_in_log
@@ -124,7 +124,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
     log = _found(log)
     shown = shown_in_log(LogReader(log))
     if out is not None:
-        with atomic_path(out) as temporary:
+        with atomic_path(followed(out)) as temporary:
             temporary.write_text(layout_json(shown), encoding="utf-8")
     return layout(shown)
 

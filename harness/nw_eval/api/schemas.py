@@ -19,11 +19,11 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     Raises:
         StoreError: it cannot be written.
     """
-    from nw_eval.files.cache import atomic_path
+    from nw_eval.files.cache import atomic_path, followed
 
     described = _schema(kind)
     if out is not None:
-        with atomic_path(out) as temporary:
+        with atomic_path(followed(out)) as temporary:
             temporary.write_text(json.dumps(described, indent=2) + "\n", encoding="utf-8")
     return described
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -122,7 +124,7 @@ def _emptied(out: Path) -> Path:
         if out.is_dir() and any(out.iterdir()):
             ours = False
             with suppress(ValueError, UnicodeDecodeError, FileNotFoundError):
-                ours = json.loads(mark.read_text(encoding="utf-8")) == {"nw-site": 1}
+                ours = json.loads(regular(mark).read_text(encoding="utf-8")) == {"nw-site": 1}
             if not ours:
                 raise UsageError(
                     f"{out} holds something that is no site of nw-eval", fix="give a new folder"
@@ -130,7 +132,8 @@ def _emptied(out: Path) -> Path:
             shutil.rmtree(out / REPORTS, ignore_errors=True)
             (out / PAGE).unlink(missing_ok=True)
         out.mkdir(parents=True, exist_ok=True)
-        mark.write_text('{"nw-site": 1}\n', encoding="utf-8")
+        with atomic_path(mark) as temporary:
+            temporary.write_text('{"nw-site": 1}\n', encoding="utf-8")
         (out / REPORTS).mkdir()
     except OSError as error:
         raise StoreError(

@@ -53,8 +53,8 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
     from nw_eval.splat.files import write_splat
 
     gaussians = _gaussians(source)
-    write_splat(out, gaussians)
-    return WrittenSplat(file=out, gaussians=len(gaussians), bytes=out.stat().st_size)
+    size = write_splat(out, gaussians)
+    return WrittenSplat(file=out, gaussians=len(gaussians), bytes=size)
 
 
 def splat_render(

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from contextlib import contextmanager, suppress
-from multiprocessing import connection, parent_process, resource_tracker
+from multiprocessing import connection, parent_process
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -78,10 +78,10 @@ def interrupts_blocked() -> Generator[None]:
 
     A terminal sends Ctrl-C to every process of its group. Masks pass to new threads and over
     `exec` to new processes, so workers, and those that replace them later, are deaf to it from
-    their first instruction, and print no tracebacks while they import. What this process hears
+    their first instruction, and print no tracebacks while they import. `multiprocessing`'s own
+    helper, if it is needed, must run already: starting it lifts the block. What this process hears
     meanwhile it hears at the end: a child would wait in vain for what it was to be handed.
     """
-    resource_tracker.ensure_running()  # Starting later, it would lift the block.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         with _signals_heard_later():

@@ -11,7 +11,6 @@ from nw_eval.built_in.splits import split_of
 from nw_eval.built_in.variants import parted
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
-from nw_eval.engine.machine.cores import default_workers
 from nw_eval.engine.machine.cpu import cpu_kind
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
@@ -19,6 +18,7 @@ from nw_eval.results.machine import (
     library_versions,
     machine_info,
     rows_code_digest,
+    usable_cores,
 )
 from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.rollout.confined.access import why_off
@@ -79,7 +79,7 @@ def run_info(
         drawn_for=None if plan.drawn is None else plan.drawn.candidate,
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
-        workers=default_workers() if workers is None else workers,
+        workers=usable_cores() if workers is None else workers,
         renderer=_renderer(plan.render),
         fence=fence_of(
             plan.bundle.card.adapter,

@@ -1,4 +1,7 @@
-"""The user's cache folder, and files that appear in it whole or not at all and are checked.
+"""How every file is written, the user's cache folder, and files in it that are checked.
+
+`atomic_path` writes every output of nw-eval; `tests/files/test_outputs.py` holds that nothing else
+opens a file for writing, but for the few that it lists.
 
 A sealed file is its content and, behind it, the content's SHA-256 and a word of ours. Whoever maps
 one is given the content only if it is what was written: disks and memory flip bits, copies stop in
@@ -8,19 +11,28 @@ is no signature, whoever may write the file can seal it.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import mmap
 import os
+import select
 import stat
+import sys
+import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 
 _WORD = b"\nnw-eval seal 1\n"
 _SEAL = hashlib.sha256().digest_size + len(_WORD)
+
+_FILE, _STREAM = "a file", "a device or a pipe"
+_REFUSED = ("a link", "a folder", "a socket", "a disk")
+_LINKS = 40  # in a row, as many as Linux follows
+_READER_COMES, _READER_READS = 10.0, 600.0  # s that a pipe's reader may take
 
 _mapped: dict[Path, tuple[tuple[int, ...], memoryview]] = {}
 """What this process has mapped and checked. As long as it is the same file, the same mapping serves
@@ -100,24 +112,71 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def followed(path: Path) -> Path:
+    """Return the path that an output goes to whose path the user gave: links are followed.
+
+    A link may lead to nothing yet. Only what the user named is followed; `atomic_path` refuses
+    links, since a link in a stranger's run folder could lead anywhere.
+
+    Raises:
+        UsageError: a folder, a socket or a disk is there, or the links form a circle.
+        StoreError: it cannot be looked at.
+    """
+    target = path
+    try:
+        for _ in range(_LINKS):
+            if _descriptor(target) is not None:
+                return target
+            if not target.is_symlink():
+                break
+            target = target.parent / target.readlink()
+        kind = _kind(target)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    if kind in _REFUSED:
+        fault = "its links form a circle" if kind == "a link" else f"it is {kind}"
+        raise UsageError(f"cannot write {path}: {fault}", fix="name a file")
+    return target
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether what is written to a path goes into a device, a pipe or an open file."""
+    target = followed(path)
+    return _descriptor(target) is not None or _kind(target) == _STREAM
+
+
 @contextmanager
 def atomic_path(path: Path) -> Generator[Path]:
-    """Give a temporary path beside `path`; rename it into place on success, remove it on failure.
+    """Give a temporary path to write to; what was written becomes the file at `path` on success.
+
+    A regular file is replaced as a whole by a rename, and keeps its mode and, where the system
+    allows it, its owner; a new one has the mode 0666 without the umask. Into a device, a pipe or an
+    open file of this process (`/dev/fd/3`) what was written is copied. Anything else stays as it
+    is: nothing is replaced by something of another kind. On failure the old file is untouched.
 
     Two processes that write the same file at once both succeed; readers see one of the two whole.
 
     Raises:
-        StoreError: the file cannot be written.
+        StoreError: the file cannot be written, or a link, a folder, a socket or a disk is there.
     """
-    temporary: Path | None = None
+    try:
+        descriptor, kind = _descriptor(path), _kind(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    if descriptor is not None or kind == _STREAM:
+        with _poured(path, descriptor) as temporary:
+            yield temporary
+        return
+    if kind not in {None, _FILE}:
+        raise StoreError(f"cannot write {path}: it is {kind}", fix="remove it, or name another")
+    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with NamedTemporaryFile(
             dir=path.parent, prefix=f".{path.name[:100]}.", suffix=path.suffix, delete=False
         ) as handle:
             temporary = Path(handle.name)
-        # Temporary files are private; results are as readable as whatever else the user writes.
-        temporary.chmod(0o666 & ~_UMASK)
+        _take_over_rights(path, temporary)
         yield temporary
         with temporary.open("rb") as written:
             os.fsync(written.fileno())
@@ -129,6 +188,22 @@ def atomic_path(path: Path) -> Generator[Path]:
         if isinstance(error, OSError):
             raise _unwritable(path, error) from error
         raise
+
+
+def open_own(path: Path, flags: int) -> int:
+    """Open a file of a run's folder for appending or changing; return its descriptor.
+
+    As `os.open`, but nothing is followed or waited for: a stranger's folder may hold links and
+    pipes. A new file has the mode 0666 without the umask.
+
+    Raises:
+        OSError: as `os.open`, or no regular file is there.
+    """
+    handle = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    return handle
 
 
 @contextmanager
@@ -170,9 +245,105 @@ def read_sealed(path: Path) -> memoryview:
     return content
 
 
+def _kind(path: Path) -> str | None:
+    """Return what is at a path, in words; None = nothing is."""
+    try:
+        mode = path.lstat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    if stat.S_ISREG(mode):
+        return _FILE
+    if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
+        return _STREAM
+    if stat.S_ISLNK(mode):
+        return "a link"
+    return "a folder" if stat.S_ISDIR(mode) else "a disk" if stat.S_ISBLK(mode) else "a socket"
+
+
+def _descriptor(path: Path) -> int | None:
+    """Return which open file of this process a path such as `/dev/fd/3` names, if it does."""
+    if not path.name.isdecimal():
+        return None
+    is_open = os.path.realpath(path.parent) == f"/proc/{os.getpid()}/fd"
+    return int(path.name) if is_open else None
+
+
+def _take_over_rights(path: Path, temporary: Path) -> None:
+    """Give a file the rights of the one that it will replace; temporary files are private."""
+    try:
+        old = path.lstat()
+    except FileNotFoundError:
+        temporary.chmod(0o666 & ~_UMASK)
+        return
+    own = temporary.lstat()
+    if (old.st_uid, old.st_gid) != (own.st_uid, own.st_gid):
+        with suppress(OSError):  # Only root may give files away.
+            os.chown(temporary, old.st_uid, old.st_gid)
+    temporary.chmod(old.st_mode & 0o777)
+
+
+@contextmanager
+def _poured(path: Path, descriptor: int | None) -> Generator[Path]:
+    """As `atomic_path`, for what can only be written from its beginning to its end.
+
+    Some writers go back to where they began, so a file is written first.
+    """
+    try:
+        with TemporaryDirectory(prefix="nw-eval-") as folder:
+            temporary = Path(folder, f"output{path.suffix}")
+            temporary.touch()
+            yield temporary
+            handle = _opened(path) if descriptor is None else os.dup(descriptor)
+            try:
+                if descriptor in {1, 2}:  # What was printed before comes before.
+                    sys.stdout.flush()
+                _copy(temporary, handle)
+            finally:
+                os.close(handle)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _opened(path: Path) -> int:
+    """Open a device or a pipe; wait some seconds for a program that reads the pipe.
+
+    Raises:
+        OSError: it cannot be opened, or nobody reads it.
+    """
+    deadline = time.monotonic() + _READER_COMES
+    while True:
+        try:
+            handle = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_NOFOLLOW)
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+            if time.monotonic() > deadline:
+                raise OSError(errno.ENXIO, "no program reads this pipe") from None
+            time.sleep(0.05)
+        else:
+            os.set_blocking(handle, True)
+            return handle
+
+
+def _copy(source: Path, handle: int) -> None:
+    """Write a file's content; a reader that does not read is not waited for without end.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    ready = select.poll()
+    ready.register(handle, select.POLLOUT)
+    with source.open("rb") as content:
+        while piece := content.read(select.PIPE_BUF):  # A pipe that is ready takes so much at once.
+            rest = memoryview(piece)
+            while rest:
+                if not ready.poll(1000.0 * _READER_READS):
+                    raise OSError(errno.ETIMEDOUT, "its reader does not read")
+                rest = rest[os.write(handle, rest) :]
+
+
 def _root() -> Path:
-    root = os.environ.get("NW_EVAL_CACHE")
-    if root is not None:
+    if root := os.environ.get("NW_EVAL_CACHE"):  # Empty is as good as unset, as with XDG's.
         return Path(root)
     base = os.environ.get("XDG_CACHE_HOME")
     try:

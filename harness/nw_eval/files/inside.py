@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import stat
 from pathlib import Path, PurePosixPath
@@ -58,6 +59,26 @@ def checked(name: str) -> PurePosixPath:
 
 def _bytes(part: str) -> int:
     return len(part.encode(errors="replace"))
+
+
+def regular(path: Path) -> Path:
+    """Return a path, unless what is there may never begin or end to be read.
+
+    Every reader of a path that a user or a file names asks this first.
+
+    Raises:
+        OSError: a pipe, a device or a socket is there; `strerror` says which.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return path  # Whoever opens it says what is wrong.
+    for kind, is_one in (("pipe", stat.S_ISFIFO), ("socket", stat.S_ISSOCK)):
+        if is_one(mode):
+            raise OSError(errno.EINVAL, f"it is a {kind}, not a file", str(path))
+    if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+        raise OSError(errno.EINVAL, "it is a device, not a file", str(path))
+    return path
 
 
 def what_is(path: Path) -> Literal["file", "folder", "nothing"]:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from nw_eval.files.inside import regular
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
@@ -28,12 +30,14 @@ def open_picture(source: Path | IO[bytes], formats: Sequence[str] = FORMATS) -> 
 
     Raises:
         PIL.UnidentifiedImageError: it is of no such kind, or damaged.
-        OSError: it cannot be read.
+        OSError: it cannot be read, or a pipe, a device or a socket is there.
         Exception: whatever else Pillow raises at damaged files, such as ValueError, SyntaxError and
             PIL.Image.DecompressionBombError.
     """
     from PIL import Image
 
+    if isinstance(source, Path):
+        regular(source)
     Image.init()
     # Older Pillows know no AVIF, and raise KeyError at a name that they do not know.
     return Image.open(source, formats=[name for name in formats if name in Image.OPEN])

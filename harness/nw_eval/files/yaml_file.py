@@ -22,6 +22,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from nw_eval.errors import Problem, nearest
+from nw_eval.files.inside import regular
 
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
@@ -153,7 +154,7 @@ def _fault(file: str, message: str, fix: str, line: int = 1, column: int = 1) ->
 
 def _text(path: Path, fail: Callable[[str, str], YamlProblems]) -> str:
     try:
-        if path.stat().st_size > _SIZE_LIMIT:
+        if regular(path).stat().st_size > _SIZE_LIMIT:
             raise fail("the file is over 1 MB", "is this the file you meant?")
         return path.read_bytes().decode("utf-8")
     except OSError as error:

@@ -15,7 +15,7 @@ from nw_eval.cards.checkpoint import Checkpoint
 from nw_eval.cards.file.load import CARD_FILE, load_card
 from nw_eval.cards.observations.plugins import is_code
 from nw_eval.errors import PolicyError, nearest
-from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
 from nw_eval.policies.code_digest import code_digest
 
@@ -288,6 +288,10 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
                 fix="give a policy.yaml, and these weights with --checkpoint",
             )
         return path
+    try:
+        regular(path)
+    except OSError as error:
+        raise PolicyError(f"{path}: {error.strerror}", fix="name a card") from None
     is_path = "/" in str(name_or_path) or path.suffix in {".yaml", ".yml"}
     missing = (
         "there is no such folder or card" if is_path else "no policy, folder or card has that name"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
@@ -112,7 +111,9 @@ class Runs:
         """Processes for trials: this worker's share of the cores, where it is one of several."""
         if self._settings.workers is not None or not self._sharing:
             return self._settings.workers
-        return max(1, (os.cpu_count() or 1) // self._sharing)
+        from nw_eval.results.machine import usable_cores
+
+        return max(1, usable_cores() // self._sharing)
 
     def _name(self, request: Request) -> str:
         """Return the name of a run's folder, which is the same for every worker."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.stats.bank import CurvePoint, Margins
 
 _WORDS = (
@@ -55,5 +55,5 @@ def draw_curve(
     lower.plot(drops, [scenes * point.rounds for point in points], color="#34495e", marker="o")
     lower.set(ylim=(0, None), xlabel="true drop of mean success", ylabel="trials, mean")
     lower.grid(alpha=0.3)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         figure.savefig(temporary, format="png", dpi=100, metadata={"Software": None})

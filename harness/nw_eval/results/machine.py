@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from math import ceil
+from pathlib import Path, PurePosixPath
 
 from nw_eval import __version__
 from nw_eval.results.provenance import CodeInfo, MachineInfo
@@ -56,10 +57,30 @@ def machine_info() -> MachineInfo:
     return MachineInfo(
         host=platform.node(),
         cpu=_cpu_name(),
-        cores=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else _count(),
+        cores=usable_cores(),
         system=f"{platform.system()} {platform.release()} {platform.machine()}",
         python=platform.python_version(),
     )
+
+
+def usable_cores(root: Path = Path("/")) -> int:
+    """Return the number of cores that this process may use; everything that counts cores asks here.
+
+    The least of two: the processors it may run on (sched_getaffinity(2)), and the processor time
+    that its control groups may take, rounded up (cpu.max of cgroups v2, cpu.cfs_quota_us of v1, see
+    Linux's Documentation/admin-guide/cgroup-v2.rst and scheduler/sched-bwc.rst). Containers are
+    limited by the latter.
+
+    Args:
+        root: of the file system, which says the control groups.
+    """
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    try:
+        quotas = [_quota(folder, is_v2=is_v2) for folder, is_v2 in _cgroups(root)]
+    except (OSError, ValueError):  # No Linux, or no control groups.
+        quotas = []
+    return max(1, min([cores, *(ceil(quota) for quota in quotas if quota is not None)]))
 
 
 def library_versions() -> dict[str, str]:
@@ -89,8 +110,51 @@ def _digest(sources: Iterable[Path]) -> str:
     return content.hexdigest()
 
 
-def _count() -> int:
-    return os.cpu_count() or 1
+def _cgroups(root: Path) -> Iterator[tuple[Path, bool]]:
+    """Yield the folders of this process's control groups of processor time, and their parents.
+
+    Args:
+        root: of the file system.
+
+    Yields:
+        The folder, and whether it is of version 2.
+
+    Raises:
+        OSError: this system has none.
+    """
+    mounted = root / "sys/fs/cgroup"
+    for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines():
+        _, controllers, name = line.split(":", 2)
+        own = name.strip("/")
+        if not controllers:
+            # A container may see its own group as the root, by either name.
+            for folder in dict.fromkeys((mounted / own, *_parents(mounted, own), mounted)):
+                yield folder, True
+        elif "cpu" in controllers.split(","):
+            for kind in (controllers, "cpu"):
+                base = mounted / kind
+                for folder in dict.fromkeys((base / own, *_parents(base, own), base)):
+                    yield folder, False
+
+
+def _parents(base: Path, own: str) -> list[Path]:
+    return [base / parent for parent in PurePosixPath(own).parents if str(parent) != "."]
+
+
+def _quota(folder: Path, *, is_v2: bool) -> float | None:
+    """Return how many cores a control group may use at a time; None = as many as there are."""
+    try:
+        if is_v2:
+            quota, period = (folder / "cpu.max").read_text(encoding="utf-8").split()
+        else:
+            quota, period = (
+                (folder / f"cpu.cfs_{word}_us").read_text(encoding="utf-8").strip()
+                for word in ("quota", "period")
+            )
+        share = float(quota) / float(period)  # `max` is no number.
+    except (OSError, ValueError, ZeroDivisionError):
+        return None
+    return share if share > 0 else None  # -1 is version 1's `max`.
 
 
 def _cpu_name() -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.scenes.scene import Scene
 
 _MARGIN = 1.6  # m around trail and spawn
@@ -59,5 +59,5 @@ def draw_plan(scene: Scene, path: Path) -> None:
     axes.set_title(f"{scene.name}: {scene.title}", parse_math=False)
     axes.set(xlabel="x, m", ylabel="y, m")
     figure.colorbar(image, label="height of the ground, m", shrink=0.8)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Card, mounted_robot
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
 from nw_eval.sensors.build import build_sensors
@@ -174,7 +174,7 @@ def _write(cells: Sequence[Cell], path: Path, title: str) -> None:
         StoreError: it cannot be written.
     """
     picture = draw_sheet(cells, across=_ACROSS, title=title)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         temporary.write_bytes(picture)
 
 

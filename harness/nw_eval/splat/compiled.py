@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import cache_dir
+from nw_eval.files.inside import regular
 from nw_eval.splat.files import files_of_splat, read_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import FORMAT, SUFFIX, compile_store, digest, open_store
@@ -26,7 +27,7 @@ def digest_of_files(path: Path) -> str:
     parts: list[str] = []
     for one in files_of_splat(path):
         try:
-            with one.open("rb") as file:
+            with regular(one).open("rb") as file:
                 parts.append(hashlib.file_digest(file, "sha256").hexdigest())
         except OSError as error:
             raise SceneError(

@@ -22,7 +22,8 @@ MOST = 12_000_000
 
 F32 = NDArray[np.float32]
 
-_ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+"""Attributes of `Gaussians` with an entry for each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +54,7 @@ class Gaussians:
         Raises:
             SceneError: when shapes do not agree or K is not 1, 4, 9 or 16.
         """
-        for name in _ARRAYS:
+        for name in ARRAYS:
             array = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             object.__setattr__(self, name, array)
         n = len(self.means)
@@ -89,7 +90,7 @@ class Gaussians:
         return self._map(lambda array: array[selection])
 
     def _map(self, change: Callable[[F32], F32]) -> Gaussians:
-        arrays = {name: change(getattr(self, name)) for name in _ARRAYS}
+        arrays = {name: change(getattr(self, name)) for name in ARRAYS}
         return Gaussians(**arrays, rasterize_mode=self.rasterize_mode)
 
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from nw_eval.errors import Problem, SuiteError, UsageError, nearest
-from nw_eval.files.inside import what_is
+from nw_eval.files.inside import regular, what_is
 from nw_eval.files.shipped import available
 from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
@@ -133,4 +133,8 @@ def find_suite(name_or_path: str | Path, search: Path | None = None) -> Path:
         return path
     if kind == "folder":
         raise UsageError(f"{name!r} is a folder, not a suite file", fix=nearest(name, known))
+    try:
+        regular(path)
+    except OSError as error:
+        raise UsageError(f"{name!r}: {error.strerror}", fix="name a suite file") from None
     raise UsageError(f"no suite {name!r}", fix=nearest(path.stem, known))

@@ -12,15 +12,14 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.stats import trials_to_certify
-from nw_eval.words import Robot
 
-_POLICIES: Mapping[Robot, str] = MappingProxyType(
+_POLICIES: Mapping[str, str] = MappingProxyType(
     {"go1": "go1-parkour", "go2": "examples/himloco-go2"}
 )
 """A policy of each robot that nw-eval has a card of and that needs no images."""
-_ABOUT: Mapping[Robot, str] = MappingProxyType(
+_ABOUT: Mapping[str, str] = MappingProxyType(
     {
         "go1": """\
 # go1-parkour is told the ground under it and needs no camera: `--policy` runs another one.
@@ -43,7 +42,7 @@ def write_ready_suite(
     name: str,
     scenes: Sequence[str],
     *,
-    robot: Robot = "go1",
+    robot: str = "go1",
     policy: str | None = None,
     perturb: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> None:
@@ -86,5 +85,5 @@ def write_ready_suite(
     stream = StringIO(_ABOUT[robot] + _HEAD if policy in {None, known} else _HEAD)
     stream.seek(0, 2)
     yaml.dump(text, stream)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         temporary.write_text(stream.getvalue(), encoding="utf-8")

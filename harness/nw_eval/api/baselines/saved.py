@@ -181,12 +181,13 @@ def _written(
     file: Path, earlier: SavedBank | None, found: SavedBank, *, renew: bool
 ) -> SavedBaseline:
     """Write a bank unless it would silently become another one."""
+    from nw_eval.files.cache import followed
     from nw_eval.results.bank.build import with_panel
     from nw_eval.results.bank.changes import bank_change
     from nw_eval.results.bank.file import write_bank
 
     if earlier is None:
-        write_bank(file, found)
+        write_bank(followed(file), found)
         return SavedBaseline(file=file, action="new", bank=found)
     change = bank_change(earlier, found)
     known = earlier.panel_of(found.panels[0].machine)
@@ -194,9 +195,9 @@ def _written(
         return SavedBaseline(file=file, action="unchanged", bank=earlier)
     if not renew and not change.fields and known is None:
         whole = with_panel(earlier, found)
-        write_bank(file, whole)
+        write_bank(followed(file), whole)
         return SavedBaseline(file=file, action="panel", bank=whole, change=change)
     if not renew:
         return SavedBaseline(file=file, action="kept", bank=found, change=change)
-    write_bank(file, found)
+    write_bank(followed(file), found)
     return SavedBaseline(file=file, action="renewed", bank=found, change=change)

@@ -52,9 +52,14 @@ def check_surfaces(where: Surfaces) -> Surfaces:
     """Return surfaces, once it is known that what they need is there: before anything runs.
 
     Raises:
-        UsageError: there is no such tracker.
+        UsageError: there is no such tracker, or a folder is where a file is to be written.
         PrerequisiteError: its extra is not installed.
     """
+    from nw_eval.files.cache import followed
+
+    for path in (where.junit, where.comment):
+        if path is not None:
+            followed(path)
     if where.track:
         from nw_eval.reporting.trackers import check_trackers
 
@@ -203,7 +208,7 @@ def _write(path: Path, content: bytes) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    from nw_eval.files.cache import atomic_path
+    from nw_eval.files.cache import atomic_path, followed
 
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         temporary.write_bytes(content)

@@ -44,10 +44,11 @@ def compare(
     check_share(confidence)
     found = side_by_side(entrants(runs), confidence)
     if out is not None:
+        from nw_eval.files.cache import followed
         from nw_eval.reporting.markdown import write_report
         from nw_eval.reporting.side_by_side.page import comparison_page
 
-        write_report(Path(out), comparison_page(found))
+        write_report(followed(Path(out)), comparison_page(found))
     if picture is not None:
         from nw_eval.reporting.side_by_side.picture import draw_comparison
 

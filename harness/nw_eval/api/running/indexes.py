@@ -57,6 +57,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
         StoreError: the page cannot be written.
     """
     from nw_eval.api.running.reports import as_published, fault_of
+    from nw_eval.files.cache import followed
     from nw_eval.reporting.html import render_index
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import open_run_folder
@@ -77,7 +78,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
             unread.append(f"{clean(folder.name)}: {fault_of(error)}")
         else:
             judged.append(run)
-    write_report(page, render_index(listed, unread))
+    write_report(page if out is None else followed(page), render_index(listed, unread))
     return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page)
 
 

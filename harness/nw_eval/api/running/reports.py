@@ -281,6 +281,8 @@ def judged_rows(
 def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -> RunReport:
     """Write the pages of a judged run: one in Markdown, and beside it the other in HTML.
 
+    Beside a device or a pipe nothing is written.
+
     Args:
         judged: the run.
         out: of either page.
@@ -290,6 +292,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
         StoreError: they cannot be written.
     """
     from nw_eval.api.running.evidence.gather import gather_evidence
+    from nw_eval.files.cache import followed, is_stream
     from nw_eval.gate.cause.file import read_cause_file
     from nw_eval.reporting.html import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
@@ -298,6 +301,9 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     folder = RunFolder(path=judged.folder)
+    # Links in a run's folder may be a stranger's.
+    is_own = out == folder.report_md
+    only = None if is_own or not is_stream(out) else out
     evidence = gather_evidence(folder, judged.rows, kept)
     cause = read_cause_file(folder.cause)
     texts = {
@@ -305,8 +311,14 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
         page: render_markdown(*facts, cause),
     }
     for path, text in texts.items():
-        write_report(path, text)
-    return replace(judged, page=page, html=html, evidence=evidence)
+        if only in {None, path}:
+            write_report(path if is_own else followed(path), text)
+    return replace(
+        judged,
+        page=page if only in {None, page} else None,
+        html=html if only in {None, html} else None,
+        evidence=evidence,
+    )
 
 
 def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:

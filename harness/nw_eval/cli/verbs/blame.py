@@ -93,9 +93,9 @@ class Blame:
         )
         print(blame_page(blames))
         if self.out is not None:
-            from nw_eval.files.cache import atomic_path
+            from nw_eval.files.cache import atomic_path, followed
 
-            with atomic_path(self.out) as temporary:
+            with atomic_path(followed(self.out)) as temporary:
                 temporary.write_text(written(blames, self.out.suffix), encoding="utf-8")
             print(self.out)
         return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,6 +12,8 @@ from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import send_handle
+from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.confinement.environment import child_environment
@@ -20,6 +23,11 @@ from nw_eval.confinement.nursery.process import Circumstances, Wish, serve
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+_ANSWERS = 300.0
+"""Seconds within which it answers: it may be importing, on a slow disk."""
+_LOOKS, _STOPPED = 0.5, 6
+"""Seconds between two looks, and how many in a row find it stopped before it is given up. Whoever
+stops a whole run, this process too, and goes on with it later is not meant."""
 _GONE = -signal.SIGKILL
 """How a child ended of which nobody can say: it went with the nursery."""
 
@@ -37,15 +45,18 @@ class Nursery:
         os.close(os.pidfd_open(os.getpid()))  # Linux 5.3 has it.
         self._line, theirs = Pipe()
         self._lock = threading.Lock()
+        life, self._life = Pipe(duplex=False)  # It ends when this end is closed.
         # Not `multiprocessing`'s, which would print a traceback if this process were killed now.
-        start = f"import sys; sys.path[:] = {sys.path!r}; from {serve.__module__} import begin; "
-        with theirs, child_environment(), interrupts_blocked():
+        start = f"from {serve.__module__} import begin; "
+        start = f"from nw_eval.files.lifeline import hold; hold({life.fileno()}); {start}"
+        start = f"import sys; sys.path[:] = {sys.path!r}; {start}"
+        with theirs, life, child_environment(), interrupts_blocked():
             self._process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
-                [sys.executable, "-P", "-c", f"{start}begin({theirs.fileno()})"],
+                [sys.executable, "-P", "-c", f"{start}begin({theirs.fileno()}, {life.fileno()})"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
+                pass_fds=(theirs.fileno(), life.fileno()),
             )
 
     def __del__(self) -> None:
@@ -89,7 +100,7 @@ class Nursery:
                     self._line.send(Wish(kind="fork", connections=len(passed)))
                     for connection in passed:
                         send_handle(self._line, connection.fileno(), self._process.pid)
-                    pid: int = self._line.recv()
+                    pid: int = self._answer()
                 except (EOFError, OSError) as error:
                     self._process.kill()  # Half a wish would be taken for the start of the next.
                     raise OSError(f"the process that starts workers is gone: {error}") from None
@@ -106,10 +117,33 @@ class Nursery:
         with self._lock:
             try:
                 self._line.send(Wish(kind="collect", process=pid))
-                code: int = self._line.recv()
+                code: int = self._answer()
             except (EOFError, OSError):
+                self._process.kill()  # It may be stopped, and its children with it.
                 return _GONE
         return code
+
+    def _answer(self) -> Any:
+        """Return what the process says to a wish.
+
+        Raises:
+            OSError: it is stopped, and nobody goes on with it; or it says nothing in time.
+            EOFError: it is gone.
+        """
+        deadline, stopped = monotonic() + _ANSWERS, 0
+        while not self._line.poll(_LOOKS):
+            stopped = stopped + 1 if _is_stopped(self._process.pid) else 0
+            if stopped > _STOPPED or monotonic() > deadline:
+                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        return self._line.recv()
+
+
+def _is_stopped(process: int) -> bool:
+    """Return whether SIGSTOP or the like has halted a process."""
+    with suppress(OSError, IndexError):
+        text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+        return text.rpartition(")")[2].split()[0] in {"T", "t"}
+    return False
 
 
 class Child:

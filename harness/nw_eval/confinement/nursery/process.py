@@ -59,16 +59,17 @@ class Wish:
     """Whose end is asked for."""
 
 
-def begin(line: int) -> NoReturn:
+def begin(line: int, life: int) -> NoReturn:
     """Serve an owner: the program of the nursery.
 
     Args:
         line: file descriptor of the line to the owner.
+        life: file descriptor of the lifeline, which children have no use for.
     """
-    serve(Connection(line))
+    serve(Connection(line), life)
 
 
-def serve(owner: Connection) -> NoReturn:
+def serve(owner: Connection, life: int) -> NoReturn:
     """Do what the owner wishes until it is gone."""
     leave_terminal(None)
     while True:
@@ -77,7 +78,7 @@ def serve(owner: Connection) -> NoReturn:
             if wish.kind == "import":
                 _import(wish.modules)
             elif wish.kind == "fork":
-                owner.send(_fork(wish, owner))
+                owner.send(_fork(wish, owner, life))
             else:
                 owner.send(_collected(wish.process))
         except (EOFError, OSError):
@@ -95,7 +96,7 @@ def _import(modules: tuple[str, ...]) -> None:
     gc.enable()
 
 
-def _fork(wish: Wish, owner: Connection) -> int:
+def _fork(wish: Wish, owner: Connection, life: int) -> int:
     """Return the number of a new child; where there is none to be had, the error's, negative."""
     own = os.getpid()
     handles = [recv_handle(owner) for _ in range(wish.connections)]
@@ -104,6 +105,7 @@ def _fork(wish: Wish, owner: Connection) -> int:
     except OSError as error:
         child = -(error.errno or errno.EAGAIN)
     if child == 0:
+        os.close(life)
         _be_child(owner, handles, parent=own)
     for handle in handles:
         os.close(handle)

@@ -9,6 +9,7 @@ from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.clean import clean
+from nw_eval.files.cache import open_own
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,8 +56,10 @@ class WorkerOutput:
                 self._append(text if left > 0 else _MORE)
 
     def _append(self, line: str) -> None:
-        with suppress(OSError), self._path.open("a", encoding="utf-8", errors="replace") as file:
-            file.write(f"{line}\n")
+        with suppress(OSError):
+            handle = open_own(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+            with os.fdopen(handle, "a", encoding="utf-8", errors="replace") as file:
+                file.write(f"{line}\n")
 
     def _lines(self) -> Iterator[str]:
         """Yield lines as they come, those that are longer than a chunk in pieces."""

@@ -8,6 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 from nw_eval.gate.cause.two_by_two import Cause
 
 _CAUSE = TypeAdapter(Cause)
@@ -31,7 +32,7 @@ def read_cause_file(path: Path) -> Cause | None:
         StoreError: it is damaged.
     """
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             return _CAUSE.validate_json(file.read(_LARGEST))
     except FileNotFoundError:
         return None

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.files.cache import sync_folder
+from nw_eval.files.cache import followed, open_own, sync_folder
 from nw_eval.gate.ledger.entry import LedgerEntry, entry_of
 from nw_eval.gate.verdict import Verdict
 from nw_eval.results.provenance import BaselineInfo, RunInfo
@@ -85,9 +85,10 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        target = followed(path)
         for _ in range(_TRIES):
-            at, line = _append(path, entry)
-            with path.open("rb") as handle:
+            at, line = _append(target, entry)
+            with target.open("rb") as handle:
                 handle.seek(at)
                 if handle.read(len(line)) == line:
                     break
@@ -106,7 +107,7 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
 
 def _append(path: Path, entry: LedgerEntry) -> tuple[int, bytes]:
     """Write the line of an entry behind all others; return its place in the file, and it."""
-    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0) as handle:
+    with os.fdopen(open_own(path, os.O_RDWR | os.O_CREAT), "r+b", buffering=0) as handle:
         _lock(handle)
         contents = _read(path, handle)
         handle.truncate(contents.good_bytes)

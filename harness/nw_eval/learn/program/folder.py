@@ -10,6 +10,7 @@ from typing import Any
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 
 _MOST = 4 * 2**30
 """Of a state that is read."""
@@ -50,7 +51,7 @@ class TrainFolder:
                 f"{path} holds a training already",
                 fix="choose another --out, or go on with it: --resume",
             )
-        text = config.read_bytes()
+        text = regular(config).read_bytes()
         with atomic_path(folder.config) as temporary:
             temporary.write_bytes(text)
         return folder

@@ -12,6 +12,7 @@ from typing import assert_never
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
+from nw_eval.files.inside import regular
 from nw_eval.onboarding.reading.exporter import ExporterMetadata, read_exporter_metadata
 from nw_eval.onboarding.reading.script import ScriptInput, script_inputs
 from nw_eval.policies.onnx.recurrence import state_pairs
@@ -76,7 +77,7 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
     """
     where = str(path)
     try:
-        size = path.stat().st_size
+        size = regular(path).stat().st_size
         if size > FileLimits().file_bytes:
             raise PolicyError(
                 f"{where}: the file has {size / 2**20:.0f} MiB, over the limit of "

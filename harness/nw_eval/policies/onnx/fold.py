@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, UsageError
-from nw_eval.files.inside import OutsideError, inside
+from nw_eval.errors import PolicyError, StoreError
+from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.policies.safety import FileLimits, check_onnx
 from nw_eval.policies.safety.onnx.fields import ONNX
 from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, encoded
@@ -26,24 +26,20 @@ def fold(*, checkpoint: str, out: str) -> int:
 
     Args:
         checkpoint: the ONNX file; the files that it names lie in its folder, or below.
-        out: the file to write, in a folder that exists.
+        out: the file to write, in a folder of ours that exists.
 
     Raises:
         PolicyError: the file is damaged or no ONNX, is not safe to run, or a file that it names is
             missing, too short, too large or outside its folder.
-        UsageError: `out` exists, or cannot be written.
+        StoreError: `out` cannot be written.
     """
-    path, target = Path(checkpoint), Path(out)
-    if target.exists():
-        raise UsageError(f"{target} exists already", fix="move it away, or name another with --out")
-    data = _Fold(path).model()
+    data = _Fold(Path(checkpoint)).model()
     check_onnx(data, checkpoint)
-    part = target.with_name(f"{target.name}.part")
     try:
-        part.write_bytes(data)
-        part.replace(target)
+        # `atomic_path` sets rights, which a confined process may not.
+        Path(out).write_bytes(data)
     except OSError as error:
-        raise UsageError(f"{target}: {error.strerror}", fix="name another with --out") from None
+        raise StoreError(f"cannot write {out}: {error.strerror}", fix="free disk space") from None
     return len(data)
 
 
@@ -107,7 +103,7 @@ class _Fold:
     def _read(self, path: Path) -> memoryview:
         if path not in self._files:
             try:
-                size = path.stat().st_size
+                size = regular(path).stat().st_size
                 if size > self._left:
                     raise PolicyError(
                         f"{path}: the policy's files have over "

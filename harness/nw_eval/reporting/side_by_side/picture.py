@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nw_eval.clean import clean
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.plural import plural
 from nw_eval.reporting.side_by_side.tables import ranks_text
@@ -42,7 +42,7 @@ def draw_comparison(found: PolicyComparison, path: Path) -> None:
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, tall])
     _draw_means(above, found)
     _draw_matrix(below, found)
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         figure.savefig(temporary, format="png", dpi=120)
 
 

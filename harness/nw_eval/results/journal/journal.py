@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Self
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.files.cache import atomic_path, sync_folder
+from nw_eval.files.cache import atomic_path, open_own, sync_folder
 from nw_eval.results.journal.header import JournalHeader
 from nw_eval.results.journal.read import JournalContents, has_begun, later, read_journal
 from nw_eval.results.row import Row, RowTexts, texts_of
@@ -36,7 +36,7 @@ class Journal:
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0)
+            handle = os.fdopen(open_own(path, os.O_RDWR | os.O_CREAT), "r+b", buffering=0)
         except OSError as error:
             raise _unwritable(path, error) from error
         journal = cls(path, handle, {})
@@ -58,7 +58,7 @@ class Journal:
             StoreError: the journal is damaged, missing, or held by another process.
         """
         try:
-            handle = path.open("r+b", buffering=0)
+            handle = os.fdopen(open_own(path, os.O_RDWR), "r+b", buffering=0)
         except FileNotFoundError:
             raise StoreError(
                 f"no journal at {path}", fix="start the run without --resume"

@@ -123,7 +123,7 @@ def write_merged(
             folder = RunFolder(path=Path(beside) / "run")
             folder.path.mkdir()
             ended, lost = _fill(folder, info, held, sources, against)
-            folder.path.rename(out)
+            folder.path.rename(out.resolve())  # A link to an empty folder stays a link.
     except OSError as error:
         raise StoreError(
             f"cannot write {out}: {error.strerror or error}",

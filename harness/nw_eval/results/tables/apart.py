@@ -7,6 +7,7 @@ some files and asks for gigabytes on others, and who judges a run should not go 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -36,12 +37,14 @@ def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
         StoreError: as the module's reader; or reading took too long, or ended its process.
     """
     # `-P`: no module comes from the working folder, which may be the run's own.
-    command = [sys.executable, "-P", "-m", module, str(path)]
-    with TemporaryFile() as written:
+    command = [sys.executable, "-P", "-m", "nw_eval.files.lifeline", module, str(path)]
+    # The other process ends with this one: its standard input is closed then.
+    life, ours = os.pipe()
+    with TemporaryFile() as written, os.fdopen(life, "rb"), os.fdopen(ours, "wb"):
         try:
             done = subprocess.run(  # noqa: S603  # Our own module, no shell.
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=life,
                 stdout=written,
                 stderr=subprocess.DEVNULL,
                 timeout=_SECONDS,
@@ -69,7 +72,7 @@ def answer(read: Callable[[Path], Iterable[Any]]) -> None:
 
     A last line says that it is the last.
     """
-    path = Path(sys.argv[1])
+    path = Path(sys.argv[2])
     _limit_memory()
     try:
         lines = [json.dumps(value) for value in read(path)]

@@ -30,11 +30,11 @@ def inspecting_rules(checkpoint: Path) -> Rules:
     )
 
 
-def folding_rules(checkpoint: Path, out: Path) -> Rules:
-    """Return the rules of a process that writes a checkpoint and files beside it as one file."""
+def folding_rules(checkpoint: Path, folder: Path) -> Rules:
+    """Return the rules of a process that writes a checkpoint with files beside it into a folder."""
     return Rules(
         reads=(checkpoint.resolve().parent,),
-        writes=(out.resolve().parent,),
+        writes=(folder.resolve(),),
         memory=memory_to_open(FileLimits().file_bytes),
         seconds=OPENING_SECONDS,
     )

@@ -30,6 +30,8 @@ from nw_eval.rollout.confined.start import Started, start_process
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
 
+_LAST_MOMENTS = 5.0
+"""Seconds in which a process that has closed its pipe, or was killed, must be gone."""
 _ANSWER = 2**26
 """Bytes of an answer: a report, or a picture."""
 _LINES = 100
@@ -148,11 +150,10 @@ class IsolatedCall:
     def close(self) -> None:
         """End the process and all that it started; to be called once."""
         self.receiver.close()
-        if self._process.exitcode is None:
-            kill_group(self._process.pid)
-            self._process.kill()
-        self._process.join()
-        self._process.close()
+        _end(self._process)
+        self._process.join(_LAST_MOMENTS)
+        if self._process.exitcode is not None:
+            self._process.close()
 
 
 def _received(
@@ -171,7 +172,8 @@ def _received(
     try:
         answer = json.loads(receiver.recv_bytes(_ANSWER))
     except EOFError:
-        process.join()
+        process.join(_LAST_MOMENTS)
+        _end(process)  # It may be stopped.
         raise _died(subject, process.exitcode) from None
     except (OSError, ValueError, RecursionError):
         answer = None
@@ -181,6 +183,13 @@ def _received(
             fix="do not use this checkpoint",
         )
     return answer
+
+
+def _end(process: Started) -> None:
+    """Kill a process and what it started, if it has not ended."""
+    if process.exitcode is None:
+        kill_group(process.pid)
+        process.kill()
 
 
 def _died(subject: str, code: int | None) -> PolicyError:

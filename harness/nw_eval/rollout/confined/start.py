@@ -5,10 +5,12 @@ What has no fence may start processes of its own and use what does not survive a
 
 from __future__ import annotations
 
+import atexit
 import os
+import signal
 import threading
 from contextlib import suppress
-from multiprocessing import Pipe, get_context
+from multiprocessing import Pipe, get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -33,6 +35,8 @@ _NONE = frozenset({"remote", "zero"})
 """Adapters that need no library for their networks; those that are not named need torch."""
 
 _WARM = b"warm"
+_WARMS = 120.0
+"""Seconds in which a process that has been forked says whether it has kernels."""
 
 _OURS = ("NW_EVAL_", "PYTEST_")
 """Variables of which no library that the nursery has imported has read any."""
@@ -109,8 +113,10 @@ def has_kernels() -> bool:
             nursery = _open_nursery()
             _load_kernels(nursery)
             child = nursery.fork(_tell_warmth, (), (sender,))
-        warmth = receiver.recv_bytes()
-        child.join()
+        is_told = receiver.poll(_WARMS)
+        warmth = receiver.recv_bytes() if is_told else b""
+        child.join(_WARMS if is_told else 0.0)
+        child.kill()
         return child.exitcode == 0 and warmth == _WARM
     return False
 
@@ -158,9 +164,23 @@ def start_process(
     process = get_context("spawn").Process(
         target=function, args=(*arguments, *connections), daemon=not is_one_of_many
     )
+    resource_tracker.ensure_running()  # Starting later, it would lift the block.
+    atexit.unregister(_let_tracker_end)
+    atexit.register(_let_tracker_end)
     with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
         process.start()
     return process
+
+
+def _let_tracker_end() -> None:
+    """Continue `multiprocessing`'s helper, should somebody have stopped it.
+
+    It is waited for at the end of this process, and has its standard output.
+    """
+    process = getattr(vars(resource_tracker).get("_resource_tracker"), "_pid", None)
+    if process is not None:
+        with suppress(OSError):
+            os.kill(process, signal.SIGCONT)
 
 
 def _open_nursery() -> Nursery:

@@ -55,7 +55,8 @@ class McapFile:
         self._channels: dict[str, int] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
-        self._stream: IO[bytes] = self.partial.open("wb")
+        self.partial.unlink(missing_ok=True)  # A link there would be followed.
+        self._stream: IO[bytes] = self.partial.open("xb")
         self._writer = McapWriter(self._stream, library=f"nw-eval/{__version__}")
 
     @property

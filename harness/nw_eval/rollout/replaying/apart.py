@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from nw_eval.errors import PolicyError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.film.film import Film
@@ -76,7 +76,7 @@ def replay_apart(
         if video is not None:
             fetch(filmed, video)
     if picture is not None and drawn is not None:
-        with atomic_path(picture) as temporary:
+        with atomic_path(followed(picture)) as temporary:
             temporary.write_bytes(drawn)
     return replace(report, picture=picture, video=video)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.plural import plural
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
@@ -83,7 +83,7 @@ def write_scene_sheet(scenes: Sequence[Scene], path: Path, *, width: int = 480) 
         for scene in scenes
     ]
     picture = draw_sheet(cells, across=max(1, round(len(cells) ** 0.5)))
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         temporary.write_bytes(picture)
 
 

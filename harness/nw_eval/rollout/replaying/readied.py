@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.confined.access import running_rules
 
 if TYPE_CHECKING:
@@ -91,6 +91,6 @@ def fetch(written: Path, destination: Path) -> Path:
         raise StoreError(
             f"{destination} was not written by the process that was to", fix="try again"
         ) from None
-    with atomic_path(destination) as temporary:
+    with atomic_path(followed(destination)) as temporary:
         shutil.copyfile(written, temporary, follow_symlinks=False)
     return destination

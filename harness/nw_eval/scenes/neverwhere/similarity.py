@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.files.inside import what_is
+from nw_eval.files.inside import regular, what_is
 from nw_eval.scenes.limits import MESH_REACH, SCALES
 
 Matrix = NDArray[np.float64]
@@ -32,7 +32,7 @@ def read_normalisation(path: Path) -> Matrix:
     if what_is(path) == "nothing":
         return np.eye(4)
     try:
-        if path.stat().st_size > _BYTES:
+        if regular(path).stat().st_size > _BYTES:
             raise SceneError(f"{path}: too large", fix="it holds one 3 x 4 matrix")
         content: Any = json.loads(path.read_bytes())
         rows = np.array(content["transform"], dtype=np.float64)

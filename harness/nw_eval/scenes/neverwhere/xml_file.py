@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 
 _BYTES = 10_000_000
 _DEPTH = 60
@@ -51,7 +52,7 @@ def read_xml(path: Path) -> Element:
             document type or entities.
     """
     try:
-        size = path.stat().st_size
+        size = regular(path).stat().st_size
         if size > _BYTES:
             raise SceneError(f"{path}: {size} bytes", fix=f"a scene XML has less than {_BYTES}")
         text = path.read_bytes()

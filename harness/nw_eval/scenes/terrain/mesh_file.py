@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
 from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH
@@ -67,7 +68,7 @@ def inspect_mesh(
         )
     said = _Said(path)
     try:
-        size = path.stat().st_size
+        size = regular(path).stat().st_size
         if size > MESH_BYTES:
             raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes")
         vertices, faces = _READERS[suffix](path, said)

@@ -20,7 +20,8 @@ from functools import partial
 from pathlib import Path
 
 from nw_eval.errors import SceneError, UsageError, nearest
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
+from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
 from nw_eval.splat.files.compiled import read_compiled
 from nw_eval.splat.files.compressed_ply import read_compressed_ply
@@ -60,7 +61,7 @@ def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
             if (path / META).is_file():
                 return read_sog(path / META)
             return read_nerfstudio(path, rest_order=rest_order)
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             mark = file.read(len(MARK))
         return _reader(path, mark, rest_order)(path)
     except OSError as error:
@@ -116,8 +117,11 @@ def files_of_splat(path: Path) -> tuple[Path, ...]:
     return rank_files(path)
 
 
-def write_splat(path: Path, gaussians: Gaussians) -> None:
+def write_splat(path: Path, gaussians: Gaussians) -> int:
     """Write Gaussians in the format of the name: .ply, .pt (exact), .spz or .splat (lossy).
+
+    Returns:
+        The size of the file in bytes.
 
     Raises:
         UsageError: for another suffix.
@@ -130,5 +134,6 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
             f"{path}: cannot write {path.suffix or 'a file without suffix'!r}",
             fix=nearest(path.suffix, _WRITERS),
         )
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         writer(temporary, gaussians)
+        return temporary.stat().st_size

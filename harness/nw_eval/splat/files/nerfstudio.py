@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
 from nw_eval.splat.files.threedgs_ply import RestOrder, read_threedgs_ply
 from nw_eval.splat.gaussians import Gaussians
@@ -38,14 +39,14 @@ def read_nerfstudio(folder: Path, *, rest_order: RestOrder = "detect") -> Gaussi
     if cloud is None:
         raise SceneError(f"{folder}: {len(clouds)} .ply files, none is splat.ply", fix=_FIX)
     T_trainer_capture = _read_transform(folder / _TRANSFORMS)
-    gaussians = read_threedgs_ply(Ply.open(cloud), rest_order=rest_order)
+    gaussians = read_threedgs_ply(Ply.open(regular(cloud)), rest_order=rest_order)
     return transformed(gaussians, np.linalg.inv(T_trainer_capture).astype(np.float64))
 
 
 def _read_transform(path: Path) -> NDArray[np.float64]:
     """(4, 4) of a similarity from capture to trainer."""
     try:
-        if path.stat().st_size > _BYTES:
+        if regular(path).stat().st_size > _BYTES:
             raise SceneError(f"{path}: too large", fix="it holds one 3 x 4 matrix and a scale")
         content = json.loads(path.read_text(encoding="utf-8"))
         matrix = np.array(content["transform"], dtype=np.float64)

@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.splat.image import Image
 
 
@@ -30,7 +30,7 @@ def save_mp4(path: Path, images: Iterable[Image], *, rate: float = 24.0) -> None
     if first is None:
         raise SceneError(f"{path}: no frame to write", fix="ask for at least one frame")
     height, width, _ = first.bytes().shape
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         command = [ffmpeg, "-loglevel", "error", "-y"]
         command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
         command += ["-r", f"{rate:g}", "-i", "-", "-an", "-c:v", "libx264"]
@@ -38,7 +38,7 @@ def save_mp4(path: Path, images: Iterable[Image], *, rate: float = 24.0) -> None
         command += ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p"]
         data = b"".join(image.bytes().tobytes() for image in chain([first], frames))
         done = subprocess.run(  # noqa: S603 - fixed arguments, no shell.
-            [*command, str(temporary)], input=data, capture_output=True, check=False
+            [*command, "-f", "mp4", str(temporary)], input=data, capture_output=True, check=False
         )
         if done.returncode != 0:
             lines = done.stderr.decode(errors="replace").strip().splitlines()

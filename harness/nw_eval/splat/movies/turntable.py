@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.splat.cameras.camera import Camera, look_at
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image
@@ -84,7 +84,7 @@ def save_png(path: Path, image: Image) -> None:
     """Write an image as PNG."""
     from PIL import Image as Picture
 
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         Picture.fromarray(image.bytes()).save(temporary, format="PNG")
 
 
@@ -99,7 +99,7 @@ def save_gif(path: Path, images: Iterable[Image], *, rate: float = 12.0) -> None
     pictures = [Picture.fromarray(image.bytes()) for image in images]
     if not pictures:
         raise SceneError(f"{path}: no frames to write", fix="ask for one at least")
-    with atomic_path(path) as temporary:
+    with atomic_path(followed(path)) as temporary:
         pictures[0].save(
             temporary,
             format="GIF",

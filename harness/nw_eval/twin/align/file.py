@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 from nw_eval.scenes.neverwhere.similarity import check_similarity
 from nw_eval.twin.align.alignment import Alignment, GravityCue, ScaleCue
 
@@ -78,7 +79,7 @@ def read_alignment(path: Path) -> Alignment:
         SceneError: there is none, it is damaged, or its matrix is no similarity of its scale.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if regular(path).stat().st_size > _MOST_BYTES:
             raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix=_FIX)
         file = _AlignFile.model_validate_json(path.read_bytes())
     except FileNotFoundError:

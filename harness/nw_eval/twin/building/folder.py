@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 
 Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
@@ -105,7 +106,7 @@ class BuildFolder:
     def _stamps(self) -> dict[str, str]:
         path = self.path / "stamps.json"
         try:
-            if path.stat().st_size > _MOST_BYTES:
+            if regular(path).stat().st_size > _MOST_BYTES:
                 raise SceneError(f"{path} is too large", fix="remove it: all stages run again")
             content = json.loads(path.read_bytes())
         except FileNotFoundError:
@@ -134,7 +135,7 @@ def digest_of_files(*paths: Path) -> str:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         for file in files:
             try:
-                with file.open("rb") as opened:
+                with regular(file).open("rb") as opened:
                     content = hashlib.file_digest(opened, "sha256").hexdigest()
             except OSError as error:
                 raise StoreError(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.files.pictures import KINDS, open_picture
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
@@ -112,7 +113,8 @@ def take_in(
         fault = one.fault
         if one.path is not None:
             try:
-                good.append(_take_in(one, one.path, number, working, upright=upright))
+                path = regular(one.path)
+                good.append(_take_in(one, path, number, working, upright=upright))
             except DAMAGE as error:
                 fault = _why(one.path, error)
         if fault is not None:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.files.cache import atomic_path
-from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import open_picture
 from nw_eval.splat.cameras.camera import Camera
 from nw_eval.twin.capture.capture import Capture, PlacedShot
@@ -123,10 +123,10 @@ def read_capture(folder: Path) -> Capture:
     """
     path = folder / _JSON
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if regular(path).stat().st_size > _MOST_BYTES:
             raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix=_FIX)
         file = _File.model_validate_json(path.read_bytes())
-        with np.load(folder / _POINTS, allow_pickle=False) as arrays:
+        with np.load(regular(folder / _POINTS), allow_pickle=False) as arrays:
             points, colours, errors, numbers, firsts = (
                 arrays[key].astype(kind, casting="same_kind") for key, kind in _KINDS.items()
             )

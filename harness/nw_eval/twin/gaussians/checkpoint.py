@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from nw_eval.arrays import pack, unpack
 from nw_eval.errors import NwEvalError, StoreError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
-from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig
 from nw_eval.twin.gaussians.photo import Photo
-from nw_eval.twin.gaussians.population import NAMES, Population
+from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.trainer import Trainer
 
 FORMAT = 2
@@ -37,7 +37,7 @@ def save_training(path: Path, trainer: Trainer) -> None:
     population = trainer.population
     parts = zip(_PARTS, (population.gaussians, *population.moments), strict=True)
     arrays: dict[str, NDArray[Any]] = {
-        f"{part}.{name}": getattr(gaussians, name) for part, gaussians in parts for name in NAMES
+        f"{part}.{name}": getattr(gaussians, name) for part, gaussians in parts for name in ARRAYS
     }
     arrays |= {f"exposure.{name}": getattr(trainer.exposures, name) for name in _EXPOSURES}
     arrays |= {f"density.{name}": array for name, array in trainer.density.arrays().items()}
@@ -98,11 +98,12 @@ def _restored(
     arrays: dict[str, NDArray[Any]], photos: Sequence[Photo], config: TrainConfig, threads: int
 ) -> Trainer:
     values, mean, square = (
-        Gaussians(**{name: arrays[f"{part}.{name}"] for name in NAMES}) for part in _PARTS
+        Gaussians(**{name: arrays[f"{part}.{name}"] for name in ARRAYS}, rasterize_mode=None)
+        for part in _PARTS
     )
     trainer = Trainer(photos, values, config, threads=threads)
     for part in (mean, square):
-        for name in NAMES:
+        for name in ARRAYS:
             _check(getattr(part, name), getattr(values, name))
     trainer.population = Population(values, (mean, square))
     for owner, names, kind in (

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.splat.gaussians import Gaussians, concatenate
+from nw_eval.splat.gaussians import ARRAYS, Gaussians, concatenate
 from nw_eval.twin.gaussians.config import Rates
 from nw_eval.twin.gaussians.kernels.adam import adam
 from nw_eval.twin.gaussians.raster.images import Gradients
@@ -16,8 +16,6 @@ from nw_eval.twin.gaussians.raster.threads import Threads
 
 EPSILON = 1e-15
 """Adam's, as the 3DGS paper's code has it: gradients here are tiny."""
-
-NAMES = tuple(field.name for field in fields(Gaussians))
 
 Rows = NDArray[np.bool_] | NDArray[np.int64]
 
@@ -52,7 +50,7 @@ class Population:
             step: steps taken, this one included.
             workers: who share the rows.
         """
-        each = {name: (getattr(rates, name, 0.0),) * 2 for name in NAMES}
+        each = {name: (getattr(rates, name, 0.0),) * 2 for name in ARRAYS}
         each["means"] = (means_rate, means_rate)
         each["sh"] = (rates.sh_constant, rates.sh_others)
         n = len(self)
@@ -61,7 +59,7 @@ class Population:
                 getattr(source, name).reshape(n, -1)
                 for source in (self.gaussians, gradients, *self.moments)
             )
-            for name in NAMES
+            for name in ARRAYS
         }
 
         def block(first: int, end: int) -> None:
@@ -90,7 +88,7 @@ class Population:
         for name, array in arrays.items():
             getattr(self.gaussians, name)[rows] = array
         for moment in self.moments:
-            for name in NAMES:
+            for name in ARRAYS:
                 getattr(moment, name)[rows] = 0.0
 
     def limit_opacity(self, most: float) -> None:
@@ -116,4 +114,4 @@ class Population:
 
 
 def _zeros(gaussians: Gaussians) -> Gaussians:
-    return replace(gaussians, **{name: np.zeros_like(getattr(gaussians, name)) for name in NAMES})
+    return replace(gaussians, **{name: np.zeros_like(getattr(gaussians, name)) for name in ARRAYS})

@@ -13,7 +13,7 @@ import numpy as np
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.scene import Box, Progress, Scene, SplatSource
 from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.splat.store import FORMAT, compile_store
 from nw_eval.splat.transform import transformed
 from nw_eval.view.live.boxes import mesh_of, painted
@@ -93,6 +93,7 @@ class SplatWithBoxes:
         return Gaussians(
             **{
                 name: np.concatenate([getattr(place, name), getattr(boxes, name)])
-                for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
-            }
+                for name in ARRAYS
+            },
+            rasterize_mode=place.rasterize_mode,
         )

@@ -48,7 +48,7 @@ def save_played(stage: Stage, folder: Path) -> Path:
             folder / SUITE,
             stage.place.scene.name,
             [scene],
-            robot=stage.robot,
+            robot=stage.trial.robot.name,
             policy=stage.policy,
             perturb={axis: [value] for axis, value in sorted(cell.items())},
         )

@@ -49,7 +49,6 @@ class Stage:
     Attributes:
         reference: as given.
         policy: as given.
-        robot: that the policy drives, by name.
         original: the place as it was.
         trial: as it stands.
         place: with what was done to it.
@@ -72,7 +71,7 @@ class Stage:
         self.cell: dict[str, float] = {}
         self.pushed = 0.0
         self._job = replace(job, duration=_LONG, mcap=None, record="none")
-        self._bundle, self.robot = bundle, bundle.card.robot
+        self._bundle = bundle
         try:
             self.trial = self._open(self.place, {})
         except BaseException:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nw_eval.errors import UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.viewing.recording.blueprint import save_layout
 from nw_eval.viewing.recording.sdk import rerun_sdk
@@ -26,6 +26,6 @@ def write_layout(log: Path, out: Path) -> Path:
     if out.suffix.lower() != SUFFIX:
         raise UsageError(f"{out}: Rerun knows its layouts by {SUFFIX}", fix="name it so")
     shown = shown_in_log(LogReader(log))
-    with atomic_path(out) as temporary:
+    with atomic_path(followed(out)) as temporary:
         save_layout(shown, temporary)
     return out

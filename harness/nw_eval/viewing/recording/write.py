@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.viewing.recording.blueprint import PlaceScreen, blueprint, plot_of_entities
 from nw_eval.viewing.recording.pictures import picture_entity, picture_topics, write_pictures
@@ -45,15 +45,16 @@ def write_recording(log: Path, out: Path) -> WrittenRecording:
     logged = read_logged_trial(log)
     messages = _messages(logged)
     gaussians, no_splat = place_splat(logged)
-    with atomic_path(out) as temporary:
+    with atomic_path(followed(out)) as temporary:
         try:
             _write(temporary, logged, messages, gaussians)
         except (ValueError, LookupError) as error:
             reason = clean(error, at_most=200)
             raise StoreError(f"{log} is damaged: {reason}", fix="run the trial again") from error
+        size = temporary.stat().st_size
     return WrittenRecording(
         file=out,
-        bytes=out.stat().st_size,
+        bytes=size,
         gaussians=0 if gaussians is None else len(gaussians),
         no_splat=no_splat,
     )

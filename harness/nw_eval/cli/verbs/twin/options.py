@@ -82,8 +82,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     Raises:
         UsageError: a number makes no sense.
     """
-    import os
-
+    from nw_eval.results.machine import usable_cores
     from nw_eval.twin.align import AlignOptions
     from nw_eval.twin.appearance import AppearanceOptions
     from nw_eval.twin.building import BuildSettings
@@ -91,7 +90,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     from nw_eval.twin.reconstruct import ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
-    cores = threads or len(os.sched_getaffinity(0))
+    cores = threads or usable_cores()
     return BuildSettings(
         calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),

@@ -21,8 +21,8 @@ from urllib.parse import urlsplit
 from warnings import catch_warnings, simplefilter
 
 from nw_eval.clean import clean
-from nw_eval.engine.machine.cores import default_workers
 from nw_eval.errors import PrerequisiteError, TrialError, UsageError
+from nw_eval.results.machine import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
@@ -200,7 +200,7 @@ def _started_here(cleanup: ExitStack, cores: int | None) -> dict[str, Any]:
     folder = tempfile.mkdtemp(prefix="nw-", dir=base if len(base) < _SHORT else "/tmp")  # noqa: S108 - sockets need a short path; mkdtemp makes it private.
     cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
     return {
-        "num_cpus": default_workers() if cores is None else cores,
+        "num_cpus": usable_cores() if cores is None else cores,
         "num_gpus": 0,
         "include_dashboard": False,
         "object_store_memory": _STORE,

@@ -16,6 +16,7 @@ import numpy as np
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
+from nw_eval.files.inside import regular
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
 
 _MODELS = {
@@ -117,7 +118,7 @@ def _check_lens(lens: Lens, whose: str) -> None:
 
 
 def _bytes(path: Path) -> bytes:
-    if path.stat().st_size > _MOST_BYTES:
+    if regular(path).stat().st_size > _MOST_BYTES:
         raise ValueError(f"{path.name} is larger than {_MOST_BYTES} bytes")
     return path.read_bytes()
 

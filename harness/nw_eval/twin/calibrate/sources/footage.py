@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from nw_eval.errors import SceneError
-from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.twin.calibrate.photographs import Found, natural
 from nw_eval.twin.calibrate.solution import Solution
 
@@ -61,7 +61,7 @@ def read_json(path: Path) -> dict[str, Any]:
         SceneError: there is none, or no object in it.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if regular(path).stat().st_size > _MOST_BYTES:
             raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix="export it again")
         value = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:

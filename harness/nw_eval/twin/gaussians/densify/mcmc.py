@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.densify.density import Density
 from nw_eval.twin.gaussians.densify.settings import Mcmc
 from nw_eval.twin.gaussians.kernels.perturb import perturb
-from nw_eval.twin.gaussians.population import NAMES, Population
+from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.raster.images import Gradients
 
 MOST_IN_PLACE = 50
@@ -105,7 +106,7 @@ class McmcDensity(Density):
             population.append(population.gaussians.take(chosen))
         else:
             copy = population.gaussians.take(chosen)
-            population.change(places, **{name: getattr(copy, name) for name in NAMES})
+            population.change(places, **{name: getattr(copy, name) for name in ARRAYS})
 
 
 def relocated(
