@@ -18,6 +18,7 @@ SHARED = {
     "List": _VERB,
     "Render": _VERB,
     "Show": _VERB,
+    "Verify": _VERB,
     "Channels": _WRAPPER,
     "Clip": _WRAPPER,
     "Crop": _WRAPPER,

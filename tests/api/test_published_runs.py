@@ -123,6 +123,7 @@ def row_of(trial: Any, info: RunInfo, evil: str, *, completed: bool, failed: boo
         success=None if failed else reached / 4,
         waypoints_reached=0 if failed else reached,
         waypoints_total=4,
+        waypoint_times=() if failed else tuple(0.1 * (k + 1) for k in range(reached)),
         steps=50,
         checkpoint_digest=info.policy.checkpoint_digest,
         scene_digest=trial.scene_digest,

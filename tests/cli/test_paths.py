@@ -102,6 +102,9 @@ READ = {
     "baseline check bank": "baseline check {in}.parquet",
     "baseline check policy": "baseline check {bank} --policy {in}.yaml",
     "baseline check checkpoint": "baseline check {bank} --checkpoint {in}",
+    "baseline verify bank": "baseline verify {in}.parquet",
+    "baseline verify policy": "baseline verify {bank} --policy {in}.yaml",
+    "baseline verify checkpoint": "baseline verify {bank} --checkpoint {in}",
     "baseline diff then": "baseline diff {in}.parquet {bank}",
     "baseline diff now": "baseline diff {bank} {in}.parquet",
     "gate run": "gate {in}",
@@ -167,6 +170,7 @@ READ = {
     "scenes list patterns": "scenes list {place}",
     "scenes show scene": "scenes show {place}",
     "scenes check scenes": "scenes check {place}",
+    "scenes check policy": "scenes check flat/carpet_room --suite {new}.yaml --policy {in}.yaml",
     "scenes render patterns": "scenes render {place} --out {new}",
     "scenes push scene": "scenes push {place} hub:some/place",
     "sensors policy": "sensors {in}.yaml --out {new}",
@@ -180,7 +184,7 @@ READ = {
 
 WORDS = {
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
-    *("axis", "trial", "sample", "root", "layout", "host", "to", "takeover", "suite"),
+    *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
     *("licence", "held_out", "policies fetch policy", "scenes fetch scenes"),
 }
 """Options, or verbs and options, that are words and no paths."""

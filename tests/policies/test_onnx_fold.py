@@ -119,4 +119,4 @@ def test_what_is_no_graph_is_not_folded_and_no_file_is_overwritten(tmp_path):
         fold(checkpoint=str(tmp_path / "noise.onnx"), out=str(tmp_path / "one.onnx"))
     path = save(tmp_path)
     with pytest.raises(UsageError, match="exists already"):
-        fold(checkpoint=str(path), out=str(path))
+        api.fold_policy(path, out=path)

@@ -209,7 +209,7 @@ def test_a_retry_supersedes_an_error_but_never_a_result(
     error = make_row(status="error", outcome="crashed", success=None)
     with Journal.create(path, HEADER) as journal:
         journal.append(error)
-        journal.append(make_row(attempt=2))
+        journal.append(make_row(attempt=2, mcap_path="mcap/one.mcap"))
         journal.append(replace(error, attempt=3))
         journal.append(make_row(attempt=4, wall_s=9.0))  # The same result, measured again.
         with pytest.raises(StoreError, match="has two different results"):

@@ -5,8 +5,9 @@ import pytest
 import torch
 from splat_rooms import cloud
 
+from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.config import Rates
-from nw_eval.twin.gaussians.population import EPSILON, NAMES, Population
+from nw_eval.twin.gaussians.population import EPSILON, Population
 from nw_eval.twin.gaussians.raster.images import Gradients
 from nw_eval.twin.gaussians.raster.threads import Threads
 
@@ -16,7 +17,7 @@ def _gradients(gaussians, seed):
     n = len(gaussians)
     arrays = {
         name: (rng.normal(size=getattr(gaussians, name).shape) * 1e-6).astype(np.float32)
-        for name in NAMES
+        for name in ARRAYS
     }
     centres, visible = np.zeros((n, 2), dtype=np.float32), np.ones(n, dtype=bool)
     return Gradients(**arrays, centres=centres, visible=visible)
@@ -25,7 +26,9 @@ def _gradients(gaussians, seed):
 def test_steps_are_those_of_torchs_adam_at_each_parameters_rate():
     gaussians, rates = cloud(70, degree=1), Rates()
     population = Population(gaussians)
-    leaves = {name: torch.tensor(getattr(gaussians, name).copy()) for name in NAMES if name != "sh"}
+    leaves = {
+        name: torch.tensor(getattr(gaussians, name).copy()) for name in ARRAYS if name != "sh"
+    }
     leaves |= {"sh_constant": torch.tensor(gaussians.sh[:, :1].copy())}
     leaves |= {"sh_others": torch.tensor(gaussians.sh[:, 1:].copy())}
     speed = {name: getattr(rates, name) for name in leaves} | {"means": 7e-4}
@@ -42,7 +45,7 @@ def test_steps_are_those_of_torchs_adam_at_each_parameters_rate():
     mine = population.gaussians
     theirs = {name: leaf.numpy() for name, leaf in leaves.items()}
     theirs["sh"] = np.concatenate([theirs.pop("sh_constant"), theirs.pop("sh_others")], axis=1)
-    for name in NAMES:
+    for name in ARRAYS:
         moved = np.abs(theirs[name] - getattr(gaussians, name))
         assert moved.max() > 1e-4
         assert np.abs(getattr(mine, name) - theirs[name]).max() < 2e-3 * moved.max(), name

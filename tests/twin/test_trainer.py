@@ -8,11 +8,11 @@ from small_capture import PLACE, beginning, photos
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat import Camera
+from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.config import Rates, TrainConfig, falling
 from nw_eval.twin.gaussians.densify.settings import Default, Mcmc
 from nw_eval.twin.gaussians.loss import psnr
 from nw_eval.twin.gaussians.photo import Photo, extent_of
-from nw_eval.twin.gaussians.population import NAMES
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer
 
@@ -34,7 +34,7 @@ def _held_out(gaussians, views, background=(1.0, 1.0, 1.0)):
 
 
 def _same(one, other):
-    return all((getattr(one, name) == getattr(other, name)).all() for name in NAMES)
+    return all((getattr(one, name) == getattr(other, name)).all() for name in ARRAYS)
 
 
 @pytest.mark.parametrize("strategy", ["default", "mcmc", "fixed"])

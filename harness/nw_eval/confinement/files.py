@@ -93,6 +93,14 @@ FILES: tuple[StrangersFile, ...] = (
         refused="code, servers and renderers that its reader did not name",
     ),
     StrangersFile(
+        kind="folder of a run, for `report --site` and the index of runs",
+        read_by="readers of our own, pyarrow, the reader of logs in confined processes",
+        where="the main process",
+        may="name files of its own folder, as rows say them",
+        refused="links, devices and pipes among what is read, over 16 GiB, rows and logs that are "
+        "not those of the run's end",
+    ),
+    StrangersFile(
         kind="repository of a hub, zip of a published scene",
         read_by="readers of our own, zipfile",
         where="the main process",

@@ -71,7 +71,7 @@ def regular(path: Path) -> Path:
     """
     try:
         mode = path.stat().st_mode
-    except OSError:
+    except (OSError, ValueError):
         return path  # Whoever opens it says what is wrong.
     for kind, is_one in (("pipe", stat.S_ISFIFO), ("socket", stat.S_ISSOCK)):
         if is_one(mode):

@@ -412,12 +412,12 @@ def _ascii_rows(
                 rows[one.name] = values[place].astype(one.kind)
                 place += 1
                 continue
-            said = values[place]
+            sizes = values[place]
             place += 1
-            bad = ~((said >= 0) & (said == np.floor(said)) & (place + said <= ends))
+            bad = ~((sizes >= 0) & (sizes == np.floor(sizes)) & (place + sizes <= ends))
             if bad.any():
                 raise damaged(bad)
-            counts = said.astype(np.int64)
+            counts = sizes.astype(np.int64)
             row = np.repeat(np.arange(len(lines)), counts)
             within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
             mine = values[place[row] + within]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.files.inside import regular
 from nw_eval.pytest_plugin.options import SETTINGS
 
 _MOST = 1_000_000  # Bytes; as of a suite that is read.
@@ -33,6 +32,8 @@ def is_suite(path: Path, config: pytest.Config) -> bool:
 
 
 def _has_key(path: Path) -> bool:
+    from nw_eval.files.inside import regular
+
     try:
         with regular(path).open("rb") as file:
             return _KEY.search(file.read(_MOST)) is not None

@@ -13,6 +13,12 @@ from nw_eval.results.run_folder import RunFolder
 _PATIENCE = 10.0  # s until all processes must be gone
 
 
+def is_lost(row, now):
+    """Whether a result is gone: only one without its log gives way, to the same one with it."""
+    made_again = now is not None and row.lost_its_log and now.digest == row.digest
+    return now != row and not made_again
+
+
 def faults_of(case, origin, kept):
     """Return what is wrong with a case that has ended, in sentences.
 
@@ -23,7 +29,7 @@ def faults_of(case, origin, kept):
     """
     rows, wrong = case.rows(), list(case.wrong)
     wrong += other_results(case, origin)
-    if any(row.status == "ok" and rows.get(name) != row for name, row in kept.items()):
+    if any(row.status == "ok" and is_lost(row, rows.get(name)) for name, row in kept.items()):
         wrong.append("a finished trial was lost")
     said = "".join(run.said for run in case.runs)
     if "Traceback" in said:

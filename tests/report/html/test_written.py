@@ -66,7 +66,7 @@ def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(
     before = (run / "trials.parquet").read_bytes()
     assert nw_eval("report", "one") == 4
     error = capsys.readouterr().err
-    assert re.fullmatch(r"error: cannot write \S*report\.html: Is a directory; .+\n", error)
+    assert re.fullmatch(r"error: cannot write \S*report\.html: it is a folder; .+\n", error)
     assert (run / "trials.parquet").read_bytes() == before
     assert len(api.judge(run).rows) == 20
 

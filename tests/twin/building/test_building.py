@@ -120,7 +120,7 @@ def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
         f"trail: [[2.0, 0, 0.1], [4.0, 0, {z}]]}}"
     )
     lines = []
-    assert Build(tmp_path, None, lines.append).check() == (said == "ready")
+    assert Build(tmp_path, BuildSettings(), lines.append).check() == (said == "ready")
     assert lines[-1] == f"check: {said}: nw-eval run {tmp_path / 'suite.yaml'}"
     assert any("dropped feet sank in" in line for line in lines) == (said == "ready")
     assert any("error waypoint_below_surface" in line for line in lines) == (said != "ready")

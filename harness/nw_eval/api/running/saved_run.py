@@ -99,11 +99,11 @@ def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
     Raises:
         IncomparableError: a setting of the gate is another one; naming each, then and now.
     """
-    then, given = (suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, now))
+    then, today = (suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, now))
     changed = [
-        f"gate.{name} is {given.get(name)}, it was begun with {then.get(name)}"
-        for name in sorted({*then, *given})
-        if then.get(name) != given.get(name)
+        f"gate.{name} is {today.get(name)}, it was begun with {then.get(name)}"
+        for name in sorted({*then, *today})
+        if then.get(name) != today.get(name)
     ]
     if changed:
         raise IncomparableError(

@@ -99,8 +99,8 @@ class KnownTrials:
         if self._differing:
             return list(jobs)
         found = {job.trial.id: known for job in jobs if (known := self._find(job)) is not None}
-        asked = {name for name in found if name in self._again}
-        again = asked | self._drawn(sorted(set(found) - asked), is_enough=bool(asked))
+        wanted = {name for name in found if name in self._again}
+        again = wanted | self._drawn(sorted(set(found) - wanted), is_enough=bool(wanted))
         self._expected |= {name: found[name][1] for name in again}
         others = [job for job in jobs if job.trial.id in found and job.trial.id not in again]
         logs = [(found[job.trial.id][0], self._log_of(job)) for job in others]

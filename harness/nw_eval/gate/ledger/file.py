@@ -20,7 +20,7 @@ from typing import IO, Any
 from pydantic import ValidationError
 
 from nw_eval.clean import clean
-from nw_eval.errors import StoreError
+from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import followed, open_own, sync_folder
 from nw_eval.gate.ledger.entry import LedgerEntry, entry_of
 from nw_eval.gate.verdict import Verdict
@@ -85,7 +85,7 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        target = followed(path)
+        target = _followed(path)
         for _ in range(_TRIES):
             at, line = _append(target, entry)
             with target.open("rb") as handle:
@@ -103,6 +103,18 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
             fix="free disk space, or name another file with --ledger",
         ) from error
     sync_folder(path.parent)
+
+
+def _followed(path: Path) -> Path:
+    """Return the file that a ledger's path leads to.
+
+    Raises:
+        StoreError: it leads to no file: the verdict is there already, and this is no usage error.
+    """
+    try:
+        return followed(path)
+    except UsageError as error:
+        raise StoreError(error.message, fix="name another file with --ledger") from error
 
 
 def _append(path: Path, entry: LedgerEntry) -> tuple[int, bytes]:

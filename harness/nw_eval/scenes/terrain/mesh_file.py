@@ -66,22 +66,22 @@ def inspect_mesh(
         raise SceneError(
             f"{path}: no mesh format that is read here", fix=f"give {', '.join(MESH_SUFFIXES)}"
         )
-    said = _Said(path)
+    remarks = _Remarks(path)
     try:
         size = regular(path).stat().st_size
         if size > MESH_BYTES:
             raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes")
-        vertices, faces = _READERS[suffix](path, said)
+        vertices, faces = _READERS[suffix](path, remarks)
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise SceneError(f"{path}: the mesh cannot be read: {reason}") from None
     vertices = vertices * np.asarray(scale, dtype=np.float64)
-    if len(faces) == 0 and said.dropped:
-        raise SceneError(f"{path}: no triangles in it, {said.words()}", fix=_AGAIN)
-    return checked_mesh(vertices, faces, kind, str(path)), said.findings()
+    if len(faces) == 0 and remarks.dropped:
+        raise SceneError(f"{path}: no triangles in it, {remarks.words()}", fix=_AGAIN)
+    return checked_mesh(vertices, faces, kind, str(path)), remarks.findings()
 
 
-class _Said:
+class _Remarks:
     """What is left out of a file."""
 
     def __init__(self, path: Path) -> None:
@@ -220,7 +220,7 @@ _OBJ_DROPPED = {
 }  # fmt: skip
 
 
-def _read_obj(path: Path, said: _Said) -> _Arrays:
+def _read_obj(path: Path, remarks: _Remarks) -> _Arrays:
     """Vertices (V, 3) and triangles of an OBJ; of `1/7/3` only the vertex counts."""
     points: list[str] = []
     point_lines: list[int] = []
@@ -237,9 +237,9 @@ def _read_obj(path: Path, said: _Said) -> _Arrays:
             lines.append(number)
             before.append(len(points))
         elif kind in _OBJ_DROPPED:
-            said.dropped[_OBJ_DROPPED[kind]] += 1
+            remarks.dropped[_OBJ_DROPPED[kind]] += 1
         elif kind not in _OBJ_SILENT:
-            said.dropped[f"unknown lines {clean(kind, at_most=20)!r}"] += 1
+            remarks.dropped[f"unknown lines {clean(kind, at_most=20)!r}"] += 1
     _check_count(path, max(len(points), len(polygons)))
     vertices = _numbers(path, points, point_lines, "v")
     widths = np.array([len(line.split()) for line in polygons], dtype=np.int64)
@@ -350,7 +350,7 @@ def _fast(rows: list[str], kind: type[np.float64 | np.int64]) -> NDArray[Any] | 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def _read_stl(path: Path, said: _Said) -> _Arrays:
+def _read_stl(path: Path, remarks: _Remarks) -> _Arrays:
     data = path.read_bytes()
     (count,) = struct.unpack_from("<I", data, 80) if len(data) >= 84 else (0,)
     needed = 84 + count * _FACET.itemsize
@@ -374,7 +374,7 @@ def _read_stl(path: Path, said: _Said) -> _Arrays:
             fix="export it again",
         )
     if len(data) > needed:
-        said.dropped["bytes after the last facet"] += len(data) - needed
+        remarks.dropped["bytes after the last facet"] += len(data) - needed
     _check_count(path, 3 * count)
     corners = np.frombuffer(data, _FACET, count, 84)["corners"].reshape(-1, 3)
     return corners.astype(np.float64), np.arange(3 * count).reshape(-1, 3)
@@ -416,7 +416,7 @@ def _read_ascii_stl(path: Path, data: bytes) -> _Arrays:
 _PLY_SURFACES = ("face", "tristrips")
 
 
-def _read_ply(path: Path, said: _Said) -> _Arrays:
+def _read_ply(path: Path, remarks: _Remarks) -> _Arrays:
     ply = Ply.open(path, most_rows={"vertex": MESH_FACES, "face": MESH_FACES})
     table = ply.elements.get("vertex")
     names = table.dtype.names or () if table is not None else ()
@@ -425,7 +425,7 @@ def _read_ply(path: Path, said: _Said) -> _Arrays:
     vertices = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     for name, rows in ply.elements.items():
         if name not in {"vertex", *_PLY_SURFACES} and len(rows):
-            said.dropped[f"rows of {clean(name, at_most=20)!r}"] += len(rows)
+            remarks.dropped[f"rows of {clean(name, at_most=20)!r}"] += len(rows)
     faces = [np.zeros((0, 3), np.int64)]
     for element in _PLY_SURFACES:
         lists = ply.lists.get(element, {})
@@ -442,7 +442,7 @@ def _read_ply(path: Path, said: _Said) -> _Arrays:
             continue
         narrow = found.counts < 3
         if narrow.any():
-            said.dropped["faces of fewer than three vertices"] += int(narrow.sum())
+            remarks.dropped["faces of fewer than three vertices"] += int(narrow.sum())
             corners = corners[np.repeat(~narrow, found.counts)]
         faces.append(_cut(path, vertices, found.counts[~narrow], corners))
     return vertices, np.concatenate(faces)
@@ -470,13 +470,13 @@ _GLTF_LOOKS = re.compile(
 """Extensions that change no surface, or that are understood."""
 
 
-def _read_glb(path: Path, said: _Said) -> _Arrays:
+def _read_glb(path: Path, remarks: _Remarks) -> _Arrays:
     """Vertices and triangles of the default scene of a glTF 2 in one file, turned to +z up.
 
     After https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.
     """
     try:
-        vertices, faces = _Glb(path, said).read()
+        vertices, faces = _Glb(path, remarks).read()
     except SceneError:
         raise
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
@@ -486,13 +486,13 @@ def _read_glb(path: Path, said: _Said) -> _Arrays:
             f"{clean(str(error), at_most=200)}",
             fix=_AGAIN,
         ) from None
-    said.turned = True
+    remarks.turned = True
     x, y, z = vertices.T
     return np.stack([x, -z, y], axis=-1), faces
 
 
 class _Glb:
-    def __init__(self, path: Path, said: _Said) -> None:
+    def __init__(self, path: Path, remarks: _Remarks) -> None:
         data = path.read_bytes()
         if data[:4] != b"glTF" or len(data) < 20:
             raise SceneError(f"{path}: it begins with {data[:4]!r}, not with b'glTF'", fix=_AGAIN)
@@ -502,13 +502,13 @@ class _Glb:
                 f"{path}: glTF version {version}, {whole} bytes said, {len(data)} there",
                 fix="export glTF 2 (.glb) again",
             )
-        self.path, self.said = path, said
-        self.told: dict[str, Any] = json.loads(data[20 : 20 + length])
+        self.path, self.remarks = path, remarks
+        self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
         self.buffers = [
             self._buffer(one.get("uri"), data[28 + length : whole])
-            for one in self.told.get("buffers", ())
+            for one in self.content.get("buffers", ())
         ]
-        needed = [str(one) for one in self.told.get("extensionsRequired", ())]
+        needed = [str(one) for one in self.content.get("extensionsRequired", ())]
         unknown = [name for name in needed if not _GLTF_LOOKS.fullmatch(name)]
         if unknown:
             raise SceneError(
@@ -532,10 +532,10 @@ class _Glb:
         """Walk the tree of nodes."""
         vertices = [np.zeros((0, 3))]
         faces = [np.zeros((0, 3), np.int64)]
-        nodes: list[dict[str, Any]] = self.told.get("nodes", [])
-        scenes = self.told.get("scenes")
+        nodes: list[dict[str, Any]] = self.content.get("nodes", [])
+        scenes = self.content.get("scenes")
         if scenes:
-            roots = scenes[self.told.get("scene", 0)].get("nodes", [])
+            roots = scenes[self.content.get("scene", 0)].get("nodes", [])
         else:
             roots = sorted(
                 set(range(len(nodes))) - {c for n in nodes for c in n.get("children", ())}
@@ -555,9 +555,9 @@ class _Glb:
             if "mesh" not in node:
                 continue
             if "skin" in node:
-                self.said.dropped["skins (bodies stand as they were modelled)"] += 1
+                self.remarks.dropped["skins (bodies stand as they were modelled)"] += 1
             if node["mesh"] not in parts:
-                parts[node["mesh"]] = list(self._parts(self.told["meshes"][node["mesh"]]))
+                parts[node["mesh"]] = list(self._parts(self.content["meshes"][node["mesh"]]))
             for points, corners in parts[node["mesh"]]:
                 # A mirror turns faces inside out; glTF turns them back.
                 wound = corners[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else corners
@@ -572,12 +572,12 @@ class _Glb:
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", 4)
             if mode not in _GLTF_TRIANGLES:
-                self.said.dropped[
+                self.remarks.dropped[
                     "primitives of points" if mode == 0 else "primitives of lines"
                 ] += 1
                 continue
             if primitive.get("targets"):
-                self.said.dropped["morph targets"] += len(primitive["targets"])
+                self.remarks.dropped["morph targets"] += len(primitive["targets"])
             points = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
             if "indices" in primitive:
                 run = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
@@ -600,14 +600,14 @@ class _Glb:
 
     def _accessor(self, number: int, shape: str) -> NDArray[np.float64]:
         """(rows, columns) numbers of an accessor."""
-        one = self.told["accessors"][number]
+        one = self.content["accessors"][number]
         if "sparse" in one or "bufferView" not in one or one["type"] != shape:
             raise SceneError(
                 f"{self.path}: accessor {number} of type {clean(str(one['type']), at_most=20)} is "
                 f"sparse, or no {shape}",
                 fix="export it plainly",
             )
-        view = self.told["bufferViews"][one["bufferView"]]
+        view = self.content["bufferViews"][one["bufferView"]]
         numbers = self.buffers[view["buffer"]]
         kind = np.dtype(_GLTF_KINDS[one["componentType"]])
         columns, rows = (3 if shape == "VEC3" else 1), int(one["count"])

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
+from nw_eval.files.pictures import open_picture
 from nw_eval.splat.files.quantise import logit
 from nw_eval.splat.gaussians import Gaussians, check_count
 from nw_eval.words import RasterizeMode
@@ -146,9 +147,7 @@ class _Sog:
         )
 
     def _decoded(self, name: str, most: int) -> Bytes:
-        from PIL import Image
-
-        with Image.open(BytesIO(self.load(name)), formats=["WEBP"]) as image:
+        with open_picture(BytesIO(self.load(name)), ["WEBP"]) as image:
             if image.width * image.height > most:
                 raise SceneError(
                     f"{self.path}: {clean(name, at_most=40)} has {image.width} x {image.height} "
@@ -195,12 +194,14 @@ class _Sog:
         return quats
 
     def _harmonics(self) -> NDArray[np.float32]:
-        told = self.meta.get("shN")
-        if not told or (self.version == 2 and told["bands"] == 0):
+        harmonics = self.meta.get("shN")
+        if not harmonics or (self.version == 2 and harmonics["bands"] == 0):
             return np.zeros((self.count, 0, 3), np.float32)
-        palette = self._decoded(str(told["files"][0]), _PIXELS)
+        palette = self._decoded(str(harmonics["files"][0]), _PIXELS)
         width = _WIDTHS.get(palette.shape[1])
-        if width is None or (self.version == 2 and width != (3, 8, 15)[int(told["bands"]) - 1]):
+        if width is None or (
+            self.version == 2 and width != (3, 8, 15)[int(harmonics["bands"]) - 1]
+        ):
             raise SceneError(
                 f"{self.path}: a palette of harmonics {palette.shape[1]} pixels wide", fix=_BROKEN
             )
