@@ -194,14 +194,12 @@ class _Sog:
         return quats
 
     def _harmonics(self) -> NDArray[np.float32]:
-        harmonics = self.meta.get("shN")
-        if not harmonics or (self.version == 2 and harmonics["bands"] == 0):
+        rest = self.meta.get("shN")
+        if not rest or (self.version == 2 and rest["bands"] == 0):
             return np.zeros((self.count, 0, 3), np.float32)
-        palette = self._decoded(str(harmonics["files"][0]), _PIXELS)
+        palette = self._decoded(str(rest["files"][0]), _PIXELS)
         width = _WIDTHS.get(palette.shape[1])
-        if width is None or (
-            self.version == 2 and width != (3, 8, 15)[int(harmonics["bands"]) - 1]
-        ):
+        if width is None or (self.version == 2 and width != (3, 8, 15)[int(rest["bands"]) - 1]):
             raise SceneError(
                 f"{self.path}: a palette of harmonics {palette.shape[1]} pixels wide", fix=_BROKEN
             )
@@ -215,6 +213,6 @@ class _Sog:
         if self.version == 2:
             values = self._codebook("shN")[sets]
         else:
-            least, most = float(told["mins"]), float(told["maxs"])
+            least, most = float(rest["mins"]), float(rest["maxs"])
             values = least + (most - least) * (sets / 255)
         return values[labels].astype(np.float32)
