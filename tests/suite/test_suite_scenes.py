@@ -47,6 +47,15 @@ def test_every_tier_that_matches_nothing_is_told_with_its_place(tmp_path: Path) 
     assert second.startswith("9:39: gate.tiers: the suite runs no scene 'stair/*'; did you mean")
 
 
+def test_a_glob_behind_one_that_covers_its_scenes_is_told_for_it_decides_nothing(
+    tmp_path: Path,
+) -> None:
+    (only,) = told(tmp_path, "{hurdles/*: supporting, hurdles/three*: critical}")
+    assert only.startswith("9:34: gate.tiers: 'hurdles/three*' decides for no scene: 'hurdles/*'")
+    assert told(tmp_path, "{hurdles/three*: critical, hurdles/*: supporting}") == []
+    assert told(tmp_path, "{hurdles/*: supporting, hurdles/three_low: critical}") == []
+
+
 @pytest.mark.parametrize(
     "failed", ["./mine", "/far/mine", "places/mine", "neverwhere:/data/mine", "triangles:mine"]
 )

@@ -13,6 +13,7 @@ from hashlib import file_digest
 from typing import Any
 
 from nw_eval.errors import StoreError
+from nw_eval.files.inside import regular
 from nw_eval.plural import plural
 from nw_eval.results.evidence.digests import Digests, write_digests
 from nw_eval.results.evidence.gathered import Gathered
@@ -171,9 +172,9 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
 
 
 def _sha256(folder: RunFolder) -> str:
-    """Return the hex digest of trials.parquet; empty if there is no such file."""
+    """Return the hex digest of trials.parquet; empty if there is no such file, or a pipe."""
     try:
-        with folder.trials.open("rb") as stream:
+        with regular(folder.trials).open("rb") as stream:
             return file_digest(stream, "sha256").hexdigest()
     except OSError:
         return ""

@@ -11,7 +11,9 @@ from nw_eval.suite.load import Draft
 
 
 def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) -> list[Problem]:
-    """Return a problem for each tier that names no scene of the suite.
+    """Return a problem for each tier that names no scene of the suite, or decides for none.
+
+    The first glob wins: one behind another that covers all of its scenes changes nothing.
 
     Args:
         draft: the suite, as far as it could be read.
@@ -20,7 +22,7 @@ def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) 
             for it would only echo that fault.
     """
     perhaps = [name for entry in failed for name in folder_names(entry)]
-    return [
+    unmeant = [
         draft.source.problem(
             ("gate", "tiers", pattern),
             f"gate.tiers: the suite runs no scene {pattern!r}",
@@ -29,6 +31,32 @@ def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) 
         for pattern in draft.tiers
         if not any(fnmatchcase(name, pattern) for name in (*selected, *perhaps))
     ]
+    return unmeant + [
+        draft.source.problem(
+            ("gate", "tiers", pattern),
+            f"gate.tiers: {pattern!r} decides for no scene: {before!r} comes before it and is "
+            "about all of its scenes",
+            f"write {pattern!r} before {before!r}",
+        )
+        for pattern, before in _shadowed(draft.tiers, selected)
+    ]
+
+
+def _shadowed(tiers: Sequence[str], selected: Sequence[str]) -> list[tuple[str, str]]:
+    """Return each glob whose scenes are all decided by globs before it, and one of these."""
+    found: list[tuple[str, str]] = []
+    for place, pattern in enumerate(tiers):
+        scenes = [name for name in selected if fnmatchcase(name, pattern)]
+        if pattern in scenes:
+            continue  # An exact name wins, wherever it stands.
+        winners = [
+            next((before for before in tiers[:place] if fnmatchcase(name, before)), None)
+            for name in scenes
+            if name not in tiers
+        ]
+        if winners and winners[0] is not None and None not in winners:
+            found.append((pattern, winners[0]))
+    return found
 
 
 def folder_names(entry: str) -> list[str]:

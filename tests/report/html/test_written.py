@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,6 +70,18 @@ def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(
     assert re.fullmatch(r"error: cannot write \S*report\.html: it is a folder; .+\n", error)
     assert (run / "trials.parquet").read_bytes() == before
     assert len(api.judge(run).rows) == 20
+
+
+@pytest.mark.parametrize("verb", ["report", "gate"])
+def test_a_pipe_in_place_of_the_rows_file_does_not_hold_up_a_report(
+    save_run: Make, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    run = save_run(Path("one"), [4] * 20)
+    (run / "trials.parquet").unlink()
+    os.mkfifo(run / "trials.parquet")
+    assert nw_eval(verb, "one") == 0
+    assert "judged from the journal" in "".join(capsys.readouterr())
+    assert (run / "trials.parquet").is_fifo()
 
 
 def test_the_page_is_opened_in_the_readers_browser(

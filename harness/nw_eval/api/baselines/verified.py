@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import IncomparableError, TrialError, UsageError
+from nw_eval.errors import IncomparableError, PolicyError, TrialError, UsageError
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -98,9 +98,12 @@ def verify_baseline(
     check_sample(sample, "--share" if trials is None else "--trials")
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
     bank, own = shown.bank, shown.bank.manifest.policy
-    place = here(
-        suite or bank.manifest.suite, policy=policy or own.card or own.name, **changes
-    ).with_starts(bank.manifest.starts)
+    if policy is None and _is_here(own.card or own.name):
+        policy = own.card or own.name
+    # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
+    place = here(suite or bank.manifest.suite, policy=policy, **changes).with_starts(
+        bank.manifest.starts
+    )
     _check(bank, place)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in place.plan.trials], sample, seed)
@@ -169,6 +172,17 @@ def _run(
         )
         latest = {row.trial_id: row for row in read_journal(folder.journal).rows}
         return tuple(latest.values()), read_run_info(folder.run_json).interrupted
+
+
+def _is_here(reference: str) -> bool:
+    """Whether a policy's card is where a reference says."""
+    from nw_eval.policies import find_card
+
+    try:
+        find_card(reference)
+    except PolicyError:
+        return False
+    return True
 
 
 def _differing(rows: Sequence[Row], bank: SavedBank, machine: dict[str, str]) -> tuple[str, ...]:
