@@ -11,14 +11,15 @@ from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.provenance import engine_of
 from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_in
-from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import ShardInfo
+    from nw_eval.results.row.column import Settings
     from nw_eval.suite import Suite
+    from nw_eval.suite.trials import DrawnStart, Trial
 
 # Wall seconds for one simulated second of a trial that lasts its whole duration, on one core of the
 # class that the benchmarks name: physics, scandots, policy and log, and a camera's frames on top.
@@ -27,8 +28,8 @@ _SEEING = 0.10
 # Wall seconds until a worker has its libraries and kernels.
 _START = 4.0
 _LEAST = 0.1  # minutes
-# Rounds on a fresh panel up to which it is asked whether a gate can pass.
-_MOST_ROUNDS = 1000
+# Trials of each scene on a fresh panel up to which it is asked whether a gate can pass.
+_MOST_FRESH = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ class Forecast:
     """Which part of a run it is, in trials and minutes too; None: all of it."""
     workers: int
     baseline: str | None = None
-    """The name of the bank that it would be compared with, in rounds, of which it may end early."""
+    """The name of the bank that it would be compared with; it may then end early."""
     obstacles: tuple[str, ...] = ()
     """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
     minutes: float
@@ -74,7 +75,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         plan: what would be run.
         workers: processes; one for each core if None.
     """
-    trials = Counter(trial.scene for trial in wanted(plan.trials, _rounds(plan)))
+    trials = Counter(trial.scene for trial in _expected(plan))
     return Forecast(
         suite=plan.suite,
         policy=plan.bundle,
@@ -91,12 +92,19 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
     )
 
 
-def _rounds(plan: Plan) -> int | None:
-    """Return after how many rounds a run ends whose results are a bank's; None = of no such run."""
+def _expected(plan: Plan) -> tuple[Trial, ...]:
+    """Return the trials that would run; of the bank's own policy, those that run again."""
     machine = machine_in(engine_of(plan.render))
     if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
-        return None
-    return 1 if plan.request.recheck is None else plan.request.recheck
+        return plan.trials
+    again = 1 if plan.request.recheck is None else plan.request.recheck
+    met: Counter[tuple[str, Settings]] = Counter()
+    found: list[Trial] = []
+    for trial in plan.trials:
+        met[trial.scene, trial.perturbation] += 1
+        if met[trial.scene, trial.perturbation] <= again:
+            found.append(trial)
+    return tuple(found)
 
 
 def obstacles_of(plan: Plan) -> tuple[str, ...]:
@@ -120,7 +128,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
         plan.left_out,
         trials=suite.trials if known is None else known,
         cells=len(suite.perturb.cells),
-        rounds=against is not None,
+        against=against is not None,
     )
     if against is not None and not found and known is None:
         found += _against_the_bank(plan, against)
@@ -128,34 +136,41 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
-    """Return that the rounds of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.draw import draw_starts
-    from nw_eval.gate.reach import rounds_to_pass
+    """Return that the trials of a plan are too few to exclude max_drop, if they are."""
+    from nw_eval.gate.reach import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
-    strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]
-    most = manifest.starts if plan.drawn_from is not None else _MOST_ROUNDS
-    order = (
-        dict.fromkeys(strata, range(most))
-        if plan.drawn_from is None
-        else draw_starts(
-            strata, most, candidate=policy_info(plan.bundle).key, suite_digest=suite.digest
-        )
-    )
-    needed = rounds_to_pass(suite.gate, panel, order, fresh=plan.drawn_from is None)
-    if needed is not None and needed <= suite.trials:
+    fresh = plan.drawn_from is None
+    order, scenes = _whole_order(plan, against), len(plan.scenes) * len(suite.perturb.cells)
+    needed = trials_to_pass_baseline(suite.gate, panel, order, fresh=fresh)
+    if needed is not None and needed <= suite.trials * scenes:
         return []
-    fix = (
-        f"the bank has no more than {plural(most, 'start')} in each scene"
-        if needed is None
-        else f"--trials {needed} (`gate.rounds: {needed}`) is the least that can"
-    )
+    most = len(order) // scenes
+    if needed is None:
+        fix = f"the bank has no more than {plural(manifest.starts, 'start')} in each scene"
+        if fresh:
+            fix = f"{most} in each scene cannot either"
+    else:
+        least = ceil(needed / scenes)
+        fix = f"--trials {least} (`gate.rounds: {least}`) is the least that can"
     reason = (
-        f"{plural(suite.trials, 'round')} against baseline {against.info.name} cannot exclude a "
-        f"drop of {suite.gate.most_drop:g} even if all trials are perfect: {fix}"
+        f"{plural(suite.trials * scenes, 'trial')} against baseline {against.info.name} cannot "
+        f"exclude a drop of {suite.gate.most_drop:g} even if all are perfect: {fix}"
     )
     return [reason]
+
+
+def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
+    """Return the order of a plan with as many trials as there can be."""
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.gate.baseline.draw import draw_fresh, draw_trials
+
+    suite, most = plan.suite, against.bank.manifest.starts
+    strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]
+    drawn_by = {"candidate": policy_info(plan.bundle).key, "suite_digest": suite.digest}
+    if plan.drawn_from is None:
+        return draw_fresh(strata, max(_MOST_FRESH, suite.trials), **drawn_by)
+    return draw_trials(strata, most, most, **drawn_by)
 
 
 def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> float:

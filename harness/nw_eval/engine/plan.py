@@ -34,11 +34,11 @@ class DrawnOrder:
     """An order of the starts of a bank that is not the policy's own.
 
     Attributes:
-        starts: of the bank, in each scene.
+        starts: of the bank, in each scene; None where fresh ones are met.
         candidate: for whom it was drawn, by the `key` of another policy, or `recheck_key`.
     """
 
-    starts: int
+    starts: int | None
     candidate: str
 
 
@@ -47,7 +47,7 @@ class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
     request: Request
-    suite: Suite  # with what was asked of it otherwise; against a bank `trials` is the most rounds
+    suite: Suite  # with what was asked otherwise; against a bank `trials` is the most of each scene
     bundle: Bundle
     found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]  # that are to be run here: of a shard, its own

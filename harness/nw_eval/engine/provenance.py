@@ -62,7 +62,7 @@ def run_info(
     """
     suite = plan.suite
     return RunInfo(
-        run=1,
+        run=2,
         id=folder.id,
         started=now(),
         request=plan.request,

@@ -1,4 +1,4 @@
-"""Runs all trials of a plan: rounds, workers, journal, retries, resume, and an orderly stop."""
+"""Runs all trials of a plan: workers, journal, retries, resume, and an orderly stop."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from nw_eval.engine.cache.nothing import NothingKnown
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.machine.interrupts import Interrupts
-from nw_eval.engine.order import rounds
 from nw_eval.engine.trials.attempts import Attempts
+from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     import signal
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from nw_eval.engine.cache.known import KnownTrials
     from nw_eval.engine.workers.protocol import Hire
@@ -25,7 +25,19 @@ if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
     from nw_eval.words import Arm
 
-    Enough = Callable[[Sequence[Row]], bool]
+    Enough = Callable[[Mapping[int, Row]], "Standing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """How a run against a baseline stands, by places in its drawn order."""
+
+    first: int
+    """All places below it are judged."""
+    followed: tuple[int, ...] = ()
+    """Later places that are judged for their scenes alone."""
+    ahead: tuple[int, ...] = ()
+    """Places that come next, those that have ended already not among them; none: it is enough."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +46,7 @@ class RunOutcome:
 
     rows: tuple[Row, ...]  # the latest of every trial that finished, in this run or before
     missing: tuple[str, ...]  # trials that were to be run and have no row, by id
-    stopped_after: int | None  # rounds that were enough; None = no trial of the plan was left out
+    enough: Standing | None  # trials that were; None = no trial of the plan was left out
     interrupted: signal.Signals | None  # which signal stopped it
     wall_seconds: float
 
@@ -71,8 +83,9 @@ def run_trials(
         hire: gets workers.
         arm: whether the policy is the one that is judged, for rows.
         workers: how many; one for each core if None.
-        enough: asked after each round but the last, with the rows of all rounds so far in the order
-            of their jobs, whether the rest need not run; None = all of them run, without rounds.
+        enough: asked before the first trial and whenever one has ended, with the rows of those that
+            have, by place in the drawn order, what comes next. No more trials run ahead than there
+            are workers. None = all of them run.
         listener: told of progress.
         known: what of it need not be run, because an earlier run has its result; nothing if None.
 
@@ -94,44 +107,69 @@ def run_trials(
         known=known or NothingKnown(),
     )
     ears.planned(total=len(jobs), finished=attempts.finished_of(jobs))
-    wanted, stopped_after = list(jobs), None
+    standing = None
     with Interrupts() as interrupts, attempts:
         if enough is None:
             attempts.settle(jobs, interrupts)
         else:
-            wanted, stopped_after = _by_rounds(jobs, attempts, interrupts, enough)
-    if stopped_after is not None:
+            standing = _ahead(jobs, attempts, interrupts, enough)
+    wanted = jobs
+    if standing is not None:
+        judged = {*range(standing.first), *standing.followed}
+        wanted = [job for job in jobs if job.trial.place in judged]
         saved = f"{len(jobs) - len(wanted)} of {len(jobs)} trials need not run"
-        ears.message(f"enough after round {stopped_after}: {saved}")
+        ears.message(f"enough after {plural(len(wanted), 'trial')}: {saved}")
     attempts.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
         rows=journal.rows,
         missing=tuple(job.trial.id for job in wanted if job.trial.id not in names),
-        stopped_after=stopped_after,
+        enough=standing,
         interrupted=interrupts.requested,
         wall_seconds=perf_counter() - began,
     )
 
 
-def _by_rounds(
+def _ahead(
     jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
-) -> tuple[list[TrialJob], int | None]:
-    """Run round after round until there are enough.
+) -> Standing | None:
+    """Run trials in their drawn order until there are enough.
 
-    No trial starts before all of the round before have ended, those that are run again included. So
-    what has run does not depend on the number of workers, their speed, or a resume.
+    Workers run ahead in the order, at most one trial each beyond what is known to be judged. Which
+    trials are judged does not depend on their number, their speed, or a resume.
 
     Returns:
-        The jobs that were to be run, and the number of rounds that were enough: all jobs and None
-        if they were not, or if a signal came first.
+        What was enough; None if no trial was left out, or a signal came first.
     """
-    wanted: list[TrialJob] = []
-    for number, part in enumerate(rounds(jobs), 1):
-        attempts.settle(part, interrupts)
-        wanted += part
-        if interrupts.requested is not None or len(wanted) == len(jobs):
+    by_place = {job.trial.place: job for job in jobs}
+    given = set[int]()
+
+    def standing() -> Standing:
+        ended = {
+            place: row
+            for place, job in by_place.items()
+            if place is not None and (row := attempts.ended_row(job)) is not None
+        }
+        return enough(ended)
+
+    def more() -> list[TrialJob] | None:
+        now = standing()
+        if not now.ahead:
+            return None
+        places = [place for place in now.ahead[: attempts.workers] if place not in given]
+        given.update(places)
+        return [by_place[place] for place in places]
+
+    while interrupts.requested is None:
+        given.clear()
+        if not (first := more()):
             break
-        if enough(attempts.rows_of(wanted)):
-            return wanted, number
-    return list(jobs), None
+        attempts.settle(first, interrupts, more)
+    if interrupts.requested is not None:
+        return None
+    for job in by_place.values():
+        if job.mcap is not None and attempts.ended_row(job) is None:
+            job.mcap.with_name(f"{job.mcap.name}.partial").unlink(missing_ok=True)
+    now = standing()
+    judged = now.first + len(now.followed)
+    return now if judged < len(jobs) else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -20,17 +21,16 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, has_begun
-from nw_eval.results.planned import of_plan
-from nw_eval.results.provenance import read_run_info, write_run_info
+from nw_eval.results.planned import of_plan, wanted
+from nw_eval.results.provenance import StopInfo, read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
-from nw_eval.suite.trials import wanted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from nw_eval.engine.rounds import Enough
+    from nw_eval.engine.rounds import Enough, Standing
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -72,9 +72,9 @@ def carry_out(
         cluster: the address of the Ray cluster on whose nodes trials run: see
             `engine.workers.ray.connection`; None = in processes of this machine.
         prelude: called before the first trial, with the run's folder and run.json, of which it
-            returns what it is to say from then on; `stopped_after` 0, or `interrupted`, ends the
-            run there.
-        enough: asked between rounds whether the rest need not run: see `run_trials`.
+            returns what it is to say from then on; a `stop` with no trial, or `interrupted`, ends
+            the run there.
+        enough: asked after each trial what comes next: see `run_trials`.
         cache: whether results of earlier runs are taken over: see `engine.cache.known`.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
@@ -109,7 +109,7 @@ def carry_out(
             if prelude is not None:
                 info = prelude(folder, info)
                 write_run_info(folder.run_json, info)
-            if info.stopped_after != 0 and not info.interrupted:
+            if (info.stop is None or info.stop.trials) and not info.interrupted:
                 ready_scans(plan.scenes, listener)
                 if plan.renders:
                     build_splats(plan.scenes, listener)
@@ -253,9 +253,16 @@ def _run(
     return seen().model_copy(
         update={
             "interrupted": outcome.interrupted is not None,
-            "stopped_after": outcome.stopped_after,
+            "stop": None if outcome.enough is None else stop_of(plan, outcome.enough),
         }
     )
+
+
+def stop_of(plan: Plan, standing: Standing) -> StopInfo:
+    """Return what run.json says of the trials that were enough."""
+    stop = StopInfo(first=standing.first, followed=standing.followed)
+    counts = Counter(trial.scene for trial in wanted(plan.trials, stop))
+    return stop.model_copy(update={"trials": dict(sorted(counts.items()))})
 
 
 def _uncached(*, cache: bool, in_process: bool) -> str:
@@ -269,7 +276,7 @@ def _finish(
     plan: Plan, folder: RunFolder, info: RunInfo, rows: Iterable[Row], *, wall: float
 ) -> None:
     """Write the rows of the plan, and what run.json is to say of them."""
-    trials = wanted(plan.trials, info.stopped_after)
+    trials = wanted(plan.trials, info.stop)
     rows, _ = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
     ended = write_trials(folder, info, rows)
     write_run_info(

@@ -1,9 +1,8 @@
 """Which trials of a plan a shard has, and how shards of one plan are known.
 
-Trials stand in the order of their run: round by round, and in a round by a hash of their identity.
-Part I of N has every N-th of them. So in every round the parts have equally many trials, or one
-more or less, and likewise in all; what is hard is spread over them by chance, and which part a
-trial is in depends on nothing but the plan: no machine, no clock, no other part.
+Trials stand in the order of their run (`engine.order`). Part I of N has every N-th of them. So the
+parts have equally many trials, or one more or less; what is hard is spread over them by chance, and
+which part a trial is in depends on nothing but the plan: no machine, no clock, no other part.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from nw_eval.request import Shard
 from nw_eval.results.provenance import ShardInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from nw_eval.suite.trials import Trial
 
@@ -72,11 +71,15 @@ def shards_of(
     )
 
 
-def plan_digest(ordered: Iterable[Trial]) -> str:
+def plan_digest(ordered: Sequence[Trial]) -> str:
     """Return the hex sha256 of a whole plan: its trials, their names and their order.
 
     Args:
         ordered: `in_order`.
     """
-    lines = "".join(f"{trial.round} {trial.identity} {trial.id}\n" for trial in ordered)
+    places = (trial.index if trial.place is None else trial.place for trial in ordered)
+    lines = "".join(
+        f"{place} {trial.identity} {trial.id}\n"
+        for place, trial in zip(places, ordered, strict=True)
+    )
     return sha256(lines.encode()).hexdigest()

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -33,7 +33,7 @@ import numpy as np
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.outlook import advice, chance_to_pass, courses
 from nw_eval.gate.scores import by_scene, score, successes
-from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left
+from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left, too_many
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.results.row import Row
@@ -54,6 +54,7 @@ def judge(
     *,
     against: Comparison | None = None,
     left_out: Collection[str] = (),
+    drawn: Sequence[Row] | None = None,
 ) -> Verdict:
     """Judge one run against its suite's absolute bar.
 
@@ -64,6 +65,9 @@ def judge(
         left_out: scenes of the suite that were not to be run. A critical one is a hole.
         against: what the rows show against a baseline, if they were compared with one. It changes
             nothing of the verdict (`baseline.combine` does), but what is worth saying beside it.
+        drawn: those rows, the first in the order of a random draw of scenes and starts, that alone
+            bear on the mean: one sample, of which scenes have unequal numbers. None = all rows,
+            scene by scene.
 
     Raises:
         StoreError: a trial appears twice.
@@ -72,19 +76,21 @@ def judge(
     scores = tuple(
         score(scene, found, planned.get(scene, 0), gate, left) for scene, found in groups.items()
     )
-    condemned = _condemned(groups, scores, left, gate)
+    critical = [item.scene for item in scores if item.tier == "critical"]
+    if drawn is None:
+        bar = _bar(rows, gate, left, critical, is_drawn=False)
+    else:
+        bar = _bar(drawn, gate, left, critical, is_drawn=True)
+    condemned, bounds = bar.condemned, bar.bounds
     scores = tuple(replace(item, condemned=item.scene in condemned) for item in scores)
-    judged = [groups[item.scene] for item in scores if item.tier != "informational"]
-    counted = [values for found in judged if (values := successes(found, left)).size]
-    bounds = _bounds(judged, left, gate)
+    counted = [values for found in bar.groups if (values := successes(found, left)).size]
     effect = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
-    capped = over_the_cap(rows, left, gate)
     word, reasons = _compare(bounds, scores, gate, against)
     if holes := _holes(rows, scores, gate, left_out):
         word, reasons = "INFRASTRUCTURE", holes
-    elif capped:
-        word, reasons = "INCONCLUSIVE", [capped]
+    elif bar.capped:
+        word, reasons = "INCONCLUSIVE", [bar.capped]
     elif condemned:
         # The suite's mean speaks first only if it convicts too.
         alone = [_alone(scene, most, gate) for scene, most in condemned.items()]
@@ -118,6 +124,67 @@ def judge(
         per_scene=scores,
         left=left,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bar:
+    """What rows show of the bar."""
+
+    groups: Sequence[Sequence[Row]]
+    """Of scenes that count, each with the same weight; one alone of a random draw."""
+    bounds: Interval
+    condemned: Mapping[str, float]
+    """Critical scenes that are certainly below the bar, with their upper bounds."""
+    capped: str | None
+    """Why nothing is judged: too many left the captured volume."""
+
+
+def _bar(
+    rows: Sequence[Row],
+    gate: Gate,
+    left: frozenset[str],
+    critical: Sequence[str],
+    *,
+    is_drawn: bool,
+) -> _Bar:
+    scenes: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.scene):
+        if gate.tier(row.scene) != "informational":
+            scenes.setdefault(row.scene, []).append(row)
+    counted = list(scenes.values())
+    # A random draw is one sample of the mean over scenes, however many it has of each.
+    groups = [[row for found in counted for row in found]] if is_drawn else counted
+    return _Bar(
+        groups=groups,
+        bounds=_bounds(groups, left, gate),
+        condemned=_condemned(scenes, left, gate, critical),
+        capped=over_the_cap(rows, left, gate),
+    )
+
+
+def word_of_bar(rows: Sequence[Row], gate: Gate, scenes: Collection[str]) -> Word:
+    """Return whether a bar is decided by the first trials of a random draw of scenes and starts.
+
+    It is the word of `judge` where there are no holes, and fast.
+
+    Args:
+        rows: of these trials.
+        gate: with a bar.
+        scenes: of the run.
+    """
+    assert gate.success_rate is not None, "a gate without a bar has nothing to decide"
+    critical = [scene for scene in scenes if gate.tier(scene) == "critical"]
+    left = that_left(rows, gate)
+    bar = _bar(rows, gate, left, critical, is_drawn=True)
+    if bar.capped:
+        return "INCONCLUSIVE"
+    if bar.condemned or bar.bounds.high < gate.success_rate:
+        return "REGRESSED"
+    outside = Counter(row.scene for row in rows if row.trial_id in left)
+    trials = Counter(row.scene for row in rows)
+    unseen = any(too_many(outside[scene], trials[scene], gate) for scene in critical)
+    passes = bar.bounds.low >= gate.success_rate and not unseen
+    return "PASS" if passes else "INCONCLUSIVE"
 
 
 def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -> Interval:
@@ -207,16 +274,17 @@ def _compare(
 
 def _condemned(
     groups: Mapping[str, Sequence[Row]],
-    scores: Sequence[SceneScore],
     left: frozenset[str],
     gate: Gate,
+    critical: Sequence[str],
 ) -> dict[str, float]:
     """Return the critical scenes that are certainly below the bar, with their upper bounds."""
-    critical = [item.scene for item in scores if item.tier == "critical"]
     if gate.success_rate is None or not critical:
         return {}
     confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
-    best = {scene: successes(groups[scene], left, counted=1.0) for scene in critical}
+    best = {
+        scene: successes(groups[scene], left, counted=1.0) for scene in critical if scene in groups
+    }
     known = {scene: values for scene, values in best.items() if values.size}
     most = {scene: upper_bound([values], confidence) for scene, values in known.items()}
     return {scene: bound for scene, bound in most.items() if bound < gate.success_rate}

@@ -2,46 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from nw_eval.gate.baseline.finding import margins_of
-from nw_eval.gate.baseline.rounds import scores_of
+from nw_eval.gate.baseline.finding import bank_of, numbers_of, rules_of
+from nw_eval.gate.baseline.met import Met
 from nw_eval.gate.outlook import trials_to_pass
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, Stratum
-from nw_eval.stats.bank import Bank, over_rounds
+from nw_eval.results.bank import Panel
+from nw_eval.stats.bank import settle
 from nw_eval.suite.model import Gate
+from nw_eval.suite.trials import DrawnStart
 
 
-def rounds_to_pass(
-    gate: Gate, panel: Panel, order: Mapping[Stratum, Sequence[int]], *, fresh: bool
+def trials_to_pass_baseline(
+    gate: Gate, panel: Panel, order: Sequence[DrawnStart], *, fresh: bool
 ) -> int | None:
-    """Return after how many rounds a policy that never fails passes against a bank.
+    """Return after how many trials a policy that never fails passes against a bank.
 
     Args:
         gate: its margins, errors and tiers.
         panel: of the bank.
-        order: the starts of each scene (and cell) in the order in which they would be met.
-        fresh: whether these are others than the bank's.
+        order: of trials, in which they would be met.
+        fresh: whether these are of others than the bank's starts.
 
     Returns:
         None if it does not within all that `order` has.
     """
-    judged = [stratum for stratum in order if gate.tier(stratum[0]) != "informational"]
-    scores = [scores_of(panel, stratum) for stratum in judged]
-    means = np.array([each.mean() for each in scores])
-    count = min(len(order[stratum]) for stratum in judged)
-    met = [
-        np.full(count, each.mean()) if fresh else each[np.array(order[stratum][:count])]
-        for stratum, each in zip(judged, scores, strict=True)
-    ]
-    bank = Bank(means=means) if fresh else Bank(means=means, starts=len(scores[0]))
-    known = np.array(met).T
-    values = over_rounds(bank, np.ones_like(known), known, margins_of(gate))
-    threshold = 1.0 / (1.0 - gate.confidence)
-    return next((r for r, found in enumerate(values, 1) if found.passed >= threshold), None)
+    strata = {(scene, cell) for scene, cell, _ in order}
+    judged = sorted(place for place in strata if gate.tier(place[0]) != "informational")
+    met = Met(order=order, rows=[None] * len(order))
+    basis = "fresh" if fresh else "panel"
+    bank = bank_of(panel, judged, basis, gate.claim if not fresh else "fresh")
+    trials = numbers_of(met, judged, panel, basis, bank)
+    perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
+    ruling = settle(bank, perfect, rules_of(gate, judged))
+    return ruling.trials if ruling.word == "PASS" else None
 
 
 def bar_obstacles(
@@ -51,7 +49,7 @@ def bar_obstacles(
     *,
     trials: int,
     cells: int = 1,
-    rounds: bool = False,
+    against: bool = False,
 ) -> list[str]:
     """Return why no policy can reach PASS by the bar of a suite, a sentence for each reason.
 
@@ -61,7 +59,7 @@ def bar_obstacles(
         left_out: scenes of the suite that are not, by name.
         trials: of each scene in each cell.
         cells: of perturbations.
-        rounds: whether trials are rounds against a baseline.
+        against: whether the run is compared with a baseline.
     """
     reasons = [
         f"critical scene {scene} is left out, and the suite cannot pass without it"
@@ -73,7 +71,7 @@ def bar_obstacles(
         return [*reasons, "no scene counts: all are informational; make one supporting or critical"]
     needed = trials_to_pass(gate, counted * cells)
     if needed > trials:
-        key = "gate.rounds" if rounds else "trials"
+        key = "gate.rounds" if against else "trials"
         where = f"of {plural(counted, 'scene')}"
         where += f" at each of {plural(cells, 'perturbation')}" if cells > 1 else ""
         reasons.append(

@@ -30,48 +30,40 @@ def against_baseline(found: Comparison) -> tuple[str, ...]:
 
 
 def _errors(found: Comparison) -> str:
-    """Return how often it errs, and that one may look after every round."""
-    critical = sum(item.tier == "critical" for item in found.scenes)
-    alone = (
-        f"; that {plural(critical, 'critical scene')} can convict alone adds as much again, where "
-        f"no scene fell by more than {found.scene_drop:g}"
-        if critical
-        else ""
-    )
+    """Return how often it errs, and that one may look after every trial."""
     false_pass, false_alarm = _percent(found.alpha_pass), _percent(found.alpha_regr)
     return (
-        f"Against the baseline a drop of {found.max_drop:g} or more passes with a probability of "
-        f"at most {false_pass}, and one of {found.tolerate:g} or less is convicted with at most "
-        f"{false_alarm}{alone}. That holds however often one looks after a whole round and stops "
-        "there, and so do both ends of the interval, of which the lower one errs with "
-        f"{false_alarm} and the upper one with {false_pass}."
+        f"A drop of {found.max_drop:g} or more against the baseline passes with probability at "
+        f"most {false_pass}, and a drop of {found.tolerate:g} or less is convicted by the mean "
+        f"with probability at most {false_alarm}. Both hold at any stopping time, and so does the "
+        f"interval (lower end {false_alarm}, upper end {false_pass}). All tests of this gate "
+        f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "
+        f"{found.tolerate:g} at most, in no scene by more than {found.scene_drop:g}) with "
+        f"probability at most {_percent(found.false_alarm)}. The verdict is on this checkpoint, "
+        "not on its training recipe: another seed of the same recipe may score otherwise."
     )
 
 
 def _claim(found: Comparison) -> str:
     """Return of which starts it speaks, and why."""
-    starts, rounds = plural(found.starts, "start"), plural(found.budget, "round")
-    known = f"What the baseline does from each of its {starts} a scene is known"
-    drawn = "their order was drawn by the candidate's digest"
+    starts = plural(found.starts, "start")
     if found.claim == "panel":
         return (
-            f"{known}, and {drawn}: it speaks of these starts. Of fresh ones it does not, since "
-            f"{rounds} would need a bank of {found.fresh_needs}."
+            f"What the baseline does from each of its {starts} a scene is known, and scenes and "
+            "starts were drawn at random for the candidate: the claim is of these starts only."
         )
-    if found.claim == "panel and fresh":
+    if found.basis == "control":
         return (
-            f"{known}, and {drawn}: it speaks of these starts exactly, and of fresh ones in these "
-            f"scenes, since the bank has at least three for each of {rounds} (by simulation)."
+            "Bits differ between this machine and the baseline's, so that its recorded results are "
+            "not used: its policy ran beside the candidate, from the same starts. The claim is of "
+            "new starts in these scenes."
         )
-    why = {
-        "panel": "their order was not drawn for this candidate",
-        "sample": "this class of machine gives other bits, by which trials part after some steps",
-        "fresh": "the candidate met none of them",
-    }
-    return (
-        f"The bank is a sample of starts ({why[found.basis]}): it speaks of fresh starts in these "
-        f"scenes, since the bank has at least three for each of {rounds} (by simulation)."
+    how = (
+        f"the candidate met new starts, and the baseline's mean is of {starts} in each scene"
+        if found.basis == "fresh"
+        else f"scenes and starts were drawn at random from the baseline's {starts} a scene"
     )
+    return f"The claim is of new starts in these scenes: {how}."
 
 
 def _percent(alpha: float) -> str:

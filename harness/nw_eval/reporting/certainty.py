@@ -51,8 +51,8 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 def _bounds(verdict: Verdict) -> str:
     return (
         f"The bounds hold for fresh starts in these scenes, {confidence(verdict)} each, whatever "
-        "the distribution of success, and however often whole rounds (one more trial in every "
-        "scene) are added and judged again. They say nothing of other scenes."
+        "the distribution of success, and however often trials are added and judged again. They "
+        "say nothing of other scenes."
     )
 
 

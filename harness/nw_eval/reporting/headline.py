@@ -95,7 +95,7 @@ def _against(found: Comparison | None) -> list[str]:
         return [f"baseline {found.bank} {same}", *_again(found.again)]
     span = f"at least {found.interval.low:z.3f}, at most {found.interval.high:z.3f}"
     drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:z.3f} ({span})"
-    return [f"{drop} in {found.rounds} of {plural(found.budget, 'round')}"]
+    return [f"{drop} in {found.trials} of {plural(found.budget, 'trial')}"]
 
 
 def _again(again: Recheck | None) -> list[str]:
@@ -118,8 +118,9 @@ def _met_all(verdict: Verdict, run: RunInfo) -> bool:
     again = None if verdict.against is None else verdict.against.again
     if again is not None and again.taken_over:
         return True
-    rounds = run.suite.get("trials") if run.stopped_after is None else run.stopped_after
-    return run.drawn_from is None or rounds == run.drawn_from
+    return run.drawn_from is None or (
+        run.stop is None and run.suite.get("trials") == run.drawn_from
+    )
 
 
 def _duration(seconds: float) -> str:

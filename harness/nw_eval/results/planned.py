@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from nw_eval.errors import StoreError
+from nw_eval.results.provenance import StopInfo
 from nw_eval.results.row import Row
 
 
@@ -25,7 +26,17 @@ class PlannedTrial(Protocol):
     @property
     def scene_digest(self) -> str: ...  # noqa: D102
     @property
+    def place(self) -> int | None: ...  # noqa: D102
+    @property
     def perturbation(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
+
+
+_Planned = TypeVar("_Planned", bound=PlannedTrial)
+
+
+def wanted(trials: Iterable[_Planned], stop: StopInfo | None) -> tuple[_Planned, ...]:
+    """Return the trials of a plan that are judged: all where no trial was left out."""
+    return tuple(trial for trial in trials if stop is None or stop.wants(trial.place))
 
 
 def of_plan(

@@ -100,7 +100,8 @@ class BaselineInfo(_Saved):
     name: str
     path: str  # Of its file, absolute.
     sha256: str  # Hex, of the file.
-    checked: Literal["bits", "scores"] | None = None
+    # "scores" is of an older nw-eval, which ran no control.
+    checked: Literal["bits", "control", "scores"] | None = None
     """What trials of the bank's policy showed on this class of machine: the bank's bits, or scores
     in line with it; None where there were none, because the bank has a panel of it."""
     moved: tuple[str, ...] = ()
@@ -160,17 +161,29 @@ class PartInfo(_Saved):
     cache: CacheInfo | None = None
 
 
+class StopInfo(_Saved):
+    """Which trials of a drawn order were enough: what was run beyond them is not judged."""
+
+    first: int = Field(ge=0)  # All at places below it.
+    followed: tuple[int, ...] = ()  # Later places, judged for their scenes alone, in order.
+    trials: dict[str, int] = {}  # How many these are, by scene.
+
+    def wants(self, place: int | None) -> bool:
+        """Return whether the trial at a place is one of them."""
+        return place is not None and (place < self.first or place in self.followed)
+
+
 class RunInfo(_Saved):
     """Everything about a run that its rows do not say. Times are UTC in ISO 8601, wall_s is s."""
 
-    run: int = Field(1, description="Version of this file.")
+    # Version of this file. In version 1 an order was drawn round by round, not trial by trial.
+    run: int = Field(2, ge=1, le=2)
     id: str
     started: str
     finished: str | None = None
     wall_s: float = Field(default=0.0, ge=0.0)
     interrupted: bool = False
-    # Rounds that were enough; None = no trial was left out.
-    stopped_after: int | None = Field(default=None, ge=0)
+    stop: StopInfo | None = None  # None: no trial was left out.
     request: Request | None = None  # What was asked for, for --resume; older files do not say.
     suite_file: str
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
@@ -214,12 +227,11 @@ class RunInfo(_Saved):
 
     @property
     def planned(self) -> dict[str, int]:
-        """Planned trials by scene: of the rounds that were enough, if a part of them was."""
+        """Planned trials by scene: those that were enough, if a part of them was."""
         trials = {name: scene.trials for name, scene in self.scenes.items()}
-        if self.stopped_after is None:
+        if self.stop is None:
             return trials
-        rounds = max(1, int(self.suite["trials"]))
-        return {name: count // rounds * self.stopped_after for name, count in trials.items()}
+        return {name: self.stop.trials.get(name, 0) for name in trials}
 
 
 def write_run_info(path: Path, info: RunInfo) -> None:

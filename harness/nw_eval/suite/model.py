@@ -163,8 +163,14 @@ class Gate(_Strict):
         20,
         ge=1,
         le=10_000,
-        description="Most rounds against a baseline: a round is one more start in every scene. "
-        "The run ends as soon as the verdict is settled.",
+        description="Most trials of each scene against a baseline, on average: scene and start of "
+        "each trial are drawn at random. The run ends as soon as the verdict is settled.",
+    )
+    claim: Literal["fresh", "panel"] = Field(
+        "fresh",
+        description="Of which starts a comparison with the baseline speaks. fresh: of new starts "
+        "in the same scenes. panel: of the baseline's own starts alone, which takes a few trials "
+        "less where many of them are met.",
     )
     false_alarm: float = Field(
         0.01,
@@ -198,6 +204,8 @@ class Gate(_Strict):
         fields: dict[str, Any] = write(self)
         if self.validity is None:
             fields.pop("validity", None)
+        if self.claim == "fresh":
+            fields.pop("claim", None)
         return fields
 
     @model_validator(mode="after")

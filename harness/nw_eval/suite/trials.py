@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from hashlib import sha256
@@ -22,8 +22,8 @@ MAX_TRIALS = 1_000_000
 """Most trials of one run; more is a slip of the pen."""
 
 
-Starts = Mapping[tuple[str, tuple[tuple[str, float], ...]], Sequence[int]]
-"""Indexes of trials by scene and cell, in the order of their rounds."""
+DrawnStart = tuple[str, tuple[tuple[str, float], ...], int]
+"""A scene, a cell of perturbations, and the index of a start."""
 
 
 class SceneLike(Protocol):
@@ -55,13 +55,9 @@ class Trial:
     perturbation: tuple[tuple[str, float], ...] = ()
     tier: Tier = "supporting"
     """How much the scene counts, as the suite's gate says; a label, too."""
-    drawn: int | None = None
-    """The round, from 0, that draws it from a bank; a label, too. None where none is drawn."""
-
-    @property
-    def round(self) -> int:
-        """The round of its run, from 0, in which it is due: one more start in every scene."""
-        return self.index if self.drawn is None else self.drawn
+    place: int | None = None
+    """Its place, from 0, in the order that was drawn for a run against a baseline; a label, too.
+    None where no order was drawn."""
 
     @property
     def id(self) -> str:
@@ -107,20 +103,15 @@ def _beginning(suite_digest: str, scene_digest: str, task: str) -> str:
     return canonical([suite_digest, scene_digest, task])[:-1]
 
 
-def _of(first: Trial, index: int, drawn: int | None = None) -> Trial:
+def _of(first: Trial, index: int, place: int | None = None) -> Trial:
     """Return another trial of a scene and cell; as `replace`, in a tenth of the time."""
     trial = object.__new__(Trial)
-    object.__setattr__(trial, "__dict__", {**vars(first), "index": index, "drawn": drawn})
+    object.__setattr__(trial, "__dict__", {**vars(first), "index": index, "place": place})
     return trial
 
 
-def wanted(trials: Iterable[Trial], rounds: int | None) -> tuple[Trial, ...]:
-    """Return the trials of the first rounds; all of them where `rounds` is None."""
-    return tuple(trial for trial in trials if rounds is None or trial.round < rounds)
-
-
 def expand(
-    suite: Suite, scenes: Sequence[SceneLike], starts: Starts | None = None
+    suite: Suite, scenes: Sequence[SceneLike], drawn: Sequence[DrawnStart] | None = None
 ) -> tuple[Trial, ...]:
     """Return every trial of a suite, interleaved: all scenes' first trials, then the second ones.
 
@@ -129,8 +120,8 @@ def expand(
     Args:
         suite: how many trials in each scene, and what is changed there.
         scenes: the scenes.
-        starts: for each scene and cell the index of the trial of each round, `suite.trials` of
-            them; trial number i in round i where it is None.
+        drawn: the trials of a run against a baseline, in their order; as many as `suite.trials`
+            in every scene and cell on average. None = trials 0, 1, ... of each.
 
     Raises:
         UsageError: there are over `MAX_TRIALS`, or two scenes would give trials of one name.
@@ -157,14 +148,13 @@ def expand(
         for cell in cells
         for scene in scenes
     ]
-    if starts is None:
+    if drawn is None:
         trials = tuple(_of(first, round_) for round_ in range(suite.trials) for first in firsts)
     else:
-        places = [(first, starts[first.scene, first.perturbation]) for first in firsts]
+        by_stratum = {(first.scene, first.perturbation): first for first in firsts}
         trials = tuple(
-            _of(first, drawn[round_], round_)
-            for round_ in range(suite.trials)
-            for first, drawn in places
+            _of(by_stratum[scene, cell], index, place)
+            for place, (scene, cell, index) in enumerate(drawn)
         )
     owners: dict[str, str] = {}
     for scene in scenes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from glob import escape
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,12 +139,15 @@ def _caused(rows: Mapping[Arm, Sequence[Row]], apart: Apart, *, old: str, new: s
 
 
 def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
-    """Return in how many rounds the four policies run.
+    """Return how many trials of each scene, on average, the four policies run.
 
     Raises:
         UsageError: the run has none, or its bank has too few starts for as many.
     """
-    rounds = trials or (suite.trials if info.stopped_after is None else info.stopped_after)
+    rounds = trials or suite.trials
+    if trials is None and info.stop is not None:
+        cells = max(1, len(info.scenes) * len(suite.perturb.cells))
+        rounds = ceil(info.stop.first / cells)
     if not rounds:
         raise UsageError(
             f"run {info.id} ran nothing: its policy is the baseline's",

@@ -43,13 +43,13 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     from nw_eval.results.ended import RunRows
     from nw_eval.results.merge.rows import joined
     from nw_eval.results.merge.written import merged_info, write_merged
+    from nw_eval.results.planned import wanted
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.suite.trials import wanted
 
     folder = RunFolder(path=Path(out).resolve())
     sources, plan, remarks = _read(runs)
     first = sources[0]
-    held = joined(sources, wanted(plan, first.info.stopped_after), first.parts[0].shard.count)
+    held = joined(sources, wanted(plan, first.info.stop), first.parts[0].shard.count)
     info = merged_info(sources, plan, name=folder.id, command=tuple(sys.argv))
     info, lost = write_merged(folder.path, info, held, sources, _bank(sources))
     suite = saved_suite(info)
@@ -69,9 +69,9 @@ def _read(
     from nw_eval.results.ended import read_trials
     from nw_eval.results.merge.alike import check_parts
     from nw_eval.results.merge.source import MergeSource
+    from nw_eval.results.planned import wanted
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
-    from nw_eval.suite.trials import wanted
 
     folders = [open_run_folder(Path(run)) for run in runs]
     opened = [MergeSource(folder=each, info=read_run_info(each.run_json)) for each in folders]
@@ -83,7 +83,7 @@ def _read(
             f"{first}: its plan is not that of its suite and its scenes",
             fix="merge folders that nw-eval wrote",
         )
-    trials = wanted(ordered, first.info.stopped_after)
+    trials = wanted(ordered, first.info.stop)
     sources: list[MergeSource] = []
     remarks: list[str] = []
     for source in opened:

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
     from nw_eval.catalogue import FoundScene
     from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import DrawnOrder, Plan
+    from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank.start import Stratum
     from nw_eval.results.provenance import PolicyInfo
     from nw_eval.scenes import Scene
     from nw_eval.suite import Draft, Suite
-    from nw_eval.suite.trials import Starts
+    from nw_eval.suite.trials import DrawnStart
     from nw_eval.words import Arm
 
 
@@ -145,39 +146,32 @@ def plan_of(
     return resolved if against is None else _matched(resolved, against)
 
 
-def baseline_plan(plan: Plan, against: Against, bundle: Bundle) -> Plan:
-    """Return the plan of a bank's own policy from the bank's starts, in the scenes of another plan.
+def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
+    """Return the plan of a bank's own policy from the starts that a candidate meets, in its order.
 
     Args:
         plan: the candidate's.
-        against: the bank.
         bundle: the bank's policy.
 
     Raises:
         UsageError: it needs images of a scene that has no splat.
     """
+    from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.suite import expand, override
+    from nw_eval.suite import override
 
     check_splats(bundle.card, plan.scenes)
     request = replace(
-        plan.request,
-        policy=bundle.reference,
-        checkpoint=None,
-        panel="pinned",
-        record="none",
-        shard=None,
+        plan.request, policy=bundle.reference, checkpoint=None, record="none", shard=None
     )
-    suite = override(plan.suite, Request(seed=against.bank.manifest.key.seed, record="none"))
-    drawn = _drawn(request, suite, plan.scenes, policy_info(bundle), against)
+    order = DrawnOrder(starts=plan.drawn_from, candidate=policy_info(plan.bundle).key)
     return replace(
         plan,
         request=request,
-        suite=suite,
+        suite=override(plan.suite, Request(record="none")),
         bundle=bundle,
-        trials=expand(suite, plan.scenes, drawn),
-        shard=None,  # Each machine sees for itself what the bank is to it.
+        drawn=order,
         is_baseline=False,
         arm="baseline",
     )
@@ -196,9 +190,9 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     """
     from nw_eval.api.verifying.sample import draw
     from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.gate.baseline.draw import draw_rounds
     from nw_eval.results.provenance import recheck_key
     from nw_eval.suite import expand, override
-    from nw_eval.suite.trials import wanted
 
     assert plan.against is not None, "the policy of a bank has one"
     count = rechecks(plan.request)
@@ -211,9 +205,12 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         return replace(plan, is_baseline=False, again=again)
     suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
     check_rounds(plan.against, suite.trials, suite.name)
-    drawn = DrawnOrder(starts=plan.against.bank.manifest.starts, candidate=recheck_key(seed))
-    trials = expand(suite, plan.scenes, _in_order(suite, plan.scenes, drawn))
-    again = frozenset(trial.id for trial in wanted(trials, count))
+    starts, key = plan.against.bank.manifest.starts, recheck_key(seed)
+    drawn = DrawnOrder(starts=starts, candidate=key)
+    strata = _strata(suite, plan.scenes)
+    order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
+    trials = expand(suite, plan.scenes, order)
+    again = frozenset(trial.id for trial in trials[: count * len(strata)])
     return replace(plan, suite=suite, trials=trials, drawn=drawn, again=again)
 
 
@@ -222,16 +219,8 @@ def rechecks(request: Request) -> int:
     return 1 if request.recheck is None else request.recheck
 
 
-def _in_order(suite: Suite, scenes: Sequence[Scene], drawn: DrawnOrder) -> Starts:
-    """Return the starts of a bank in an order that is not the policy's own."""
-    from nw_eval.gate.baseline.draw import draw_starts
-
-    return draw_starts(
-        [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells],
-        drawn.starts,
-        candidate=drawn.candidate,
-        suite_digest=suite.digest,
-    )
+def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
+    return [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
 
 
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
@@ -250,36 +239,43 @@ def _drawn(
     scenes: Sequence[Scene],
     policy: PolicyInfo,
     against: Against | None,
-) -> Starts | None:
-    """Return the starts of a bank in the order in which a policy meets them; None if none draws.
+) -> list[DrawnStart] | None:
+    """Return the trials of a run against a bank in their order; None where there is no bank.
 
     Raises:
-        IncomparableError: there are fewer than rounds.
+        IncomparableError: the bank has fewer starts than are drawn of each scene on average.
     """
-    from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.gate.baseline.draw import draw_fresh, draw_trials
 
-    if against is None or request.panel == "fresh":
+    if against is None:
         return None
+    strata = _strata(suite, scenes)
+    order = {"candidate": policy.key, "suite_digest": suite.digest}
+    if request.panel == "fresh":
+        return draw_fresh(strata, suite.trials, **order)
     check_rounds(against, suite.trials, suite.name)
-    own = DrawnOrder(starts=against.bank.manifest.starts, candidate=policy.key)
-    return _in_order(suite, scenes, own)
+    return draw_trials(strata, against.bank.manifest.starts, suite.trials, **order)
 
 
 def _matched(plan: Plan, against: Against) -> Plan:
     """Return a plan that its bank holds for, with whether its policy is the bank's own.
 
     Raises:
-        IncomparableError: the bank does not hold for it.
+        IncomparableError: the bank does not hold for it, or could convict nobody.
     """
     from nw_eval.engine.provenance import run_info
-    from nw_eval.gate.baseline.judge import compare
+    from nw_eval.gate.baseline.finding import check_level
+    from nw_eval.gate.baseline.judge import setup_of
     from nw_eval.results.run_folder import RunFolder
 
     folder = RunFolder(path=Path(plan.suite.name))
     run = run_info(plan, folder, workers=None, in_process=False, command=())
-    # Whether this class of machine is in line is found out by running something.
-    found = compare((), run, against.bank, plan.suite.gate, checked="bits")
-    is_own = found.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
+    # Whether this class of machine has the bank's bits is found out by running something.
+    known = against.info.model_copy(update={"checked": "bits"})
+    setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
+    if setup.basis != "same":
+        check_level(setup.panel, setup.judged, plan.suite.gate)
+    is_own = setup.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
     return replace(plan, is_baseline=is_own)
 
 

@@ -104,11 +104,11 @@ def roll_out(
     all_rounds: bool = False,
     cluster: str | None = None,
 ) -> RunFolder:
-    """Run what is planned: against a bank, in rounds, until bar and baseline are settled.
+    """Run what is planned: against a bank, trial by trial, until bar and baseline are settled.
 
-    A part of a run has all rounds: whether some are enough shows in the whole alone. Of the bank's
-    own policy some starts of each scene run, and the rest is taken over from the bank if these are
-    as it says; all rounds run on a class of machine that the bank has not seen, and in a part.
+    A part of a run has all its trials: whether some are enough shows in the whole alone. Of the
+    bank's own policy some starts of each scene run, and the rest is taken over from the bank if
+    these are as it says.
 
     Args:
         plan: what is to be run.
@@ -131,6 +131,7 @@ def roll_out(
     from nw_eval.engine.forecast import obstacles_of
     from nw_eval.engine.listener import Silence
     from nw_eval.gate.baseline.combine import unjudged
+    from nw_eval.results.provenance import read_run_info
     from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
@@ -156,13 +157,14 @@ def roll_out(
             command=command,
             listener=ears,
             cache=cache,
+            all_rounds=all_rounds,
         )
     elif plan.shard is None:
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
             ears.message(why)
-    return session.carry_out(
+    folder = session.carry_out(
         plan,
         workers=workers,
         out=out,
@@ -172,11 +174,14 @@ def roll_out(
         in_process=in_process,
         cluster=cluster,
         prelude=None if contest is None else contest.begin,
-        # What is enough shows in whole rounds only, of which a part has none.
-        enough=None if contest is None or plan.shard or all_rounds else contest.enough,
+        # What is enough shows in the order of the whole run only, of which a part has none.
+        enough=None if contest is None or plan.shard else contest.next,
         cache=cache,
         meanwhile=prepare_pages,
     )
+    if contest is not None:
+        contest.end(read_run_info(folder.run_json))
+    return folder
 
 
 def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
@@ -196,8 +201,7 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
 def _part(plan: Plan, shard: ShardInfo) -> str:
     """Return which part of a run is run here."""
     trials = plural(len(plan.trials), "trial")
-    rounds = plural(plan.suite.trials, "round")
-    return f"{shard}: {trials} of all {rounds}; `nw-eval merge` judges the whole"
+    return f"{shard}: {trials}; `nw-eval merge` judges the whole"
 
 
 def _cluster(engine: Engine, address: str | None) -> str | None:

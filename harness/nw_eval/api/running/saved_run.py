@@ -167,14 +167,13 @@ def saved_scenes(info: RunInfo) -> list[SceneLike]:
 def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return the trials that a run planned, from its suite and the digests of its scenes.
 
-    Those of a shard are its part alone. Where a part of the rounds was enough, trials of the others
-    were not wanted.
+    Those of a shard are its part alone. Where a part of the trials was enough, it is those.
 
     Raises:
         StoreError: run.json contradicts itself about them.
     """
     from nw_eval.engine.shards import shard_of
-    from nw_eval.suite.trials import wanted
+    from nw_eval.results.planned import wanted
 
     trials = whole_plan(info, suite)
     if info.shard is not None:
@@ -185,7 +184,7 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
             raise _damaged(info, str(error)) from None
         if known != info.shard:
             raise _damaged(info, f"the plan that it is {info.shard} of is another one")
-    trials = wanted(trials, info.stopped_after)
+    trials = wanted(trials, info.stop)
     planned: dict[str, Any] = {name: count for name, count in info.planned.items() if count}
     if Counter(trial.scene for trial in trials) != planned:
         raise _damaged(info, "the numbers of trials of its scenes are not those of its suite")
@@ -199,21 +198,21 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
 
     Raises:
         StoreError: run.json contradicts itself about them.
+        IncomparableError: an older nw-eval drew them in another way.
     """
-    from nw_eval.gate.baseline.draw import draw_starts
+    from nw_eval.gate.baseline.draw import drawn_order
     from nw_eval.suite import expand
 
     scenes = saved_scenes(info)
-    starts = None
-    if info.drawn_from is not None:
+    order = None
+    if info.drawn_from is not None or (info.panel == "fresh" and info.baseline is not None):
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
-        if not suite.trials <= info.drawn_from <= MAX_TRIALS // max(1, len(strata)):
-            raise _damaged(info, f"{suite.trials} rounds of {info.drawn_from} starts")
-        starts = draw_starts(
-            strata, info.drawn_from, candidate=info.drawn_by, suite_digest=suite.digest
-        )
+        starts = suite.trials if info.drawn_from is None else info.drawn_from
+        if not suite.trials <= starts <= MAX_TRIALS // max(1, len(strata)):
+            raise _damaged(info, f"{suite.trials} trials of each scene of {starts} starts")
+        order = drawn_order(info, strata, suite.trials)
     try:
-        return expand(suite, scenes, starts)
+        return expand(suite, scenes, order)
     except UsageError as error:
         raise _damaged(info, str(error)) from None
 

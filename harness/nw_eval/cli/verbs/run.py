@@ -40,8 +40,8 @@ class Run(Publishing, Options):
     but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
 
     all_rounds: bool = False
-    """Run all trials. Against a baseline, rounds end otherwise as soon as the verdict is settled,
-    and where the policy is the baseline itself its results are taken over but for --recheck."""
+    """Run all trials. Against a baseline a run ends otherwise once the verdict is settled, and
+    where the policy is the baseline itself its results are taken over but for --recheck."""
     engine: Engine = "local"
     """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
     Rows are the same; --resume may use another engine than the run began with."""

@@ -12,7 +12,7 @@ from nw_eval.engine.workers.presence import Presence
 from nw_eval.rollout.result import policy_fault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from nw_eval.engine.cache.known import KnownTrials
     from nw_eval.engine.cache.nothing import NothingKnown
@@ -59,7 +59,7 @@ class Attempts:
         self._arm: Arm = arm
         self._listener = listener
         self._hire = hire
-        self._count = workers
+        self.workers = workers
         self._known = known
         self._staff: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
@@ -67,6 +67,9 @@ class Attempts:
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
         self._finished = {name for name, row in latest.items() if row.status == "ok"}
         self._lost = {name: row for name, row in latest.items() if row.lost_its_log}
+        self._latest = {name: latest[name] for name in self._finished}
+        self._ended: dict[str, Row] = {}  # In this session.
+        self._is_enough = False
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
@@ -80,12 +83,19 @@ class Attempts:
         """Return how many of the jobs had a result when the run began."""
         return sum(self._is_finished(job) for job in jobs)
 
-    def rows_of(self, jobs: Iterable[TrialJob]) -> tuple[Row, ...]:
-        """Return the latest rows of jobs, in their order; of those that have one."""
-        latest = {row.trial_id: row for row in self._journal.rows}
-        return tuple(latest[job.trial.id] for job in jobs if job.trial.id in latest)
+    def ended_row(self, job: TrialJob) -> Row | None:
+        """Return the row of a trial that needs no further attempt; None of one that does."""
+        name = job.trial.id
+        if (row := self._ended.get(name)) is not None:
+            return row
+        return self._latest[name] if self._is_finished(job) else None
 
-    def settle(self, jobs: Sequence[TrialJob], interrupts: Interrupts) -> None:
+    def settle(
+        self,
+        jobs: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None = None,
+    ) -> None:
         """Run jobs that have no result until none deserves another attempt, or a signal came.
 
         What the cache knows is written down as soon as what it was compared with has agreed.
@@ -93,40 +103,50 @@ class Attempts:
         Args:
             jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
+            more: asked whenever one has ended which others are to run as well; None: nothing that
+                runs is needed any more.
         """
         todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
         new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
-        self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts)
-        if interrupts.requested is None:
+        self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts, more)
+        if self._is_enough:
+            self._known.unconfirmed()
+        elif interrupts.requested is None:
             self._take_over(at_last=True)
-            self._run(self._known.unconfirmed(), interrupts)
+            self._run(self._known.unconfirmed(), interrupts, more)
 
     def _is_finished(self, job: TrialJob) -> bool:
         """Whether a trial had a result when the run began, and the log that it is to have."""
         name = job.trial.id
         return name in self._finished and not (name in self._lost and job.mcap is not None)
 
-    def _run(self, todo: Sequence[TrialJob], interrupts: Interrupts) -> None:
+    def _run(
+        self,
+        todo: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None,
+    ) -> None:
         # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
         # process.
         again = [job for job in todo if self._awaits_repeat(job)]
         first = [job for job in todo if not self._awaits_repeat(job)]
         if first and interrupts.requested is None:
             if self._staff is None:
-                self._staff = self._cleanup.enter_context(self._hire(self._count, fresh=False))
-            again += self._work(self._staff, first, interrupts, fresh=False)
-        while again and interrupts.requested is None:
+                self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
+            again += self._work(self._staff, first, interrupts, more, fresh=False)
+        while again and interrupts.requested is None and not self._is_enough:
             self._dismiss()  # What they hold in memory may be what the others lack.
             repeated = [_with_evidence(job) for job in again]
-            with self._hire(min(self._count, len(again)), fresh=True) as workers:
-                again = self._work(workers, repeated, interrupts, fresh=True)
+            with self._hire(min(self.workers, len(again)), fresh=True) as workers:
+                again = self._work(workers, repeated, interrupts, None, fresh=True)
 
     def _take_over(self, *, at_last: bool = False) -> None:
         """Write down what the cache knows, unless that has yet to be compared."""
         if rows := self._known.agreed(at_last=at_last):
             self._journal.extend(rows)
         for row in rows:
+            self._ended[row.trial_id] = row
             self._listener.trial(row)
 
     def _dismiss(self) -> None:
@@ -139,7 +159,13 @@ class Attempts:
         return row is not None and policy_fault(row) is not None
 
     def _work(
-        self, workers: Workers, jobs: Sequence[TrialJob], interrupts: Interrupts, *, fresh: bool
+        self,
+        workers: Workers,
+        jobs: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None,
+        *,
+        fresh: bool,
     ) -> list[TrialJob]:
         """Make one attempt at each job; return those that are to run again.
 
@@ -147,6 +173,7 @@ class Attempts:
             workers: idle.
             jobs: any.
             interrupts: after the first of them, the rest is left.
+            more: as for `settle`.
             fresh: these are further attempts, each in a process of its own.
         """
         again: list[TrialJob] = []
@@ -160,12 +187,28 @@ class Attempts:
                     self._announce_retry(row)
                 else:
                     self._announce_failure(row)
+                    self._ended[row.trial_id] = row
                     self._listener.trial(row)
                     self._take_over()
+                if more is not None and not self._go_on(workers, more):
+                    self._dismiss()  # What runs was given ahead of what is judged.
+                    return []
             self.presence.check()
             if interrupts.requested is not None:
                 break
         return again
+
+    def _go_on(self, workers: Workers, more: Callable[[], list[TrialJob] | None]) -> bool:
+        """Give the workers what comes next; return whether anything is needed any more."""
+        while (jobs := more()) is not None:
+            todo = [job for job in jobs if not self._is_finished(job)]
+            run = self._known.to_run(todo)
+            workers.submit(run)
+            self._take_over()
+            if all(self.ended_row(job) is None for job in jobs):
+                return True
+        self._is_enough = True
+        return False
 
     def _keep(self, ended: Finished, before: Row | None) -> Row:
         """Write an attempt down."""

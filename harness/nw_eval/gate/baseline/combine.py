@@ -11,7 +11,8 @@ from shlex import quote
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.baseline.holding.known import known_rows
-from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.judge import compare, setup_of
+from nw_eval.gate.baseline.met import by_place
 from nw_eval.gate.part import of_part
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.results.bank.against import Against
@@ -61,13 +62,13 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         why = unjudged(gate, *_as_asked(run))
         return replace(alone, reasons=(*alone.reasons, why)) if why else alone
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
-    if begun is not None and not rows and run.stopped_after is None:
+    if begun is not None and not rows and run.stop is None:
         # Cut while the bank's own policy ran, or before: nothing is known but what is missing.
         return by_bar(rows, gate, run.planned)
     if begun is not None and begun.moved:
         return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
-    checked = None if begun is None else begun.checked
-    found = compare(rows, run, against.bank, gate, checked=checked, foresee=True)
+    found = compare(rows, run, against, gate, foresee=True)
+    by_bar = partial(by_bar, drawn=_drawn(rows, run, against, gate))
     if found.again is not None and found.again.differing:
         verdict = by_bar(rows, gate, run.planned, against=found)
         return replace(verdict, verdict="INVALID", reasons=found.again.differing, against=found)
@@ -75,6 +76,7 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
     if found.again is not None and found.again.taken_over:
         rows = known_rows(run, against.bank)
         planned = Counter(row.scene for row in rows)
+        by_bar = partial(judge, left_out=run.left_out)
     return combined(by_bar(rows, gate, planned, against=found), found)
 
 
@@ -134,15 +136,15 @@ def without_bank(verdict: Verdict, why: str) -> Verdict:
     return replace(verdict, verdict="INVALID", reasons=(why, *alone))
 
 
-def settled(verdict: Verdict, comparison: Comparison) -> bool:
-    """Return whether more rounds would not change the word: one convicts, or both pass.
+def _drawn(rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate) -> list[Row] | None:
+    """Return the rows that bear on a bar, where a part of the trials was enough; else None.
 
-    Args:
-        verdict: by the bar, of the rounds so far as if no more had been planned.
-        comparison: of the same rounds.
+    Trials that were followed for their scenes alone are not among them.
     """
-    words = {verdict.verdict, comparison.word}
-    return "REGRESSED" in words or words <= {"PASS", "RAN"}
+    if run.stop is None:
+        return None
+    order = setup_of(run, against, gate).order[: run.stop.first]
+    return [row for row in by_place(rows, run, order) if row is not None]
 
 
 def _word(bar: Word, baseline: Word) -> Word:

@@ -12,23 +12,19 @@ from nw_eval.stats.bank import CurvePoint
 from nw_eval.stats.hazard import Ends
 from nw_eval.words import Tier
 
-Basis = Literal["same", "panel", "sample", "fresh"]
+Basis = Literal["same", "panel", "control", "fresh"]
 """What the bank is to the candidate's trials. same: the policy is the baseline, by its digests.
-panel: the baseline's result from every start is known exactly on this class of machine. sample: on
-this class of machine the starts are the same and the bits are not; the bank is a sample of what the
-baseline does. fresh: the candidate met other starts."""
+panel: the baseline's result from every start is known exactly on this class of machine. control:
+bits are others here, and the baseline's policy ran beside the candidate, from the same starts.
+fresh: the candidate met other starts."""
 
-Checked = Literal["bits", "scores"]
+Checked = Literal["bits", "control"]
 """What trials of the baseline have shown on a class of machine that the bank was not made on: that
-they repeat the bits of its first panel, or else scores in line with it."""
+they repeat the bits of its first panel; or that they do not, so that a control runs."""
 
-Claim = Literal["panel and fresh", "panel", "fresh"]
-"""Of which starts a comparison speaks: of those of the bank's panel, of fresh ones in the same
-scenes, or of both."""
-
-TIMES = 3
-"""Starts in a bank for each round, at least, for a claim about fresh starts: with fewer a drop at
-the margin passes or is convicted too often (simulated: 24 to 31 % at M = 20, nominal 5 %)."""
+Claim = Literal["fresh", "panel"]
+"""Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the bank's
+panel alone (`gate.claim`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +38,9 @@ class Recheck:
     equal: bool
     """Whether all of them have the baseline's values and bits."""
     differing: tuple[str, ...]
-    """Sentences, where the baseline is not what its policy does: which trials differ and in what,
-    or, on a class of machine that the baseline has not seen, in what its scores are out of line.
-    Where there are any the run is INVALID."""
-    settled: bool
-    """Whether it is known what the baseline is to these trials: always but where bits are others,
-    and it is open yet whether scores are in line."""
+    """Sentences, where the baseline is not what its policy does: which trials differ and in what.
+    On a class of machine that the baseline has not seen bits may be others, and only a trial with
+    the same bits and another result is named. Where there are any the run is INVALID."""
     taken_over: bool
     """Whether the other results are the baseline's: all trials that were to run again did, at
     least one of each scene, and are equal."""
@@ -74,7 +67,7 @@ class SceneDrop:
     baseline: float
     """B_s, mean success over all starts of the bank."""
     candidate: float | None
-    """Mean success over the rounds judged; None without any."""
+    """Mean success over the trials judged; None without any."""
     trials: int
     evidence: float
     """E_s; 1 for an informational scene, which is not judged."""
@@ -87,8 +80,8 @@ class SceneDrop:
     """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
     have, or that speaks most of a policy that was convicted."""
     ends: tuple[Ends, Ends] | None = None
-    """Of all starts of the bank, and of the trials of the rounds judged that came to a result: how
-    many ended after 0, 1, .. K waypoints. None where the scene has no waypoints."""
+    """Of all starts of the bank, and of the trials judged that came to a result: how many ended
+    after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property
     def stratum(self) -> Stratum:
@@ -113,7 +106,7 @@ class SceneDrop:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What the rounds so far show of the candidate's drop against a baseline.
+    """What the trials so far show of the candidate's drop against a baseline.
 
     Drops are the baseline's mean success less the candidate's, scenes weighted equally.
     """
@@ -125,18 +118,24 @@ class Comparison:
     """The baseline's policy."""
     basis: Basis
     claim: Claim
-    rounds: int
-    """Rounds that were judged: up to the one that settled it."""
+    trials: int
+    """Trials that were judged, of scenes that count: up to the one that settled it."""
     budget: int
-    """Most rounds that were to be run."""
+    """Most that were to be run."""
     starts: int
     """M."""
     baseline: float
     """B."""
     drop: float | None
-    """Estimate of the drop; None without rounds."""
+    """Estimate of the drop; None without a trial."""
     interval: Interval | None
-    """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass."""
+    """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass. None
+    where nothing was tested, or before a report is asked for."""
+    mean_convicts: bool
+    """Whether the mean itself has regressed significantly."""
+    false_alarm: float
+    """Probability, at most, that this gate is REGRESSED by a policy that is good enough: of its
+    bar, the baseline, and critical scenes of both together."""
     max_drop: float
     tolerate: float
     scene_drop: float
@@ -146,6 +145,8 @@ class Comparison:
     reasons: tuple[str, ...]
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
+    control: int = 0
+    """Trials of the baseline's own policy that ran beside the candidate."""
     again: Recheck | None = None
     """What ran of the baseline's own policy, where the candidate is that policy on its starts."""
     curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
@@ -153,18 +154,8 @@ class Comparison:
     simulated, where that was asked for."""
 
     @property
-    def mean_convicts(self) -> bool:
-        """Whether the mean itself has fallen, beyond doubt."""
-        return self.interval is not None and self.interval.low > self.tolerate
-
-    @property
-    def fresh_needs(self) -> int:
-        """Starts that a bank must have in each scene for a claim about fresh ones."""
-        return TIMES * self.budget
-
-    @property
     def settled(self) -> bool:
-        """Whether further rounds would change nothing."""
+        """Whether further trials would change nothing."""
         return self.word != "INCONCLUSIVE"
 
 

@@ -2,37 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from nw_eval.gate.baseline.rounds import Rounds
+from nw_eval.gate.baseline.met import Met
 from nw_eval.results.bank import Panel, Start, Stratum
 from nw_eval.results.row import Row
 from nw_eval.stats.hazard import Ends, first_partings
 
 
-def waypoints(strata: Iterable[Stratum], rounds: Rounds, panel: Panel) -> Mapping[Stratum, int]:
+def waypoints(
+    strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
+) -> Mapping[Stratum, int]:
     """Return the first waypoint, from 1, of each stratum at which the two part beyond doubt.
 
-    The baseline is all starts of its panel, the candidate the trials of the rounds that came to a
-    result; all strata are looked at together (`stats.hazard`), and some may have none.
+    The baseline is all starts of its panel, or the control's trials beside the candidate's; the
+    candidate is the trials judged that came to a result. All strata are looked at together
+    (`stats.hazard`), and some may have none.
 
     Args:
         strata: where to look.
-        rounds: of the candidate.
+        met: trials of the candidate.
+        used: places of those that are judged.
         panel: of the baseline.
     """
-    pairs = {stratum: ends(stratum, rounds, panel) for stratum in strata}
+    pairs = {stratum: ends(stratum, met, used, panel) for stratum in strata}
     known = {stratum: pair for stratum, pair in pairs.items() if pair is not None}
     return {stratum: found.waypoint for stratum, found in first_partings(known).items()}
 
 
-def ends(stratum: Stratum, rounds: Rounds, panel: Panel) -> tuple[Ends, Ends] | None:
+def ends(
+    stratum: Stratum, met: Met, used: Collection[int], panel: Panel
+) -> tuple[Ends, Ends] | None:
     """Return how many trials of both ended after 0, 1, .. K waypoints; None without waypoints."""
-    starts = panel.by_stratum[stratum]
-    rows = [row for row in rounds.rows[stratum] if row is not None and rounds.counts(row)]
-    total = max(trial.waypoints_total for trial in (*starts, *rows))
+    starts = panel.by_stratum[stratum] if met.control is None else met.beside(stratum, used)
+    rows = met.of(stratum, used)
+    total = max((trial.waypoints_total for trial in (*starts, *rows)), default=0)
     return (_ended(starts, total), _ended(rows, total)) if total else None
 
 

@@ -11,16 +11,13 @@ from nw_eval.plural import plural
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
-def in_words(
-    found: Comparison, finding: Finding, left_out: int, more: str | None
-) -> tuple[str, ...]:
+def in_words(found: Comparison, finding: Finding, more: str | None) -> tuple[str, ...]:
     """Return why a comparison says what it says, and of what it speaks: the main reason first.
 
     Args:
         found: the comparison.
         finding: what it rests on.
-        left_out: rows beyond whole rounds.
-        more: about how many more rounds would settle it, where that was simulated.
+        more: about how many more trials would settle it, where that was simulated.
     """
     if found.basis == "same":
         again = found.again
@@ -35,47 +32,53 @@ def in_words(
         *_largest(found),
         *_waiting(found, finding),
         *((more,) if more else ()),
-        *_limits(found, left_out),
+        *_limits(found),
     )
 
 
 def _mean(found: Comparison) -> str:
     """Return what was found of the mean."""
     name, drops = f"the baseline {found.bank}", found.interval
-    if drops is None or found.drop is None:
-        return f"not one whole round has run yet against {name}"
+    if not found.trials or found.drop is None:
+        return f"no trial has been compared with {name} yet"
+    in_trials = f"in {plural(found.trials, 'trial')}"
+    if drops is None:
+        return f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}"
     at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
     if found.word == "PASS":
         worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
-        return f"{worst} than {name} ({at_most}): a drop of {found.max_drop:g} is excluded"
-    span = f"at least {drops.low:z.3f} ({at_least}) and at most {drops.high:z.3f} ({at_most})"
+        return (
+            f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
+            f"{found.max_drop:g} is excluded"
+        )
+    span = (
+        f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
+    )
     if found.mean_convicts:
-        return f"worse than {name} by {span}"
+        return f"mean success regressed from {name}: {span} worse {in_trials}"
+    drop = f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}, {span}"
+    if drops.high < found.max_drop:
+        return f"{drop}: a drop of {found.max_drop:g} is excluded"
     return (
-        f"the drop from {name} is {found.drop:z.3f} in {plural(found.rounds, 'round')}, {span}: "
-        f"{found.max_drop:g} is {_excluded(drops.high < found.max_drop)}, more than "
-        f"{found.tolerate:g} is not shown"
+        f"{drop}: undecided, the data fit a drop of {found.max_drop:g} and a drop below "
+        f"{found.tolerate:g}"
     )
 
 
-def _excluded(is_excluded: bool) -> str:
-    return "excluded" if is_excluded else "not excluded"
-
-
 def _fallen(found: Comparison) -> tuple[str, ...]:
-    """Return which scenes fell, whatever the word; those that convict first."""
+    """Return which scenes regressed, whatever the word; those that convict first."""
     order = {"critical": 0, "supporting": 1, "informational": 2}
     named = [item for item in found.scenes if item.named]
     named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
     shown = tuple(_fell(item) for item in named[:_NAMED])
     if len(named) > _NAMED:
-        return (*shown, f"{plural(len(named) - _NAMED, 'more scene')} fell, see the table")
+        return (*shown, f"{plural(len(named) - _NAMED, 'more scene')} regressed, see the table")
     return shown
 
 
 def _fell(item: SceneDrop) -> str:
-    which = "critical scene " if item.tier == "critical" else ""
-    return f"{which}{item.name} fell {_change(item)}"
+    which = "critical scene" if item.tier == "critical" else "scene"
+    return f"{which} {item.name} regressed: {_change(item)}"
 
 
 def _largest(found: Comparison) -> Iterable[str]:
@@ -86,42 +89,37 @@ def _largest(found: Comparison) -> Iterable[str]:
     lower.sort(key=lambda item: (-item.evidence, item.name))
     if lower:
         worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
-        yield f"no scene fell beyond doubt by itself; those that speak most: {worst}"
+        yield f"no single scene regressed significantly; largest drops: {worst}"
 
 
 def _change(item: SceneDrop) -> str:
     onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
-    return f"from {item.baseline:.2f} to {item.candidate:.2f}{onwards}"
+    return f"{item.baseline:.2f} -> {item.candidate:.2f}{onwards}"
 
 
 def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
     suspect = [item.name for item in found.scenes if item.stratum in finding.waits_for]
     if suspect:
-        yield f"the mean would pass, and waits for what may have fallen: {_listed(suspect)}"
+        yield f"the mean passes; PASS is held back by {_listed(suspect)}, which may have regressed"
 
 
-def _limits(found: Comparison, left_out: int) -> Iterable[str]:
+def _limits(found: Comparison) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
     if found.claim == "panel":
         yield (
-            f"this speaks of the bank's {plural(found.starts, 'start')} in each scene only: for "
-            f"fresh ones {plural(found.budget, 'round')} would need {found.fresh_needs}"
+            f"gate.claim is panel: this holds for the baseline's {plural(found.starts, 'start')} "
+            "in each scene, not for new ones"
         )
-    if found.claim == "fresh" and found.basis == "panel":
+    if found.basis == "control":
         yield (
-            "the order of the starts was not drawn for this candidate: this speaks of fresh starts "
-            "only, not of the panel"
-        )
-    if found.basis == "sample":
-        yield (
-            "the bank was made on another class of machine: its policy's scores are in line here, "
-            "its bits are not, so this speaks of fresh starts only"
+            f"this machine or version gives other bits than the baseline's: its policy "
+            f"{found.policy} ran beside the candidate from the same starts "
+            f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
+            "saved here saves these trials"
         )
     if found.left_aside:
         left_aside = plural(found.left_aside, "scene")
-        yield f"the run was asked for some scenes only: {left_aside} of the bank not compared"
-    if left_out:
-        yield f"{plural(left_out, 'trial')} beyond whole rounds not compared"
+        yield f"the run was asked for some scenes only: {left_aside} of the baseline not compared"
 
 
 def _listed(names: Sequence[str]) -> str:

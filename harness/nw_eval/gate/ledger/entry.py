@@ -155,7 +155,7 @@ def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | No
         digest="" if bank is None else bank.sha256,
         basis=found.basis,
         word=found.word,
-        rounds=found.rounds,
+        rounds=found.trials,
         drop=found.drop,
         max_drop=found.max_drop,
         tolerate=found.tolerate,

@@ -81,7 +81,7 @@ def _of_comparison(found: Comparison) -> dict[str, str]:
         "drop_high": "" if drops is None else f"{drops.high:z.6f}",
         "max_drop": f"{found.max_drop:g}",
         "tolerate": f"{found.tolerate:g}",
-        "rounds": str(found.rounds),
+        "drop_trials": str(found.trials),
     }
 
 

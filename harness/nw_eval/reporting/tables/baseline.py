@@ -34,7 +34,7 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             "drop",
             *((_ALONE,) if alone else ()),
             "evidence",
-            "fell",
+            "regressed",
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
@@ -86,19 +86,21 @@ def _evidence(item: SceneDrop) -> str:
 def _note(found: Comparison) -> str:
     """Return what the columns hold, and what the numbers of evidence mean."""
     judged = sum(item.counts for item in found.scenes)
+    known = f"{plural(found.starts, 'start')} in each scene"
+    if found.basis == "control":
+        known = f"{plural(found.control, 'trial')} that ran beside the candidate"
     means = (
-        f"The baseline {found.policy} is all {plural(found.starts, 'start')} of the bank "
-        f"{found.bank} in each scene, the candidate {plural(found.rounds, 'round')}."
+        f"The baseline {found.policy} is {known}, the candidate {plural(found.trials, 'trial')}."
     )
     if found.basis == "same":
         return means
     alone = (
-        f"A drop's interval is of its scene's trials alone, {percent_sure(found.alpha_regr)} sure "
-        f"at its low end, {percent_sure(found.alpha_pass)} at its high one: of many, some miss. "
+        f"Per-scene interval ({percent_sure(found.alpha_regr)} lower, "
+        f"{percent_sure(found.alpha_pass)} upper), not corrected for the number of scenes. "
     )
     return (
         f"{means} {alone if any(item.interval for item in found.scenes) else ''}"
-        f"Evidence is against a drop of at most {found.scene_drop:g} in that scene alone: "
-        f"{judged / found.alpha_regr:.0f} names it as fallen ({plural(judged, 'scene')} share an "
-        f"error of {100 * found.alpha_regr:.3g} %), and from {SUSPECT:g} on a PASS waits."
+        f"Evidence is against a drop of at most {found.scene_drop:g} in that scene. Evidence >= "
+        f"{judged / found.alpha_regr:.0f}: reported as regressed ({plural(judged, 'scene')} share "
+        f"an error of {100 * found.alpha_regr:.3g} %). >= {SUSPECT:g}: PASS is held back."
     )

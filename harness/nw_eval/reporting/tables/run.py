@@ -95,9 +95,9 @@ def _scenes(run: RunInfo) -> str:
 
 
 def _saved(run: RunInfo) -> str:
-    """Return how many trials need not run, where a part of the rounds was enough."""
-    if run.stopped_after is None:
+    """Return how many trials need not run, where a part of them was enough."""
+    if run.stop is None:
         return ""
     most = sum(scene.trials for scene in run.scenes.values())
-    saved = most - sum(run.planned.values())
-    return f": round {run.stopped_after} was enough, and {saved} of {most} need not run"
+    enough = sum(run.planned.values())
+    return f": {enough} were enough, and {most - enough} of {most} need not run"

@@ -147,6 +147,6 @@ def _against(found: Comparison) -> dict[str, float | None]:
         "all/drop": found.drop,
         "all/drop_low": None if found.interval is None else found.interval.low,
         "all/drop_high": None if found.interval is None else found.interval.high,
-        "all/rounds": found.rounds,
+        "all/drop_trials": found.trials,
         **{f"drop/{keys[scene.name]}": scene.drop for scene in found.scenes},
     }

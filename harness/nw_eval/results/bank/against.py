@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from nw_eval.results.bank.start import SavedBank
-from nw_eval.results.provenance import BaselineInfo
+from nw_eval.results.provenance import BaselineInfo, RunInfo
+from nw_eval.results.row import Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """Trials of the bank's own policy that ran beside the candidate, from the same starts."""
+
+    run: RunInfo
+    rows: tuple[Row, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,6 +25,8 @@ class Against:
     bank: SavedBank
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
+    control: Control | None = None
+    """None where the bank says what its policy does on the machine of the run."""
 
     def of_run(self, info: BaselineInfo) -> Against:
         """Return the bank as a run knows it, that was begun with it somewhere else."""

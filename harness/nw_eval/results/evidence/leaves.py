@@ -29,7 +29,7 @@ def run_leaf(info: RunInfo) -> str:
 
     When and where it ran is left out, and so is all that `report` writes again.
     """
-    policy, bank = info.policy, info.baseline
+    policy, bank, stop = info.policy, info.baseline, info.stop
     facts = {
         "suite": info.suite,
         "suite_digest": info.suite_digest,
@@ -37,7 +37,11 @@ def run_leaf(info: RunInfo) -> str:
         "scenes": {
             name: [scene.digest, scene.task, scene.trials] for name, scene in info.scenes.items()
         },
-        "panel": [info.panel, info.drawn_from, info.stopped_after, *filter(None, [info.drawn_for])],
+        "panel": [
+            *(info.panel, info.drawn_from),
+            None if stop is None else [stop.first, *stop.followed],
+            *filter(None, [info.drawn_for]),
+        ],
         "bank": None if bank is None else [bank.name, bank.sha256, bank.checked, list(bank.moved)],
         "engine": info.engine,
     }

@@ -62,7 +62,7 @@ def _fields(source: MergeSource) -> Mapping[str, Any]:
         "drawn_from": info.drawn_from,
         "drawn_for": info.drawn_for,
         **{f"baseline.{key}": value for key, value in known.items()},
-        "stopped_after": info.stopped_after,
+        "stop": info.stop,
         "number of parts": source.parts[0].shard.count,
         "plan": source.parts[0].shard.plan,
     }

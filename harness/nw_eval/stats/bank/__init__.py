@@ -11,7 +11,7 @@ from nw_eval.stats.bank.curve import (
 )
 from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide, most_false_alarms
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
-from nw_eval.stats.bank.interval import drop_interval, drop_interval_after, scene_drop_intervals
+from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.order import order_of_starts, order_of_trials
 from nw_eval.stats.bank.outlook import progress_after
 from nw_eval.stats.bank.panel import Bank
@@ -43,7 +43,6 @@ __all__ = [
     "TrialRuling",
     "Values",
     "decide",
-    "drop_interval",
     "drop_interval_after",
     "looks",
     "most_false_alarms",

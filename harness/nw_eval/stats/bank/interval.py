@@ -1,4 +1,4 @@
-"""Which drops the rounds so far do not rule out.
+"""Which drops the trials so far do not rule out.
 
 A drop is ruled out as too small where E_regr, as evidence against "the drop is at most this", has
 reached 1 / alpha_regr, and as too large where E_pass against "the drop is at least this" has
@@ -7,9 +7,9 @@ what is not ruled out is an interval, and each end is found by search. PASS is a
 max_drop, REGRESSED a low end above `tolerate`: interval and verdict cannot contradict each other.
 
 The true drop is one of the nulls. By Ville's inequality its evidence ever reaches 1 / alpha with
-probability at most alpha, so that over all rounds together the low end is above the true drop with
+probability at most alpha, so that over all trials together the low end is above the true drop with
 probability at most alpha_regr, and the high end below it with at most alpha_pass: one may look
-after every round, and stop when one likes.
+after every trial, and stop when one likes.
 
 Source: I. Waudby-Smith and A. Ramdas, "Confidence sequences for sampling without replacement",
 NeurIPS 33 (2020), arXiv 2006.04347, section 2; J. Ville, "Etude critique de la notion de collectif"
@@ -18,25 +18,13 @@ NeurIPS 33 (2020), arXiv 2006.04347, section 2; J. Ville, "Etude critique de la 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from nw_eval.stats.bank.decide import Truths
-from nw_eval.stats.bank.evidence import (
-    DOWN,
-    UP,
-    Gamblers,
-    above,
-    after_each,
-    against_at_least,
-    against_at_most,
-    below,
-    mean_of,
-    nulls_at_least,
-    nulls_at_most,
-)
+from nw_eval.stats.bank.evidence import DOWN, UP, nulls_at_least, nulls_at_most
 from nw_eval.stats.bank.panel import Bank, Floats, Places
 from nw_eval.stats.bank.trials import DrawnTrials, above_at, below_at
 from nw_eval.stats.bank.wealth import Bets, along
@@ -47,41 +35,6 @@ _PARTS, _TIMES = 32, 6
 
 _TIMES_ALONE = 3
 """For scenes alone, of which there may be many: to 2 / 32^3, under 1e-4."""
-
-
-def drop_interval(
-    bank: Bank,
-    candidate: Floats,
-    baseline: Floats,
-    *,
-    alpha_pass: float = 0.05,
-    alpha_regr: float = 0.01,
-) -> Interval:
-    """Return the drops of mean success that are not ruled out after R rounds.
-
-    Args:
-        bank: of the baseline, without leading axes.
-        candidate: c in the order drawn, shape (R, S); NaN, a trial without a result, counts as 0
-            for the high end and as 1 for the low one.
-        baseline: b of the same starts, shape (R, S).
-        alpha_pass: probability, at most, that the high end is below the true drop.
-        alpha_regr: probability, at most, that the low end is above it.
-
-    Returns:
-        An interval within B - 1 to B, all of it without rounds. Where the ends cross, as they do in
-        hardly any random order, they change places, which makes neither err more often.
-
-    Raises:
-        ValueError: there are more rounds than starts.
-    """
-    lows, highs = _ends(
-        replace(bank, means=bank.means[None, None]),
-        candidate[:, None, None],
-        baseline[:, None, None],
-        (alpha_pass, alpha_regr),
-        _TIMES,
-    )
-    return Interval(float(lows[0]), float(highs[0]))
 
 
 def drop_interval_after(
@@ -96,17 +49,56 @@ def drop_interval_after(
         alpha_regr: probability, at most, that the low end is above it.
 
     Returns:
-        An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials.
+        An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials. Where
+        the ends cross, as they do in hardly any random order, they change places, which makes
+        neither err more often.
 
     Raises:
         ValueError: there are more trials than pairs of a scene and a start.
     """
+    return _interval(bank, trials, (alpha_pass, alpha_regr), _TIMES)
+
+
+def scene_drop_intervals(
+    bank: Bank, trials: DrawnTrials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
+) -> tuple[Interval, ...]:
+    """Return for each scene the drops in it that its own trials do not rule out.
+
+    Each is the interval of `drop_interval_after` for a bank of that scene alone, to 1e-4: of many,
+    some miss. How many trials a scene has may depend on what came of those before.
+
+    Args:
+        bank: as for `drop_interval_after`.
+        trials: of all scenes, in the order drawn, shape (T,).
+        alpha_pass: for each scene.
+        alpha_regr: for each scene.
+
+    Raises:
+        ValueError: a scene has more trials than starts.
+    """
+    found: list[Interval] = []
+    for scene in range(len(bank.means)):
+        own = trials.at(np.flatnonzero(trials.scenes == scene).tolist())
+        found.append(
+            _interval(
+                replace(bank, means=bank.means[[scene]]),
+                replace(own, scenes=np.zeros_like(own.scenes)),
+                (alpha_pass, alpha_regr),
+                _TIMES_ALONE,
+            )
+        )
+    return tuple(found)
+
+
+def _interval(bank: Bank, trials: DrawnTrials, alphas: tuple[float, float], times: int) -> Interval:
+    """Return the drops that are not ruled out; `times` is how often a search keeps one part."""
     high = 1.0 if bank.paired else float(bank.mean[0])
     low = -1.0 if bank.paired else high - 1.0
     if not len(trials.scenes):
         return Interval(low, high)
     ups, downs = above_at(bank, trials.counted(0.0)), below_at(bank, trials.counted(1.0))
     pairs = bank.starts * len(bank.means)
+    alpha_pass, alpha_regr = alphas
 
     def last(values: list[Floats], nulls: list[Floats], bets: Bets) -> Floats:
         each = [
@@ -122,78 +114,10 @@ def drop_interval_after(
         return last(ups, nulls_at_least(bank, drops), UP) >= 1.0 / alpha_pass
 
     ends = [
-        float(_first(holds, np.array([low]), np.array([high]), _TIMES)[0])
+        float(_first(holds, np.array([low]), np.array([high]), times)[0])
         for holds in (not_too_small, too_large)
     ]
     return Interval(min(ends), max(ends))
-
-
-def scene_drop_intervals(
-    bank: Bank,
-    candidate: Floats,
-    baseline: Floats,
-    *,
-    alpha_pass: float = 0.05,
-    alpha_regr: float = 0.01,
-) -> tuple[Interval, ...]:
-    """Return for each scene the drops in it that its own R trials do not rule out.
-
-    Each is the interval of `drop_interval` for a bank of that scene alone, to 1e-4: of many, some
-    miss.
-
-    Args:
-        bank: as for `drop_interval`, and so are the others.
-        candidate: c, shape (R, S).
-        baseline: b, shape (R, S).
-        alpha_pass: for each scene.
-        alpha_regr: for each scene.
-
-    Raises:
-        ValueError: there are more rounds than starts.
-    """
-    lows, highs = _ends(
-        replace(bank, means=bank.means[:, None, None]),
-        candidate[:, :, None, None],
-        baseline[:, :, None, None],
-        (alpha_pass, alpha_regr),
-        _TIMES_ALONE,
-    )
-    return tuple(map(Interval, lows.tolist(), highs.tolist()))
-
-
-def _ends(
-    bank: Bank, candidate: Floats, baseline: Floats, alphas: tuple[float, float], times: int
-) -> tuple[Floats, Floats]:
-    """Return the low and the high ends of G intervals, each shape (G,).
-
-    Args:
-        bank: means of shape (G, 1, S); the axis of one is for the drops that are asked about.
-        candidate: c, shape (R, G, 1, S).
-        baseline: b, likewise.
-        alphas: alpha_pass and alpha_regr.
-        times: how often a search keeps one part.
-    """
-    missing = np.isnan(candidate)
-    worst, best = np.where(missing, 0.0, candidate), np.where(missing, 1.0, candidate)
-    ups = [above(bank, c, b) for c, b in zip(worst, baseline, strict=True)]
-    downs = [below(bank, c, b) for c, b in zip(best, baseline, strict=True)]
-    most = bank.mean[:, 0, 0]
-    alpha_pass, alpha_regr = alphas
-
-    def not_too_small(drops: Floats) -> Truths:
-        return ~(_after_all(against_at_most(bank, drops), downs) >= 1.0 / alpha_regr)
-
-    def too_large(drops: Floats) -> Truths:
-        return _after_all(against_at_least(bank, drops), ups) >= 1.0 / alpha_pass
-
-    ends = [_first(holds, most - 1.0, most, times) for holds in (not_too_small, too_large)]
-    return np.minimum(*ends), np.maximum(*ends)
-
-
-def _after_all(gamblers: Gamblers, rounds: Sequence[Sequence[Floats]]) -> Floats:
-    for values in rounds:
-        gamblers = after_each(gamblers, values)
-    return mean_of(gamblers)
 
 
 def _first(holds: Callable[[Floats], Truths], low: Floats, high: Floats, times: int) -> Floats:

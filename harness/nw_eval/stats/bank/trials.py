@@ -93,6 +93,15 @@ class DrawnTrials:
         for values in (self.candidate, self.baseline):
             check_successes(values[~np.isnan(values)])
 
+    def at(self, places: Sequence[int]) -> DrawnTrials:
+        """Return the trials at some places of the order, in their order."""
+        which = np.array(places, dtype=np.intp)
+        return DrawnTrials(
+            scenes=self.scenes[..., which],
+            candidate=self.candidate[..., which],
+            baseline=self.baseline[..., which],
+        )
+
     def only(self, which: Places, count: int) -> DrawnTrials:
         """Return the first trials of some of the gates, by their places along the first axis."""
         cut = np.s_[which, :count]

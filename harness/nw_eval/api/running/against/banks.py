@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,13 +65,32 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
     places = [folder.bank(info.baseline.name), *([Path(info.baseline.path)] if elsewhere else [])]
     for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
-            against = _latest.get((path.name, digest)) or _opened(path)
-            return against.of_run(info.baseline)
+            against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
+            return _beside(against, folder, info)
     raise IncomparableError(
         f"run {info.id} is compared with bank {info.baseline.name}, and neither its copy of it nor "
         f"{info.baseline.path} is there as it was",
         fix="restore the file",
     )
+
+
+def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
+    """Return a bank with the trials of its policy that ran beside those of a run, if any did.
+
+    Raises:
+        StoreError: they are damaged.
+        TrialError: one is an error.
+    """
+    from nw_eval.api.running.against.baseline_run import control_rows
+    from nw_eval.files.inside import what_is
+    from nw_eval.results.bank.against import Control
+    from nw_eval.results.provenance import read_run_info
+
+    nested, known = folder.baseline, info.baseline
+    if known is None or known.checked != "control" or what_is(nested.run_json) != "file":
+        return against
+    own = read_run_info(nested.run_json)
+    return replace(against, control=Control(run=own, rows=control_rows(nested, own, folder)))
 
 
 def judging_bank(
@@ -124,7 +144,7 @@ def resumed_bank(
 
 
 def check_rounds(against: Against, rounds: int, suite: str) -> None:
-    """Refuse more rounds than a bank has starts.
+    """Refuse more trials of each scene than a bank has starts.
 
     Raises:
         IncomparableError: it has fewer.
@@ -132,9 +152,10 @@ def check_rounds(against: Against, rounds: int, suite: str) -> None:
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
         raise IncomparableError(
-            f"bank {name} has {plural(starts, 'start')} in each scene, {rounds} rounds draw more",
+            f"bank {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of each "
+            "draw more",
             fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
-            f"{3 * rounds}`",
+            f"{rounds}`",
         )
 
 

@@ -1,46 +1,42 @@
 """The baseline's own trials on a class of machine that its bank has not seen.
 
 They are a run of their own, `baseline/` in the folder of the candidate's: the bank's policy from
-the bank's starts, as many rounds as show what the bank is worth here.
+the starts that the candidate meets, in its order. The first of them show whether bits are the
+bank's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
+every start (a concurrent control), and the bank's numbers take no part in the comparison.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import signal
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.files.inside import what_is
+from nw_eval.gate.baseline.holding.known import contradictions
 from nw_eval.gate.baseline.holding.match import renewing
-from nw_eval.gate.baseline.holding.sentinel import watch
-from nw_eval.gate.baseline.judge import compare
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
+from nw_eval.results.bank import trajectory
+from nw_eval.results.bank.against import Control
 from nw_eval.results.provenance import read_run_info
 
 if TYPE_CHECKING:
-    from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
+    from nw_eval.engine.rounds import Standing
     from nw_eval.policies import Bundle
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
 
+CHUNK = 16
+"""Trials of the baseline that run at once: workers take some seconds to start."""
 
-def run_baseline(
-    plan: Plan,
-    against: Against,
-    folder: RunFolder,
-    run: RunInfo,
-    *,
-    workers: int | None,
-    cluster: str | None,
-    command: tuple[str, ...],
-    listener: Listener,
-    cache: bool,
-) -> RunInfo:
-    """Run the bank's policy until it is known what the bank is worth here.
+
+class Beside:
+    """The bank's policy beside a candidate.
 
     Args:
         plan: the candidate's.
@@ -50,75 +46,121 @@ def run_baseline(
         workers: processes; one for each core if None.
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
-        listener: hears of progress.
         cache: whether results of earlier runs are taken over.
 
-    Returns:
-        The candidate's run.json: with what was found, and with no rounds to be run where the bank
-        does not hold here; or interrupted.
-
     Raises:
-        IncomparableError: the bank's policy is not here, or the bank has too few starts for a class
-            of machine on which bits are others.
-        TrialError: a trial of the bank's policy came to no result, or not to what the cache says.
+        IncomparableError: the bank's policy is not here.
     """
-    from nw_eval.api.running.plans import baseline_plan
-    from nw_eval.engine import session
 
-    nested = folder.baseline
-    is_begun = what_is(nested.run_json) == "file"
-    watching = _Watch(plan, against, run)
-    session.carry_out(
-        baseline_plan(plan, against, _bundle(plan, against, run)),
-        workers=workers,
-        cluster=cluster,
-        out=None if is_begun else nested.path,
-        resume=nested.path if is_begun else None,
-        command=command,
-        listener=listener,
-        prelude=watching.begin,
-        enough=watching.enough,
-        cache=cache,
-    )
-    own = read_run_info(nested.run_json)
-    if own.cache is not None and own.cache.differing:
-        raise TrialError(
-            f"the baseline's policy {own.policy.name}: {own.cache.differing[0]}",
-            fix="start a new run",
+    def __init__(
+        self,
+        plan: Plan,
+        against: Against,
+        folder: RunFolder,
+        run: RunInfo,
+        *,
+        workers: int | None,
+        cluster: str | None,
+        command: tuple[str, ...],
+        cache: bool,
+    ) -> None:
+        from nw_eval.api.running.plans import baseline_plan
+
+        self.is_interrupted = False
+        self._folder, self._nested = folder, folder.baseline
+        self._against = against
+        self._workers, self._cluster = workers, cluster
+        self._command, self._cache = command, cache
+        self._plan = baseline_plan(plan, _bundle(plan, against, run))
+        self.places = set[int]()
+        """Of what has run."""
+        self._control: Control | None = None
+
+    @property
+    def budget(self) -> int:
+        """How many trials there are to run at most."""
+        return len(self._plan.trials)
+
+    @property
+    def control(self) -> Control | None:
+        """What has run so far; None if nothing has."""
+        return self._control
+
+    def run(self, places: Collection[int], *, exactly: bool = False) -> None:
+        """Run the trials at some places of the candidate's order, those that have not run yet.
+
+        Args:
+            places: in the order.
+            exactly: whether only these are to be kept of all that have run.
+
+        Raises:
+            TrialError: a trial of the bank's policy came to no result, or not to what the cache
+                says.
+        """
+        from nw_eval.engine import session
+
+        self.places = set(places) if exactly else self.places | set(places)
+        is_begun = what_is(self._nested.run_json) == "file"
+        session.carry_out(
+            self._plan,
+            workers=self._workers,
+            cluster=self._cluster,
+            out=None if is_begun else self._nested.path,
+            resume=self._nested.path if is_begun else None,
+            command=self._command,
+            listener=None,
+            enough=self._next,
+            cache=self._cache,
         )
-    if own.interrupted:
-        return run.model_copy(update={"interrupted": True})
-    return _with_finding(run, own, _rows(nested, own, folder), against, plan)
+        own = read_run_info(self._nested.run_json)
+        if own.cache is not None and own.cache.differing:
+            raise TrialError(
+                f"the baseline's policy {own.policy.name}: {own.cache.differing[0]}",
+                fix="start a new run",
+            )
+        if own.interrupted:
+            self.is_interrupted = True
+            # The run that this one is beside is to hear of it, too.
+            signal.raise_signal(signal.SIGINT)
+            return
+        self._control = Control(run=own, rows=control_rows(self._nested, own, self._folder))
+
+    def looks_like_the_bank(self) -> bool | tuple[str, ...]:
+        """Return whether what has run has the bits of the bank; sentences where it contradicts it.
+
+        Only a candidate on the bank's own starts can be asked.
+        """
+        assert self._control is not None, "something has run"
+        bank, rows = self._against.bank, self._control.rows
+        panel = bank.panels[0]
+        if wrong := contradictions(rows, bank, panel):
+            return wrong
+        return all(
+            trajectory(row)
+            == panel.by_stratum[row.scene, row.perturbation][row.seed_index].trajectory
+            for row in rows
+        )
+
+    def _next(self, ended: Mapping[int, Row]) -> Standing:
+        from nw_eval.engine.rounds import Standing
+
+        places = tuple(sorted(self.places))
+        return Standing(
+            first=0, followed=places, ahead=tuple(place for place in places if place not in ended)
+        )
 
 
-class _Watch:
-    """Asks after each round whether it is known what the bank is worth."""
+def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Row, ...]:
+    """Return the rows of the baseline's run beside a candidate.
 
-    def __init__(self, plan: Plan, against: Against, candidate: RunInfo) -> None:
-        self._gate = plan.suite.gate
-        self._bank = against.bank
-        self._candidate = candidate
-        self._run: RunInfo | None = None
-
-    def begin(self, _: RunFolder, run: RunInfo) -> RunInfo:
-        self._run = run
-        return run
-
-    def enough(self, rows: Sequence[Row]) -> bool:
-        assert self._run is not None, "a run begins before its first round ends"
-        if any(row.status == "error" for row in rows):
-            return True  # What it would have come to decides.
-        seen = watch(rows, self._run, self._bank, self._gate)
-        if seen.checked != "bits":  # Before more is run: has a mere sample starts enough?
-            compare((), self._candidate, self._bank, self._gate, checked="scores")
-        return seen.checked is not None or bool(seen.moved)
-
-
-def _rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Row, ...]:
-    """Return the rows of the baseline's run.
+    Args:
+        nested: its folder.
+        own: its run.json.
+        folder: of the candidate's run.
 
     Raises:
         TrialError: one is an error.
+        StoreError: it is damaged.
     """
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.results.ended import read_trials
@@ -131,23 +173,6 @@ def _rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Row, ...]
             fix=f"--resume {folder.path} tries them again",
         )
     return rows
-
-
-def _with_finding(
-    run: RunInfo, own: RunInfo, rows: Sequence[Row], against: Against, plan: Plan
-) -> RunInfo:
-    """Return the candidate's run.json with what the baseline's rows show.
-
-    Raises:
-        IncomparableError: the bank has too few starts for what it is here.
-    """
-    seen = watch(rows, own, against.bank, plan.suite.gate)
-    moved = seen.moved or seen.open
-    known = against.info.model_copy(update={"checked": seen.checked, "moved": moved})
-    if moved:
-        return run.model_copy(update={"baseline": known, "stopped_after": 0})
-    compare((), run, against.bank, plan.suite.gate, checked=seen.checked)
-    return run.model_copy(update={"baseline": known})
 
 
 def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:

@@ -1,22 +1,31 @@
-"""A run against a bank: what comes before its first trial, and after which round it may end."""
+"""A run against a bank: what comes before its first trial, and after which trial it may end."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nw_eval.api.running.plans import rechecks
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import settled
-from nw_eval.gate.baseline.judge import compare
+from nw_eval.engine.machine.cores import worker_count
+from nw_eval.engine.rounds import Standing
+from nw_eval.errors import IncomparableError
+from nw_eval.gate.absolute import word_of_bar
+from nw_eval.gate.baseline.holding.basis import is_baseline
+from nw_eval.gate.baseline.holding.known import recheck
+from nw_eval.gate.baseline.holding.match import renewing
+from nw_eval.gate.baseline.judge import setup_of
 from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_of
+from nw_eval.results.provenance import StopInfo
 
 if TYPE_CHECKING:
+    from nw_eval.api.running.against.baseline_run import Beside
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.baseline.comparison import Checked, Comparison
+    from nw_eval.gate.baseline.finding import Finding
+    from nw_eval.gate.baseline.judge import ComparisonSetup
+    from nw_eval.gate.verdict import Word
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -34,6 +43,7 @@ class Contest:
         command: what was typed.
         listener: hears of progress.
         cache: whether results of earlier runs are taken over.
+        all_rounds: whether all trials run, settled or not.
     """
 
     def __init__(
@@ -46,6 +56,7 @@ class Contest:
         command: tuple[str, ...],
         listener: Listener,
         cache: bool,
+        all_rounds: bool,
     ) -> None:
         self._plan = plan
         self._against = against
@@ -54,24 +65,27 @@ class Contest:
         self._command = command
         self._listener = listener
         self._cache = cache
-        self._run: RunInfo | None = None
+        self._all_rounds = all_rounds
+        self._beside: Beside | None = None
+        self._setup: ComparisonSetup | None = None
+        self._bar: tuple[int, Word] | None = None
+        self._looked = 0
 
     def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
         """Return what run.json is to say once it is known what the bank is to this machine.
 
-        On a class of machine that the bank has no panel of, its own policy is run first.
+        On a class of machine that the bank has no panel of, some trials of its own policy run
+        first: they show whether bits are the bank's.
 
         Args:
             folder: of the run.
             run: its run.json.
 
         Raises:
-            IncomparableError: the bank's policy is not here, or the bank has too few starts for a
-                class of machine on which bits are others.
+            IncomparableError: the bank's policy is not here; or the run is a part of one, on a
+                class of machine with other bits.
             TrialError: a trial of the bank's policy came to no result.
         """
-        from nw_eval.api.running.against.baseline_run import run_baseline
-
         name, own = self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
             count = plural(rechecks(self._plan.request), "start")
@@ -79,49 +93,183 @@ class Contest:
                 f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
                 "they are as it says the rest is taken over"
             )
-        elif self._is_seen(run):
-            pass
-        else:
-            self._listener.message(
-                f"baseline {name} has not seen this class of machine: its own policy runs first"
-            )
-            run = run_baseline(
-                self._plan,
-                self._against,
-                folder,
-                run,
-                workers=self._workers,
-                cluster=self._cluster,
-                command=self._command,
-                listener=self._listener,
-                cache=self._cache,
-            )
-        self._run = run
+        elif not self._is_seen(run):
+            run = self._looked_at(folder, run)
+        if not run.interrupted and (run.stop is None or run.stop.trials):
+            self._setup = setup_of(run, self._against, self._plan.suite.gate)
         return run
 
-    def enough(self, rows: Sequence[Row]) -> bool:
-        """Whether bar and baseline are settled by the rows of the rounds so far."""
-        run = self._run
-        assert run is not None, "a run begins before its first round ends"
-        assert run.baseline is not None, "a run against a bank says so"
-        found = self._compare(rows, run, run.baseline.checked)
-        if self._plan.is_baseline and found.again is not None:
-            if found.rounds < rechecks(self._plan.request):
-                return False
-            errors = any(row.status == "error" for row in rows)
-            if errors or found.again.equal or found.again.differing:
-                return True
-            if not found.again.settled:  # Bits are others, and scores may be.
-                return False
-        planned = Counter(row.scene for row in rows)
-        return settled(judge(rows, self._plan.suite.gate, planned, against=found), found)
+    def end(self, run: RunInfo) -> None:
+        """Keep of a control the trials that are judged, and no more.
+
+        Args:
+            run: its run.json, once its trials have ended.
+        """
+        beside = self._beside
+        if beside is None or beside.is_interrupted or run.interrupted:
+            return
+        if run.baseline is not None and run.baseline.checked == "control":
+            every = range(len(self._plan.trials))
+            stop = run.stop
+            beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
+
+    def _looked_at(self, folder: RunFolder, run: RunInfo) -> RunInfo:
+        """Return run.json with what trials of the baseline show of this class of machine."""
+        from nw_eval.api.running.against.baseline_run import CHUNK, Beside
+
+        name = self._against.info.name
+        self._listener.message(
+            f"baseline {name} has not seen this class of machine: its own policy runs first"
+        )
+        self._beside = beside = Beside(
+            self._plan,
+            self._against,
+            folder,
+            run,
+            workers=self._workers,
+            cluster=self._cluster,
+            command=self._command,
+            cache=self._cache,
+        )
+        beside.run(range(min(CHUNK, beside.budget)))
+        if beside.is_interrupted:
+            return run.model_copy(update={"interrupted": True})
+        self._against = replace(self._against, control=beside.control)
+        alike = self._plan.panel == "pinned" and beside.looks_like_the_bank()
+        if isinstance(alike, tuple):
+            known = self._against.info.model_copy(update={"moved": alike})
+            return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
+        if not alike and self._plan.shard is not None:
+            raise IncomparableError(
+                f"baseline {name} has not seen this class of machine, bits are others here, and a "
+                "part of a run has no control",
+                fix="run it whole, or save a panel of this machine: "
+                f"`{renewing(run, self._against.bank)}`",
+            )
+        if not alike:
+            self._listener.message(
+                f"bits are others here than in baseline {name}: its policy runs beside "
+                f"{self._plan.bundle.name} from the same starts, and is compared with it"
+            )
+        checked = "bits" if alike else "control"
+        known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
+        return run.model_copy(update={"baseline": known})
+
+    def next(self, ended: Mapping[int, Row]) -> Standing:
+        """Return how bar and baseline stand, and which trials come next.
+
+        The bar and the mean rest on the first trials of the drawn order, all of them. The run ends
+        at the first trial after which one of them convicts or both pass. Then only scenes can be
+        left that hold back a PASS of the baseline; their trials do not bear on bar or mean.
+
+        Args:
+            ended: rows of trials that have ended, by place in the order.
+        """
+        while True:
+            now = self._standing(ended)
+            beside = self._beside
+            if now.ahead and beside is not None and self._is_controlled:
+                from nw_eval.api.running.against.baseline_run import CHUNK
+
+                lacking = [x for x in now.ahead if x not in beside.places]
+                if lacking and lacking[0] in now.ahead[: worker_count(self._workers, CHUNK)]:
+                    beside.run(lacking[:CHUNK])
+                    if not beside.is_interrupted and self._setup is not None:
+                        self._against = replace(self._against, control=beside.control)
+                        self._setup = replace(self._setup, against=self._against)
+                        continue
+            return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
+
+    @property
+    def _is_controlled(self) -> bool:
+        return self._setup is not None and self._setup.basis == "control"
+
+    def _standing(self, ended: Mapping[int, Row]) -> Standing:
+        setup = self._setup
+        assert setup is not None, "a run begins before its first trial ends"
+        every, count = range(len(self._plan.trials)), _first_missing(ended)
+        if self._all_rounds:
+            met = setup.met(list(ended.values()))
+            is_met = met.ended(every)
+            return Standing(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
+        if self._plan.is_baseline:
+            return self._of_recheck(ended, setup)
+        finding = setup.find(setup.met(list(ended.values())))
+        bar = self._bar_by(ended, count)
+        first = _ends_at(finding, bar)
+        if first is None:
+            rest = {x for x in every if x not in ended} | set(finding.ahead)
+            return Standing(first=count, ahead=tuple(sorted(rest)))
+        missing = [x for x in range(first) if x not in ended]
+        passes = finding.word != "REGRESSED" and (bar is None or bar[1] != "REGRESSED")
+        has_followed = passes or (finding.followed and finding.followed[-1] >= first)
+        return Standing(
+            first=first,
+            followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
+            ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+        )
+
+    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> Standing:
+        """Return what comes next of the bank's own policy: some starts of each scene.
+
+        Where the bank has not seen the class of machine, and bits are others, the bar is still to
+        be judged: by the policy's own trials.
+        """
+        every = range(len(self._plan.trials))
+        first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
+        if missing := tuple(x for x in range(first) if x not in ended):
+            return Standing(first=first, ahead=missing)
+        rows = [ended[x] for x in range(first)]
+        again = recheck(rows, setup.run, setup.bank)
+        if any(row.status == "error" for row in rows) or again.equal or again.differing:
+            return Standing(first=first)
+        bar = self._bar_by(ended, _first_missing(ended))
+        if bar is not None:
+            return Standing(first=max(first, bar[0]))
+        return Standing(first=first, ahead=tuple(x for x in every if x not in ended))
+
+    def _bar_by(self, ended: Mapping[int, Row], count: int) -> tuple[int, Word] | None:
+        """Return after how many of the first trials the bar is decided, and how; None if open."""
+        if self._bar is None and self._plan.suite.gate.success_rate is None:
+            self._bar = 0, "RAN"
+        while self._bar is None and self._looked < count:
+            self._looked += 1
+            rows = [ended[place] for place in range(self._looked)]
+            scenes = [scene.name for scene in self._plan.scenes]
+            word = word_of_bar(rows, self._plan.suite.gate, scenes)
+            if word in {"PASS", "REGRESSED"}:
+                self._bar = self._looked, word
+        return self._bar
 
     def _is_seen(self, run: RunInfo) -> bool:
         """Whether nothing of the baseline need be run on this machine."""
         if self._against.bank.panel_of(machine_of(run)) is not None:
             return True
-        return self._compare((), run, "bits").basis == "same"
+        return is_baseline(run.policy, self._against.bank)
 
-    def _compare(self, rows: Sequence[Row], run: RunInfo, checked: Checked | None) -> Comparison:
-        gate = self._plan.suite.gate
-        return compare(rows, run, self._against.bank, gate, checked=checked)
+
+def _first_missing(ended: Mapping[int, Row]) -> int:
+    return next(place for place in range(len(ended) + 1) if place not in ended)
+
+
+def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:
+    """Return how many of the first trials of the order bear on bar and mean; None if not settled.
+
+    Args:
+        finding: of the baseline.
+        bar: after how many trials it was decided, and how.
+    """
+    convicts = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
+    by_scene = finding.word == "REGRESSED" and bool(finding.followed)
+    if finding.word == "REGRESSED" and not by_scene:
+        convicts.append(finding.first)
+    mean_passes = finding.word == "PASS" or by_scene or bool(finding.waits_for)
+    passes = None
+    if mean_passes and bar is not None and bar[1] != "REGRESSED":
+        passes = max(finding.first, bar[0])
+    if by_scene:
+        convicted = finding.followed[-1] + 1
+        if passes is not None and passes < convicted:
+            return passes
+        convicts.append(convicted)
+    return min(convicts) if convicts else passes

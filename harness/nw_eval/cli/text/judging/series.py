@@ -32,7 +32,7 @@ def _cells(run: RunReport | None) -> tuple[str, str, str, str]:
     if run is None or against is None:
         return "", "", "", ""
     drop = "" if against.drop is None else f"{against.drop:.3f}"
-    if against.interval is not None and against.rounds:
+    if against.interval is not None and against.trials:
         drop += f" ({against.interval.low:.2f} to {against.interval.high:.2f})"
     named = [scene.scene for scene in against.scenes if scene.named]
     return against.word, drop, str(len(run.rows)), ", ".join(named)

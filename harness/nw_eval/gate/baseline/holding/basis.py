@@ -6,16 +6,17 @@ import re
 from hashlib import sha256
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.comparison import TIMES, Basis, Checked, Claim
+from nw_eval.gate.baseline.comparison import Basis, Claim
 from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.results.bank import Panel, SavedBank
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import PolicyInfo, RunInfo
+from nw_eval.suite.model import Gate
 
 _NOTHING = sha256(b"").hexdigest()
 
 
-def basis_of(run: RunInfo, bank: SavedBank, checked: Checked | None) -> tuple[Basis, Panel]:
+def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis, Panel]:
     """Return what the bank is to the run's trials, and the panel that speaks for the baseline.
 
     Args:
@@ -27,50 +28,53 @@ def basis_of(run: RunInfo, bank: SavedBank, checked: Checked | None) -> tuple[Ba
         IncomparableError: the bank has no panel of this class of machine, and nobody has checked.
     """
     panel = bank.panel_of(machine_of(run))
-    if _is_baseline(run.policy, bank):
+    if is_baseline(run.policy, bank):
         return "same", panel or bank.panels[0]
-    if panel is None and checked is None:
+    if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
             f"bank {bank.manifest.name} has no panel of this class of machine "
             f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
             fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add a panel "
             f"with `{renewing(run, bank)}`",
         )
+    if panel is None and checked == "control":
+        return "control", bank.panels[0]
     if run.panel == "fresh":
         return "fresh", panel or bank.panels[0]
-    is_sample = panel is None and checked == "scores"
-    return "sample" if is_sample else "panel", panel or bank.panels[0]
+    return "panel", panel or bank.panels[0]
 
 
-def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, budget: int) -> Claim:
-    """Return of which starts a comparison may speak.
+def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gate) -> Claim:
+    """Return of which starts a comparison speaks: of fresh ones, unless the suite says otherwise.
 
-    Of the panel itself only if its order was drawn for this candidate: the first starts of a panel
-    are as random as any among all starts, but not among those of the panel. Of fresh starts only if
-    the panel has `TIMES` as many of them as there are rounds.
+    Of the panel itself it may only where the order was drawn for this candidate from all of it: the
+    first starts of a panel are as random as any among all starts, but not among those of the panel.
 
     Raises:
-        IncomparableError: of none; saying how many starts to save.
+        IncomparableError: the bank has fewer starts than were drawn, or `gate.claim` is panel where
+            none were.
     """
-    if basis == "same":
-        return "panel and fresh"
-    has, enough = bank.manifest.starts, TIMES * budget
-    is_drawn = basis == "panel" and run.drawn_from == has
-    if has >= max(enough, run.drawn_from or 0):
-        return "panel and fresh" if is_drawn else "fresh"
-    if is_drawn and has >= max(budget, run.drawn_from or 0):
+    has, is_drawn = bank.manifest.starts, basis == "panel" and run.drawn_from is not None
+    needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
+    if basis != "same" and has < needs:
+        raise IncomparableError(
+            f"bank {bank.manifest.name} has {has} starts in each scene; {rounds} rounds need "
+            f"{needs}",
+            fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
+            "--trials",
+        )
+    if gate.claim == "fresh" or basis == "same":
+        return "fresh"
+    if is_drawn and run.drawn_from == has:
         return "panel"
-    needs = max(budget if is_drawn else enough, run.drawn_from or 0)
-    of = "" if is_drawn else f" ({TIMES} for each, to speak of fresh starts)"
     raise IncomparableError(
-        f"bank {bank.manifest.name} has {has} starts in each scene; {budget} rounds need "
-        f"{needs}{of}",
-        fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
-        "--trials",
+        f"gate.claim is panel, and the candidate did not meet starts that were drawn for it from "
+        f"all {has} of bank {bank.manifest.name} on a machine that it knows",
+        fix="write `claim: fresh`",
     )
 
 
-def _is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
+def is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
     """Return whether a policy is the baseline itself, as far as its digests can say."""
     theirs = bank.manifest.policy
     # An object in a process has whatever name its caller gives it; some servers give no digest.

@@ -7,16 +7,21 @@ from dataclasses import dataclass
 
 from nw_eval.errors import StoreError
 from nw_eval.gate.baseline.comparison import Recheck
-from nw_eval.gate.baseline.holding.sentinel import FROM_START, difference, watch
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start
+from nw_eval.results.bank import Panel, SavedBank, Start, trajectory
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
-from nw_eval.suite.model import Gate, new_suite
+from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 
 _NAMED = 3  # trials, and values of each, that the sentences name
+
+FROM_START = (
+    *("success", "completed", "outcome", "end_reason"),
+    *("waypoints_reached", "waypoints_total"),
+)
+"""Columns of a row that a baseline has of each start."""
 
 _NO_TIMES = dict.fromkeys(("physics_s", "render_s", "policy_s", "log_s", "wall_s"), 0.0)
 
@@ -72,18 +77,17 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> Recheck:
+def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
-    another one bits may be others. Then nothing is taken over, and only scores that are out of line
-    (`sentinel.watch`) speak against the baseline.
+    another one bits may be others. Then nothing is taken over, and only a trial that has the
+    baseline's bits and another result speaks against the baseline.
 
     Args:
         rows: of the run, whose policy is the baseline's by its digests, on the pinned panel.
         run: what they are of.
         bank: of the baseline.
-        gate: margins and errors.
 
     Raises:
         StoreError: a row is of no start of the baseline.
@@ -91,11 +95,12 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
     seen = bank.panel_of(machine_of(run))
     done = [row for row in rows if row.status == "ok"]
     # The very panel that `known_rows` takes results from.
-    differing = differences(done, seen or bank.panels[0])
+    panel = seen or bank.panels[0]
+    differing = differences(done, panel)
     ran = {(row.scene, row.perturbation) for row in done if not row.cached}
     strata = {(row.scene, row.perturbation) for row in rows}
     planned = sum(run.planned.values())
-    wrong, settled = tuple[str, ...](), True
+    wrong = contradictions(done, bank, panel)
     if differing and seen is not None:
         count = f"{len(differing)} of {plural(len(done), 'trial')}"
         more = len(differing) - _NAMED
@@ -105,21 +110,39 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank, gate: Gate) -> R
             *differing[:_NAMED],
             *([rest] if more > 0 else []),
         )
-    elif differing and len(done) == len(rows):
-        sentinel = watch(rows, run, bank, gate, arm="candidate")
-        wrong, settled = sentinel.moved, not sentinel.open
     return Recheck(
         compared=len(done),
         ran=sum(not row.cached for row in done),
         equal=not differing,
         differing=wrong,
-        settled=settled,
         taken_over=run.is_recheck
-        and run.stopped_after is not None
+        and run.stop is not None
         and not differing
         and 0 < planned == len(done)
         and ran == strata,
     )
+
+
+def contradictions(rows: Iterable[Row], bank: SavedBank, panel: Panel) -> tuple[str, ...]:
+    """Return sentences where trials have the bits of a baseline, and another result; or nothing.
+
+    The same states and actions are the same trial: its result is no matter of the machine.
+
+    Args:
+        rows: with results, of the baseline's own policy.
+        bank: of the baseline.
+        panel: of it.
+
+    Raises:
+        StoreError: a row is of no start of the baseline.
+    """
+    same = [row for row in rows if trajectory(row) == _start_of(row, panel).trajectory]
+    found = differences(same, panel)
+    if not found:
+        return ()
+    own = bank.manifest.policy.name
+    first = f"the bank is not what its own policy {own} does: the same bits, other results"
+    return (first, *found[:_NAMED])
 
 
 def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
@@ -134,15 +157,37 @@ def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
     """
     found: list[tuple[Start, str]] = []
     for row in rows:
-        starts = panel.by_stratum.get((row.scene, row.perturbation), ())
-        if not 0 <= row.seed_index < len(starts):
-            raise StoreError(
-                f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
-                "its scene",
-                fix="judge the run against the baseline that it was begun with",
-            )
-        start = starts[row.seed_index]
+        start = _start_of(row, panel)
         if (text := difference(row, start)) is not None:
             found.append((start, text))
     found.sort(key=lambda item: (item[0].stratum, item[0].seed_index))
     return tuple(text for _, text in found)
+
+
+def difference(row: Row, start: Start) -> str | None:
+    """Return what of a trial is not as the baseline says, both values of each; None if nothing.
+
+    Args:
+        row: with a result.
+        start: what the baseline says of it.
+    """
+    pairs = [(name, getattr(start, name), getattr(row, name)) for name in FROM_START]
+    parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
+    if not parts and trajectory(row) != start.trajectory:
+        parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
+    if not parts:
+        return None
+    cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
+    # The first says most: the others follow from it.
+    return f"scene {start.scene}{cell} start {start.seed_index}: {', '.join(parts[:_NAMED])}"
+
+
+def _start_of(row: Row, panel: Panel) -> Start:
+    starts = panel.by_stratum.get((row.scene, row.perturbation), ())
+    if not 0 <= row.seed_index < len(starts):
+        raise StoreError(
+            f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
+            "its scene",
+            fix="judge the run against the baseline that it was begun with",
+        )
+    return starts[row.seed_index]

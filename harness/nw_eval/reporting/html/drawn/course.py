@@ -77,7 +77,7 @@ class FailingCourse:
 def course(rows: Sequence[Row], verdict: Verdict) -> FailingCourse:
     """Return where trials ended.
 
-    Against a baseline it is what the gate compared, the rounds judged beside all starts of the
+    Against a baseline it is what the gate compared, the trials judged beside all starts of the
     bank; else it is all trials that came to a result.
     """
     against = () if verdict.against is None else verdict.against.scenes
