@@ -34,7 +34,7 @@ _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 # log may be a stranger's: none of them is written, and none is believed.
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
 # In which round a trial is due is its run's affair: a log is the same in whichever it was.
-_OF_TRIALS = tuple(name for name in Trial.__dataclass_fields__ if name != "drawn")
+_OF_TRIALS = tuple(name for name in Trial.__dataclass_fields__ if name != "place")
 
 
 @cache

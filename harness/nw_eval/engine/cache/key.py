@@ -20,7 +20,7 @@ FORMAT = 1
 # What names things, and what says where a trial runs, how long it may take, and where its log goes.
 # Every other field counts, those that are added too. Scene, policy and checkpoint count by their
 # digests.
-_LABELS = frozenset({"suite", "scene", "tier", "drawn"})
+_LABELS = frozenset({"suite", "scene", "tier", "place"})
 _CIRCUMSTANCE = frozenset(
     {"trial", "scene", "policy", "policy_name", "checkpoint"}
     | {"allow_code", "attachments", "mcap", "time_limit"}
