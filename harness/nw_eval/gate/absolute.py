@@ -107,7 +107,7 @@ def judge(
         interval=bounds,
         confidence=gate.confidence,
         bar=gate.success_rate,
-        n=sum(len(values) for values in counted),
+        n=sum(item.n for item in scores if item.tier != "informational"),
         planned=sum(planned.values()),
         errors=sum(item.errors for item in scores),
         drop=drop,

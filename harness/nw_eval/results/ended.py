@@ -7,7 +7,7 @@ costs nothing while the other is whole; what neither can show is no result.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
 from typing import Any
@@ -88,7 +88,12 @@ def _write_table(
 
 
 def read_trials(
-    folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial], *, mend: bool = True
+    folder: RunFolder,
+    info: RunInfo,
+    trials: Sequence[PlannedTrial],
+    *,
+    spare: Collection[str] = (),
+    mend: bool = True,
 ) -> RunRows:
     """Return the rows of a run's planned trials; writes trials.parquet again if it is damaged.
 
@@ -96,6 +101,8 @@ def read_trials(
         folder: of the run.
         info: its run.json.
         trials: its plan.
+        spare: trials by id that the run may have beyond those that were enough: nothing is said of
+            them.
         mend: whether anything may be written.
 
     Raises:
@@ -118,8 +125,8 @@ def read_trials(
     _check_each(rows, info)
     if contents.dropped:
         remarks.append(contents.dropped)
-    if others:
-        remarks.append(_left_out(others))
+    if foreign := [row for row in others if row.trial_id not in spare]:
+        remarks.append(_left_out(foreign))
     if info.rows_digest and mend:
         remarks += _mended(folder, info, rows)
     return RunRows(rows=tuple(rows), remarks=tuple(remarks))

@@ -244,13 +244,14 @@ def _judged(
     """Return the verdict on the rows of a run's plan."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from nw_eval.api.running.saved_run import saved_trials
+    from nw_eval.api.running.saved_run import saved_trials, spare_trials
     from nw_eval.results.ended import read_trials
 
     # A process of its own reads the bank, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(bank)
-        found = read_trials(folder, info, saved_trials(info, suite), mend=mend)
+        trials, spare = saved_trials(info, suite), spare_trials(info, suite)
+        found = read_trials(folder, info, trials, spare=spare, mend=mend)
     return judged_rows(folder, info, suite, opened.result(), found)
 
 

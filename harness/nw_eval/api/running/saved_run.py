@@ -191,6 +191,18 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     return trials
 
 
+def spare_trials(info: RunInfo, suite: Suite) -> frozenset[str]:
+    """Return the trials by id that a run may have run beyond those that were enough.
+
+    Raises:
+        StoreError, IncomparableError: as `whole_plan`.
+    """
+    if info.stop is None:
+        return frozenset()
+    plan = whole_plan(info, suite)
+    return frozenset(trial.id for trial in plan if not info.stop.wants(trial.place))
+
+
 def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return all trials of the run that a run is, or is a part of, in the order of its suite.
 
