@@ -95,5 +95,5 @@ def trials_to_pass(gate: Gate, strata: int) -> int:
 def percent(share: float) -> str:
     """Return a simulated share as words that claim no more than a simulation can."""
     if share < 0.01:
-        return "under 1 %"
-    return "over 99 %" if share > 0.99 else f"{100 * share:.0f} %"
+        return "< 1 %"
+    return "> 99 %" if share > 0.99 else f"{100 * share:.0f} %"

@@ -16,7 +16,7 @@ _WORDS = (
 
 
 def draw_curve(
-    points: Sequence[CurvePoint], path: Path, *, margins: Margins, scenes: int, title: str
+    points: Sequence[CurvePoint], path: Path, *, margins: Margins, title: str
 ) -> None:
     """Draw which share of policies of each drop is convicted, passed and left open, and the trials.
 
@@ -24,7 +24,6 @@ def draw_curve(
         points: of the curve, drops rising.
         path: of the PNG.
         margins: of the gate.
-        scenes: trials of a round.
         title: what it is the curve of.
 
     Raises:
@@ -52,7 +51,7 @@ def draw_curve(
     upper.legend(loc="center right", reverse=True)
     # A dollar sign in a title begins no formula.
     figure.suptitle(title, parse_math=False)
-    lower.plot(drops, [scenes * point.rounds for point in points], color="#34495e", marker="o")
+    lower.plot(drops, [point.trials for point in points], color="#34495e", marker="o")
     lower.set(ylim=(0, None), xlabel="true drop of mean success", ylabel="trials, mean")
     lower.grid(alpha=0.3)
     with atomic_path(followed(path)) as temporary:

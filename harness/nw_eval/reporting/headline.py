@@ -49,7 +49,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
         # The simulator gives the same bits every time: on these starts nothing is estimated.
         sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
-        return f"{sentence}. Against the baseline this gate {in_a_sentence(verdict.against.curve)}."
+        return f"{sentence}. {in_a_sentence(verdict.against.curve)}."
     if verdict.drop_passes is None or verdict.against is not None:
         return f"{sentence}."
     return (

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,11 +25,11 @@ class TrialPlan:
     source: str
     """What it is reckoned from: a bank or a run, in words."""
     outset: Outset
-    """What is known before the first round: the baseline's scores, margins, budget."""
+    """What is known before the first trial: the baseline's scores, margins, budget."""
     detect: float
     """The drop that is asked about."""
     dropped: Progress
-    """How soon policies of that drop are judged, with as many rounds as the bank has starts."""
+    """How soon policies of that drop are judged, with all starts of the bank run."""
     equal: Progress
     """How soon equal ones are."""
     curve: tuple[CurvePoint, ...]
@@ -187,14 +186,12 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
 def _draw(planned: TrialPlan, png: Path) -> None:
     from nw_eval.reporting.curve_picture import draw_curve
 
-    rules, scenes = planned.outset.rules, planned.outset.scenes
-    budget = f"at most {plural(rules.rounds, 'round')} of {plural(scenes, 'trial')}"
+    outset = planned.outset
     draw_curve(
         planned.curve,
         png,
-        margins=rules.margins,
-        scenes=scenes,
-        title=f"{planned.suite}, success {planned.outset.baseline:.3f}: {budget}",
+        margins=outset.rules.margins,
+        title=f"{planned.suite}, success {outset.baseline:.3f}: {outset.in_words}",
     )
 
 

@@ -7,7 +7,7 @@ run scored were the baseline's true success.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.finding import margins_of
@@ -18,12 +18,13 @@ from nw_eval.results.bank.start import Stratum
 from nw_eval.results.row import Row
 from nw_eval.stats import SceneCounts
 from nw_eval.stats.bank import (
+    Against,
     CurvePoint,
-    GateRules,
     Progress,
+    TrialRules,
     operating_curve,
     progress_at,
-    rounds_for,
+    trials_for,
 )
 from nw_eval.stats.bank.simulate import success_of
 from nw_eval.suite.model import Gate
@@ -37,15 +38,19 @@ _FEWEST, _DRAWS = 200, 2_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Outset:
-    """What is known of a gate before its first round."""
+    """What is known of a gate before its first trial."""
 
     seen: tuple[SceneCounts, ...]
     """The baseline's trials in each scene (and cell of perturbations) that counts."""
-    rules: GateRules
+    rules: TrialRules
+    budget: int
+    """Most trials of scenes that count."""
     starts: int
     """M."""
     known: bool
     """Whether `seen` is the bank; else banks are drawn from it."""
+    against: Against = "fresh"
+    """What the gate speaks of, and what it compares with."""
 
     @property
     def baseline(self) -> float:
@@ -54,23 +59,37 @@ class Outset:
 
     @property
     def scenes(self) -> int:
-        """S: trials of a round."""
+        """S."""
         return len(self.seen)
+
+    @property
+    def in_words(self) -> str:
+        """The budget, and of how many scenes."""
+        return f"at most {plural(self.budget, 'trial')} in {plural(self.scenes, 'scene')}"
 
     def curve(self) -> tuple[CurvePoint, ...]:
         """Return what the gate convicts, passes and leaves open at drops of .00 to .30."""
-        return operating_curve(self.seen, self.rules, starts=self._drawn)
+        return operating_curve(
+            self.seen, self.rules, budget=self.budget, starts=self._drawn, against=self.against
+        )
 
     def progress(self, drop: float) -> Progress:
-        """Return after how many rounds policies of this drop are judged, with all starts run."""
-        return progress_at(self.seen, self.rules, drop, starts=self._drawn)
+        """Return after how many trials policies of this drop are judged, with all starts run."""
+        return progress_at(
+            self.seen, self.rules, drop, starts=self._drawn, against=self.against
+        )
 
     def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
         worst = self.rules.margins.max_drop
-        drops = (0.0, worst / 2, worst)
         same, half, worse = operating_curve(
-            self.seen, self.rules, starts=self._drawn, drops=drops, repetitions=self._few
+            self.seen,
+            self.rules,
+            budget=self.budget,
+            starts=self._drawn,
+            drops=(0.0, worst / 2, worst),
+            repetitions=self._few,
+            against=self.against,
         )
         return same, half, worse
 
@@ -84,18 +103,28 @@ class Outset:
         return None if self.known else self.starts
 
 
-def outset_of_bank(panel: Panel, gate: Gate) -> Outset:
+def outset_of_bank(
+    panel: Panel, gate: Gate, *, budget: int | None = None, against: Against = "fresh"
+) -> Outset:
     """Return the outset of a gate against a bank.
 
     Args:
         panel: of the bank, on one class of machine.
         gate: of the suite.
+        budget: most trials of scenes that count; by `gate.rounds` if None.
+        against: what the gate speaks of, and what it compares with.
 
     Raises:
         IncomparableError: no scene of the bank counts, or its success is not above max_drop.
     """
     starts = min(len(found) for found in panel.by_stratum.values())
-    return _outset(panel.by_stratum, gate, starts, known=True)
+    found = _outset(panel.by_stratum, gate, starts, known=True)
+    pairs = starts * found.scenes
+    return replace(
+        found,
+        budget=found.budget if budget is None else min(budget, pairs),
+        against=against,
+    )
 
 
 def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
@@ -120,12 +149,34 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
 
 
 def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
-    """Return the points of `Outset.foresee` in words."""
+    """Return the points of `Outset.foresee` in words: the power of the gate."""
     same, half, worse = points
     return (
-        f"passes an equal policy in {percent(same.passed)}; {_fate(half)}; {_fate(worse)} "
-        "(simulated)"
+        f"Power at this size: an equally good policy {_fate(same)}; {_worse(half)}; "
+        f"{_worse(worse)} (simulated)"
     )
+
+
+def about_more_trials(progress: Progress) -> str:
+    """Return in words about how many more trials would settle a run: a spread, never one number.
+
+    Args:
+        progress: of simulated ends of the run, after each further trial that may be run.
+    """
+    settled, left = progress.settled, len(progress.settled)
+    if not left:
+        return "the baseline has no more starts: save a larger one"
+    half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
+    whole = f"{'the' if left == 1 else 'all'} {plural(left, 'trial')} that the baseline has left"
+    if half is None:
+        verb = "decides" if left == 1 else "decide"
+        return f"{whole} {verb} with {percent(settled[-1])} probability"
+    within = f"{plural(half, 'more trial')} {'decides' if half == 1 else 'decide'}"
+    if half == most:
+        return f"{within} with 90 % probability"
+    if most is None:
+        return f"{within} with 50 % probability, {whole} with {percent(settled[-1])}"
+    return f"{within} with 50 % probability, {most} with 90 %"
 
 
 def about_more_rounds(progress: Progress, scenes: int) -> str:
@@ -138,7 +189,7 @@ def about_more_rounds(progress: Progress, scenes: int) -> str:
     settled, left = progress.settled, len(progress.settled)
     if not left:
         return "the bank has no more starts: save a larger one"
-    half, most = rounds_for(settled, 0.5), rounds_for(settled, 0.9)
+    half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
     whole = f"{'the' if left == 1 else 'all'} {plural(left, 'round')} that the bank has left"
     if half is None:
         verb = "settles" if left == 1 else "settle"
@@ -173,14 +224,14 @@ def _outset(
             f"max_drop {margins.max_drop:g}",
             fix="lower max_drop, or compare with a better policy",
         )
-    rules = GateRules(
+    rules = TrialRules(
         tiers=tuple(gate.tier(scene) for scene, _ in judged),
         margins=margins,
         alpha_pass=1.0 - gate.confidence,
         alpha_regr=gate.false_alarm,
-        rounds=min(gate.rounds, starts),
     )
-    return Outset(seen=seen, rules=rules, starts=starts, known=known)
+    budget = min(gate.rounds, starts) * len(seen)
+    return Outset(seen=seen, rules=rules, budget=budget, starts=starts, known=known)
 
 
 def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
@@ -189,9 +240,12 @@ def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
     return SceneCounts.of(reached, [trial.waypoints_total for trial in trials])
 
 
+def _worse(point: CurvePoint) -> str:
+    return f"one that is {point.drop:.2g} worse {_fate(point)}"
+
+
 def _fate(point: CurvePoint) -> str:
-    left = f", leaves {percent(point.undecided)} open" if point.undecided >= 0.01 else ""
     return (
-        f"one {point.drop:.2g} worse: convicts {percent(point.regressed)}, passes "
-        f"{percent(point.passed)}{left}"
+        f"passes in {percent(point.passed)}, regresses in {percent(point.regressed)}, "
+        f"undecided in {percent(point.undecided)}"
     )

@@ -7,15 +7,15 @@ from nw_eval.stats.bank.curve import (
     Progress,
     operating_curve,
     progress_at,
-    rounds_for,
+    trials_for,
 )
 from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide, most_false_alarms
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
 from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.order import order_of_starts, order_of_trials
-from nw_eval.stats.bank.outlook import progress_after
+from nw_eval.stats.bank.outlook import progress_after, progress_from
 from nw_eval.stats.bank.panel import Bank
-from nw_eval.stats.bank.simulate import GateRules
+from nw_eval.stats.bank.simulate import Against
 from nw_eval.stats.bank.trials import (
     CRITICAL_TRIALS,
     DrawnTrials,
@@ -30,11 +30,11 @@ from nw_eval.stats.bank.trials import (
 __all__ = [
     "CRITICAL_TRIALS",
     "SUSPECT",
+    "Against",
     "Bank",
     "CurvePoint",
     "DrawnTrials",
     "Evidence",
-    "GateRules",
     "Looks",
     "Margins",
     "Progress",
@@ -52,8 +52,9 @@ __all__ = [
     "over_rounds",
     "progress_after",
     "progress_at",
-    "rounds_for",
+    "progress_from",
     "scene_drop_intervals",
     "settle",
     "settle_all",
+    "trials_for",
 ]

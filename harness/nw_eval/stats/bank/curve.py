@@ -1,4 +1,4 @@
-"""What a gate convicts, passes and leaves open, and after how many rounds.
+"""What a gate convicts, passes and leaves open, and after how many trials.
 
 All by `simulate`. Between the margins either verdict is legitimate, so that what a gate is worth
 stands in no single number, but in this curve.
@@ -7,13 +7,13 @@ stands in no single number, but in this curve.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 
-from nw_eval.stats.bank.panel import Places
-from nw_eval.stats.bank.simulate import GateRules, chances_of, draw, judge_all, success_of
+from nw_eval.stats.bank.simulate import Against, chances_of, draw, success_of
+from nw_eval.stats.bank.trials import TrialRules, TrialRuling, settle_all
 from nw_eval.stats.courses import SceneCounts
 
 DROPS = tuple(hundredths / 100 for hundredths in range(0, 31, 2))
@@ -30,8 +30,8 @@ class CurvePoint:
     drop: float
     passed: float
     regressed: float
-    rounds: float
-    """Mean number that were run."""
+    trials: float
+    """Mean number that were judged, of the candidate alone where a control runs beside it."""
 
     @property
     def undecided(self) -> float:
@@ -41,7 +41,7 @@ class CurvePoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Shares of simulated gates that have ended after 1, 2, ... rounds."""
+    """Shares of simulated gates that have ended after 1, 2, ... trials were judged."""
 
     passed: tuple[float, ...]
     regressed: tuple[float, ...]
@@ -52,11 +52,11 @@ class Progress:
         return tuple(a + b for a, b in zip(self.passed, self.regressed, strict=True))
 
 
-def rounds_for(shares: Sequence[float], share: float) -> int | None:
-    """Return after how many rounds a share of a `Progress` is first reached; None if it never is.
+def trials_for(shares: Sequence[float], share: float) -> int | None:
+    """Return after how many trials a share of a `Progress` is first reached; None if it never is.
 
     Args:
-        shares: after 1, 2, ... rounds.
+        shares: after 1, 2, ... trials.
         share: to reach, from 0 to 1.
     """
     return next((number for number, found in enumerate(shares, 1) if found >= share), None)
@@ -64,37 +64,43 @@ def rounds_for(shares: Sequence[float], share: float) -> int | None:
 
 def operating_curve(
     seen: Sequence[SceneCounts],
-    rules: GateRules,
+    rules: TrialRules,
     *,
+    budget: int,
     starts: int | None = None,
     drops: Sequence[float] = DROPS,
     repetitions: int = REPETITIONS,
+    against: Against = "fresh",
 ) -> tuple[CurvePoint, ...]:
     """Return how a gate ends at each drop that the baseline is high enough for.
 
     Args:
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
             bank itself, with as many in each scene.
-        rules: of the gate; it has no more rounds than the bank has starts.
+        rules: of the gate.
+        budget: most trials, no more than the bank has pairs of a scene and a start.
         starts: M of a bank that is not there yet. Banks are then drawn, one a repetition, from what
             was seen, as if the success that was seen were the true one.
         drops: of true success, scenes weighted equally.
         repetitions: simulated gates at each drop.
+        against: what the gate compares with.
 
     Raises:
-        ValueError: scenes have unequal numbers of starts, or fewer than rounds are asked for.
+        ValueError: scenes have unequal numbers of starts, or fewer than the budget needs.
     """
-    drawn = draw(seen, starts=starts, rounds=rules.rounds, repetitions=repetitions)
+    drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
     mean, points = success_of(seen), list[CurvePoint]()
     for drop in drops:
         if mean - drop > 0.0:
-            endings = judge_all(drawn, chances_of(seen, mean - drop), rules)
+            chances = chances_of(seen, mean - drop)
+            rulings = settle_all(drawn.bank, drawn.trials(chances), rules)
+            words = [ruling.word for ruling in rulings]
             points.append(
                 CurvePoint(
                     drop=drop,
-                    passed=float((endings.passed > 0).mean()),
-                    regressed=float((endings.convicted > 0).mean()),
-                    rounds=float(endings.rounds.mean()),
+                    passed=words.count("PASS") / len(words),
+                    regressed=words.count("REGRESSED") / len(words),
+                    trials=float(np.mean([ruling.trials for ruling in rulings])),
                 )
             )
     return tuple(points)
@@ -102,42 +108,47 @@ def operating_curve(
 
 def progress_at(
     seen: Sequence[SceneCounts],
-    rules: GateRules,
+    rules: TrialRules,
     drop: float,
     *,
     starts: int | None = None,
     repetitions: int = REPETITIONS,
+    against: Against = "fresh",
 ) -> Progress:
-    """Return how gates of a policy of this drop end, if as many rounds are run as there are starts.
+    """Return how gates of a policy of this drop end if all starts of the bank may be run.
 
     Args:
         seen: as for `operating_curve`.
-        rules: of the gate; their number of rounds is not looked at.
+        rules: of the gate.
         drop: below the baseline's success.
         starts: as for `operating_curve`.
         repetitions: simulated gates.
+        against: what the gate compares with.
 
     Raises:
         ValueError: scenes have unequal numbers of starts, or no policy can drop by so much.
     """
-    rounds = seen[0].trials if starts is None else starts
-    drawn = draw(seen, starts=starts, rounds=rounds, repetitions=repetitions)
+    budget = len(seen) * (seen[0].trials if starts is None else starts)
     chances = chances_of(seen, success_of(seen) - drop)
-    endings = judge_all(drawn, chances, replace(rules, rounds=rounds))
-    return progress_of(endings.passed, endings.convicted, rounds)
+    drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
+    rulings = settle_all(drawn.bank, drawn.trials(chances), rules)
+    return progress_of(rulings, [ruling.trials for ruling in rulings], budget)
 
 
-def progress_of(passed: Places, convicted: Places, rounds: int) -> Progress:
-    """Return the shares that have ended after each round.
+def progress_of(rulings: Sequence[TrialRuling], trials: Sequence[int], most: int) -> Progress:
+    """Return the shares that have ended after each trial.
 
     Args:
-        passed: after which round each repetition passed, 0 where none, shape (repetitions,).
-        convicted: likewise of REGRESSED.
-        rounds: how many to tell of.
+        rulings: of the repetitions.
+        trials: after how many, 1 to `most`, each was judged; not looked at where it is undecided.
+        most: how many to tell of.
     """
 
-    def shares(after: Places) -> tuple[float, ...]:
-        ended = np.bincount(after, minlength=rounds + 1)[1:]
-        return tuple(count / len(after) for count in accumulate(ended.tolist()))
+    def shares(word: str) -> tuple[float, ...]:
+        after = [
+            count for ruling, count in zip(rulings, trials, strict=True) if ruling.word == word
+        ]
+        ended = np.bincount(after, minlength=most + 1)[1:]
+        return tuple(count / len(rulings) for count in accumulate(ended.tolist()))
 
-    return Progress(passed=shares(passed), regressed=shares(convicted))
+    return Progress(passed=shares("PASS"), regressed=shares("REGRESSED"))

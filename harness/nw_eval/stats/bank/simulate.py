@@ -1,171 +1,108 @@
 """Gates that were not run: a policy of a known drop, judged as a real one is, many times over.
 
+Each is judged trial by trial with `settle_all`, critical scenes and the wait of PASS included.
+
 What scores look like is taken from `stats.courses`: scenes keep their difficulty, and a worse
 policy has the odds of the next waypoint, in all scenes, multiplied by one factor. Nothing ties the
 candidate's trial to the baseline's from the same start, which is how it was measured to be once a
 policy really changes, and which makes no verdict easier.
 
-A repetition keeps its luck whatever the drop is: its orders of starts, and how lucky each trial is.
-So a larger drop fares worse in every repetition, and a curve over drops is smooth.
+A repetition keeps its luck whatever the drop is: its order of scenes and starts, and how lucky each
+trial is. So a larger drop fares worse in every repetition, and a curve over drops is smooth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
+from typing import Literal
 
 import numpy as np
 
-from nw_eval.stats.bank.decide import look
-from nw_eval.stats.bank.evidence import Evidence, Margins
 from nw_eval.stats.bank.panel import Bank, Floats, Places
+from nw_eval.stats.bank.trials import DrawnTrials
 from nw_eval.stats.courses import SceneCounts, chances_at
-from nw_eval.words import Tier
 
-
-@dataclass(frozen=True, kw_only=True)
-class GateRules:
-    """By what a gate decides."""
-
-    tiers: tuple[Tier, ...]
-    """Of the scenes, shape (S,), none of them informational."""
-    margins: Margins = field(default_factory=Margins)
-    alpha_pass: float = 0.05
-    alpha_regr: float = 0.01
-    rounds: int = 20
-    """Most that are run."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Endings:
-    """How the repetitions ended, each shape (repetitions,)."""
-
-    passed: Places
-    """After which round it passed; 0 where it never did."""
-    convicted: Places
-    """After which round it was convicted; 0 where it never was."""
-    named: Places
-    """How many scenes were named."""
-    budget: int
-
-    @property
-    def rounds(self) -> Floats:
-        """Rounds that were run."""
-        after = self.passed + self.convicted
-        return np.where(after, after, self.budget).astype(np.float64)
+Against = Literal["fresh", "panel", "control"]
+"""What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
+bank's own starts alone; control: the baseline's policy, run beside the candidate."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """Repetitions before anybody is judged."""
+    """Repetitions before anybody is judged: T trials each, in the order drawn."""
 
     bank: Bank
-    """Of each, means of shape (repetitions, S)."""
+    """Of each, means of shape (repetitions, S); of a control, which has none, shape (S,)."""
+    scenes: Places
+    """Shape (repetitions, T)."""
     baseline: Floats
-    """b in the order drawn, shape (repetitions, rounds, S)."""
+    """b of the same starts, shape (repetitions, T)."""
     luck: Floats
-    """A trial reaches its i-th waypoint where this is below p^i, shape (repetitions, rounds, S)."""
+    """A trial reaches its i-th waypoint where this is below p^i, shape (repetitions, T)."""
     waypoints: Places
     """k, shape (S,)."""
 
-    def scores(self, chances: Floats, number: int, which: Places) -> Floats:
-        """Return success in one round of a policy of these chances, (..., S), in some repetitions.
+    def trials(self, chances: Floats) -> DrawnTrials:
+        """Return the trials of a policy of these chances.
 
         Args:
-            chances: p, shape (S,) or (repetitions, S).
-            number: of the round, from 0.
-            which: repetitions, by number.
+            chances: p, shape (S,), or (repetitions, S) for a policy of each.
         """
-        luck = self.luck[which, number]
-        p = chances[which] if chances.ndim > 1 else chances
-        return _reached(luck, p, self.waypoints) / self.waypoints
-
-
-@dataclass(frozen=True, kw_only=True)
-class Before:
-    """Rounds that were really run, before those that are simulated."""
-
-    evidence: Evidence
-    """After them, once for each repetition."""
-    named: tuple[int, ...]
-    """Scenes that fell."""
+        candidate = scores_of(self.luck, chances, self.scenes, self.waypoints)
+        return DrawnTrials(scenes=self.scenes, candidate=candidate, baseline=self.baseline)
 
 
 def draw(
-    seen: Sequence[SceneCounts], *, starts: int | None, rounds: int, repetitions: int
+    seen: Sequence[SceneCounts],
+    *,
+    starts: int | None,
+    budget: int,
+    repetitions: int,
+    against: Against = "fresh",
 ) -> Drawn:
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
 
     Args:
         seen: the baseline's trials; without `starts` they are the bank itself, all of it.
         starts: M of the banks to be drawn, each anew, from what was seen of the baseline.
-        rounds: how many to draw; at most M.
+        budget: T, how many trials to draw; at most S x M.
         repetitions: how many.
+        against: what the gate compares with.
 
     Raises:
-        ValueError: scenes have unequal numbers of starts, or there are fewer than rounds.
+        ValueError: scenes have unequal numbers of starts, or there are fewer than are to be drawn.
     """
     rng, waypoints = _rng(seen), np.array([len(course.counts) - 1 for course in seen])
     known = {course.trials for course in seen}
     if starts is None and len(known) > 1:
         raise ValueError(f"scenes with {min(known)} to {max(known)} starts are no bank")
     size = known.pop() if starts is None else starts
-    if rounds > size:
-        raise ValueError(f"{rounds} rounds of a bank with {size} starts a scene")
-    shape = (repetitions, size, len(seen))
+    pairs = size * len(seen)
+    if budget > pairs:
+        raise ValueError(f"{budget} trials of {len(seen)} scenes with {size} starts each")
+    order = np.array([rng.choice(pairs, budget, replace=False) for _ in range(repetitions)])
+    scenes = order // size
     if starts is None:
         scores = np.array([np.repeat(course.values, course.counts) for course in seen])
         means = np.broadcast_to(scores.mean(axis=-1), (repetitions, len(seen)))
-        panels = np.broadcast_to(scores, (repetitions, *scores.shape))
-        baseline = rng.permuted(panels, axis=-1)[..., :rounds].swapaxes(1, 2)
+        baseline = scores.ravel()[order]
     else:
-        chances = chances_of(seen, success_of(seen))
-        scores = _reached(rng.random(shape), chances, waypoints) / waypoints
-        means, baseline = scores.mean(axis=1), scores[:, :rounds]
+        chances, every = chances_of(seen, success_of(seen)), np.arange(pairs) // size
+        panels = scores_of(rng.random((repetitions, pairs)), chances, every, waypoints)
+        means = panels.reshape(repetitions, len(seen), size).mean(axis=-1)
+        baseline = np.take_along_axis(panels, order, axis=-1)
+    bank = Bank(means=means, starts=size)
+    if against != "panel":
+        bank = Bank.control(len(seen)) if against == "control" else bank.fresh()
     return Drawn(
-        bank=Bank(means=means, starts=size),
+        bank=bank,
+        scenes=scenes,
         baseline=baseline,
-        luck=rng.random((repetitions, rounds, len(seen))),
+        luck=rng.random((repetitions, budget)),
         waypoints=waypoints,
     )
-
-
-def judge_all(
-    drawn: Drawn, chances: Floats, rules: GateRules, before: Before | None = None
-) -> Endings:
-    """Return how repetitions end for a policy of these chances.
-
-    Args:
-        drawn: the repetitions.
-        chances: shape (S,), or (repetitions, S) for a policy of each.
-        rules: by which they are judged.
-        before: what is known when they begin; None if they begin with the first round.
-    """
-    repetitions, budget = drawn.luck.shape[0], min(drawn.luck.shape[1], rules.rounds)
-    evidence = before.evidence if before else Evidence.before(drawn.bank, rules.margins)
-    named = np.zeros((repetitions, len(rules.tiers)), dtype=bool)
-    named[:, before.named if before else []] = True
-    going = np.arange(repetitions)
-    passed, convicted, count = np.zeros((3, repetitions), dtype=np.intp)
-    for number in range(budget):
-        scores = drawn.scores(chances, number, going)
-        evidence = evidence.after(scores, drawn.baseline[going, number])
-        seen = look(
-            evidence.values,
-            named,
-            rules.tiers,
-            alpha_pass=rules.alpha_pass,
-            alpha_regr=rules.alpha_regr,
-        )
-        passed[going[seen.passes]] = number + 1
-        convicted[going[seen.convicts]] = number + 1
-        count[going] = seen.named.sum(axis=-1)
-        (stay,) = np.nonzero(~(seen.passes | seen.convicts))
-        going, named, evidence = going[stay], seen.named[stay], evidence.only(stay)
-        if not going.size:
-            break
-    return Endings(passed=passed, convicted=convicted, named=count, budget=budget)
 
 
 def success_of(seen: Sequence[SceneCounts]) -> float:
@@ -182,13 +119,22 @@ def chances_of(seen: Sequence[SceneCounts], mean: float) -> Floats:
     return np.ones(len(seen)) if mean >= 1.0 else chances_at(list(seen), mean)
 
 
-def _reached(luck: Floats, chances: Floats, waypoints: Places) -> Floats:
-    """Return how many waypoints are reached, (..., S): i of them with probability p^i."""
-    reached, power = np.zeros(luck.shape), np.ones_like(chances)
+def scores_of(luck: Floats, chances: Floats, scenes: Places, waypoints: Places) -> Floats:
+    """Return success of trials with this luck, of the shape of luck.
+
+    Args:
+        luck: from 0 to 1, shape (..., T).
+        chances: p, shape (S,), or (..., S).
+        scenes: of the trials, shape (..., T) or (T,).
+        waypoints: k, shape (S,).
+    """
+    p = chances[scenes] if chances.ndim == 1 else np.take_along_axis(chances, scenes, axis=-1)
+    k = waypoints[scenes]
+    reached, power = np.zeros(luck.shape), np.ones_like(p)
     for number in range(1, int(waypoints.max()) + 1):
-        power = power * chances
-        reached += luck < np.where(number <= waypoints, power, 0.0)
-    return reached
+        power = power * p
+        reached += (luck < power) & (number <= k)
+    return reached / k
 
 
 def _rng(seen: Sequence[SceneCounts]) -> np.random.Generator:

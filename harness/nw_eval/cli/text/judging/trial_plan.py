@@ -46,13 +46,12 @@ def trial_plan_page(planned: TrialPlan) -> str:
     rules, margins = outset.rules, outset.rules.margins
     drops = f"max_drop {margins.max_drop:g}, tolerate {margins.tolerate:g}"
     wrong_pass, wrong_regressed = (f"{100 * x:.4g} %" for x in (rules.alpha_pass, rules.alpha_regr))
-    size = f"{plural(rules.rounds, 'round')} of {plural(outset.scenes, 'trial')}"
     lines = [
-        f"suite     {planned.suite}: at most {size}",
+        f"suite     {planned.suite}: {outset.in_words}",
         f"from      {planned.source}: success {outset.baseline:.3f}, {_bank(outset)}",
         f"margins   {drops}; wrong PASS {wrong_pass}, wrong REGRESSED {wrong_regressed} at most",
         f"detect    {_detection(planned)}",
-        f"equal     {_rounds(planned, planned.equal.passed, 'an equal policy is passed')}",
+        f"equal     {_within(planned, planned.equal.passed, 'an equally good policy passes')}",
         "",
         *_curve(planned),
         "",
@@ -63,35 +62,30 @@ def trial_plan_page(planned: TrialPlan) -> str:
 
 
 def _bank(outset: Outset) -> str:
-    from nw_eval.gate.baseline.comparison import TIMES
-
     starts = f"{outset.starts} starts in each scene"
-    if not outset.known:
-        return f"as a bank of {starts} would have it"
-    enough = TIMES * outset.rules.rounds
-    return starts if outset.starts >= enough else f"{starts} (to speak of fresh ones: {enough})"
+    return starts if outset.known else f"as a baseline of {starts} would have it"
 
 
 def _detection(planned: TrialPlan) -> str:
-    found = _rounds(
-        planned, planned.dropped.regressed, f"a drop of {planned.detect:g} is convicted"
+    found = _within(
+        planned, planned.dropped.regressed, f"a policy {planned.detect:g} worse is REGRESSED"
     )
     margins = planned.outset.rules.margins
     rare = planned.dropped.regressed[-1] < _CHANCES[-1]
     if rare and margins.tolerate < planned.detect < margins.max_drop:
-        return f"{found}: it is below max_drop, and may pass"
+        return f"{found}: the drop is below max_drop, and may pass"
     return found
 
 
-def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
-    """Return after how many rounds something is so in 80 and in 90 %."""
-    from nw_eval.stats.bank import rounds_for
+def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
+    """Return after how many trials something is so in 80 and in 90 %."""
+    from nw_eval.stats.bank import trials_for
 
-    found = [(chance, rounds_for(shares, chance)) for chance in _CHANCES]
+    found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
     parts = [
-        f"in {100 * chance:.0f} % within {_trials(planned, rounds)}"
-        for chance, rounds in found
-        if rounds is not None
+        f"in {100 * chance:.0f} % within {_trials(planned, trials)}"
+        for chance, trials in found
+        if trials is not None
     ]
     if len(parts) < len(found):
         most = f"{100 * shares[-1]:.0f} %"
@@ -99,21 +93,17 @@ def _rounds(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     return f"{what} {', '.join(parts)}"
 
 
-def _trials(planned: TrialPlan, rounds: int) -> str:
-    trials = rounds * planned.outset.scenes
-    return f"{plural(rounds, 'round')} ({plural(trials, 'trial')}, {_minutes(planned, trials)})"
-
-
-def _minutes(planned: TrialPlan, trials: int) -> str:
-    return f"{planned.minutes(trials):.1f} minutes"
+def _trials(planned: TrialPlan, trials: int) -> str:
+    return f"{plural(trials, 'trial')} ({planned.minutes(trials):.1f} minutes)"
 
 
 def _curve(planned: TrialPlan) -> list[str]:
-    rows = [("drop", "REGRESSED", "PASS", "open", "trials", "minutes")]
+    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "minutes")]
     for point in planned.curve:
-        trials = point.rounds * planned.outset.scenes
         shares = (f"{100 * x:.0f} %" for x in (point.regressed, point.passed, point.undecided))
         regressed, passed, undecided = shares
-        minutes = f"{planned.minutes(trials):.1f}"
-        rows.append((f"{point.drop:.2f}", regressed, passed, undecided, f"{trials:.0f}", minutes))
+        minutes = f"{planned.minutes(point.trials):.1f}"
+        rows.append(
+            (f"{point.drop:.2f}", regressed, passed, undecided, f"{point.trials:.0f}", minutes)
+        )
     return aligned(rows, right=range(6))
