@@ -75,9 +75,7 @@ class Outset:
 
     def progress(self, drop: float) -> Progress:
         """Return after how many trials policies of this drop are judged, with all starts run."""
-        return progress_at(
-            self.seen, self.rules, drop, starts=self._drawn, against=self.against
-        )
+        return progress_at(self.seen, self.rules, drop, starts=self._drawn, against=self.against)
 
     def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
@@ -177,30 +175,6 @@ def about_more_trials(progress: Progress) -> str:
     if most is None:
         return f"{within} with 50 % probability, {whole} with {percent(settled[-1])}"
     return f"{within} with 50 % probability, {most} with 90 %"
-
-
-def about_more_rounds(progress: Progress, scenes: int) -> str:
-    """Return in words about how many more rounds would settle a run: a spread, never one number.
-
-    Args:
-        progress: of simulated ends of the run, after each further round that the bank has.
-        scenes: S.
-    """
-    settled, left = progress.settled, len(progress.settled)
-    if not left:
-        return "the bank has no more starts: save a larger one"
-    half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
-    whole = f"{'the' if left == 1 else 'all'} {plural(left, 'round')} that the bank has left"
-    if half is None:
-        verb = "settles" if left == 1 else "settle"
-        return f"chance that {whole} {verb} it: {percent(settled[-1])}"
-    within = f"{plural(half, 'more round')} ({plural(half * scenes, 'trial')})"
-    verb = "settles" if half == 1 else "settle"
-    if most is None:
-        do = "does" if left == 1 else "do"
-        return f"an even chance that {within} {verb} it; {whole} {do} in {percent(settled[-1])}"
-    does = "does" if most == 1 else "do"
-    return f"an even chance that {within} {verb} it, nine in ten that {most} {does}"
 
 
 def _outset(

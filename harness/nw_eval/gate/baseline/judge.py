@@ -31,6 +31,9 @@ from nw_eval.stats.bank import most_false_alarms
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 
+_FURTHER = 4
+"""How many times its budget of trials a run that is undecided might have, for what more bring."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSetup:
@@ -55,21 +58,30 @@ class ComparisonSetup:
         """The bank."""
         return self.against.bank
 
-    def met(self, rows: Sequence[Row]) -> Met:
+    def met(self, rows: Sequence[Row], *, further: bool = False) -> Met:
         """Return the trials of the budget, with those rows that there are.
+
+        Args:
+            rows: of the candidate.
+            further: also trials beyond the budget, as far as `--trials` could go on to.
 
         Raises:
             StoreError: a row is not of this run, or appears twice.
         """
+        order = self.order
+        if further and not self.run.is_recheck:
+            rounds = budget_of(self.run)
+            most = max(rounds, min(_FURTHER * rounds, self.bank.manifest.starts))
+            order = drawn_order(self.run, self.strata, most)
         control = None
         if self.basis == "control" and self.against.control is not None:
             beside = self.against.control
-            control = by_place(beside.rows, beside.run, self.order, "baseline")
+            control = by_place(beside.rows, beside.run, order, "baseline")
         elif self.basis == "control":
-            control = [None] * len(self.order)
+            control = [None] * len(order)
         return Met(
-            order=self.order,
-            rows=by_place(rows, self.run, self.order),
+            order=order,
+            rows=by_place(rows, self.run, order),
             control=control,
             left=that_left(rows, self.gate),
         )
@@ -188,7 +200,7 @@ def compare(
     )
     simulated = None
     if foresee and basis != "same":
-        simulated = foresight(comparison, finding, met, setup.judged, panel, gate)
+        simulated = foresight(comparison, setup.met(rows, further=True), setup.judged, panel, gate)
     more = None if capped else simulated and simulated.more
     reasons = in_words(comparison, finding, more)
     return replace(

@@ -13,7 +13,7 @@ from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide, most_false_alarms
 from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
 from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.order import order_of_starts, order_of_trials
-from nw_eval.stats.bank.outlook import progress_after, progress_from
+from nw_eval.stats.bank.outlook import progress_from
 from nw_eval.stats.bank.panel import Bank
 from nw_eval.stats.bank.simulate import Against
 from nw_eval.stats.bank.trials import (
@@ -50,7 +50,6 @@ __all__ = [
     "order_of_starts",
     "order_of_trials",
     "over_rounds",
-    "progress_after",
     "progress_at",
     "progress_from",
     "scene_drop_intervals",

@@ -8,7 +8,6 @@ runs that the next trial ends to those that no number of trials does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
@@ -66,58 +65,13 @@ def progress_from(
     baseline = simulated(trials.baseline) if bank.paired else trials.baseline
     ends = settle_all(
         bank,
-        DrawnTrials(
-            scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)
-        ),
+        DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)),
         rules,
     )
     first = np.concatenate([[0], np.cumsum(~ended)])  # To come among the first 0, 1, ... places.
-    after = [
-        int(first[end.mean]) + sum(not ended[place] for place in end.followed) for end in ends
-    ]
+    after = [int(first[end.mean]) + sum(not ended[place] for place in end.followed) for end in ends]
     # Whatever is settled already is so after the next trial.
     return progress_of(ends, np.maximum(after, 1).tolist(), more)
-
-
-def progress_after(
-    bank: Bank,
-    candidate: Floats,
-    baseline: Floats,
-    rules: TrialRules,
-    *,
-    waypoints: Sequence[int],
-    named: tuple[int, ...] = (),
-    repetitions: int = REPETITIONS,
-) -> Progress:
-    """Return as `progress_from` the shares in which each further round would have ended a run.
-
-    Args:
-        bank: of the baseline, without leading axes.
-        candidate: c in the order drawn, shape (R, S); NaN is a trial without a result.
-        baseline: b in the order drawn, those of the rounds to come included: shape (Q, S), Q > R.
-        rules: of the gate.
-        waypoints: k of each scene, shape (S,).
-        named: scenes that fell; not looked at, the trials say so.
-        repetitions: simulated ends.
-    """
-    del named
-    (count, scenes), most = candidate.shape, len(baseline)
-    scores = np.full(baseline.shape, np.nan)
-    scores[:count] = candidate
-    found = progress_from(
-        bank,
-        DrawnTrials(
-            scenes=np.tile(np.arange(scenes), most),
-            candidate=scores.ravel(),
-            baseline=np.ravel(baseline),
-        ),
-        rules,
-        known=np.arange(most * scenes) < count * scenes,
-        waypoints=waypoints,
-        repetitions=repetitions,
-    )
-    whole = slice(scenes - 1, None, scenes)
-    return Progress(passed=found.passed[whole], regressed=found.regressed[whole])
 
 
 def _rng(trials: DrawnTrials, ended: Truths) -> np.random.Generator:
