@@ -15,9 +15,7 @@ _WORDS = (
 )
 
 
-def draw_curve(
-    points: Sequence[CurvePoint], path: Path, *, margins: Margins, title: str
-) -> None:
+def draw_curve(points: Sequence[CurvePoint], path: Path, *, margins: Margins, title: str) -> None:
     """Draw which share of policies of each drop is convicted, passed and left open, and the trials.
 
     Args:

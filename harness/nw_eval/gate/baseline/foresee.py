@@ -75,9 +75,7 @@ class Outset:
 
     def progress(self, drop: float) -> Progress:
         """Return after how many trials policies of this drop are judged, with all starts run."""
-        return progress_at(
-            self.seen, self.rules, drop, starts=self._drawn, against=self.against
-        )
+        return progress_at(self.seen, self.rules, drop, starts=self._drawn, against=self.against)
 
     def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""

@@ -8,7 +8,6 @@ runs that the next trial ends to those that no number of trials does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
@@ -66,15 +65,11 @@ def progress_from(
     baseline = simulated(trials.baseline) if bank.paired else trials.baseline
     ends = settle_all(
         bank,
-        DrawnTrials(
-            scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)
-        ),
+        DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)),
         rules,
     )
     first = np.concatenate([[0], np.cumsum(~ended)])  # To come among the first 0, 1, ... places.
-    after = [
-        int(first[end.mean]) + sum(not ended[place] for place in end.followed) for end in ends
-    ]
+    after = [int(first[end.mean]) + sum(not ended[place] for place in end.followed) for end in ends]
     # Whatever is settled already is so after the next trial.
     return progress_of(ends, np.maximum(after, 1).tolist(), more)
 
