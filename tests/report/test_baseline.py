@@ -109,7 +109,7 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(pag
     )
     assert second.endswith(
         "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
-        "equally good policy passes in > 99 %, regresses in \\< 1 %, undecided in \\< 1 %; one "
+        "equally good policy passes in \\> 99 %, regresses in \\< 1 %, undecided in \\< 1 %; one "
         "that is 0.05 worse passes in 64 %, regresses in 36 %, undecided in \\< 1 %; one that is "
         "0.1 worse passes in 4 %, regresses in 90 %, undecided in 6 % (simulated)."
     )
