@@ -160,13 +160,13 @@ def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_bank_says_how_many_rounds_convict_a_drop(suite: Path, bank: Path) -> None:
+def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> None:
     planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
     assert planned.source == "bank shipped of trot"
     assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
     assert planned.outset.baseline == pytest.approx(0.975)
-    assert planned.outset.rules.rounds == 20
-    assert len(planned.dropped.regressed) == 30
+    assert planned.outset.budget == 40
+    assert len(planned.dropped.regressed) == 60
     assert planned.dropped.regressed[-1] > 0.95
     assert planned.dropped.regressed[0] < 0.5
     at_margin = next(point for point in planned.curve if point.drop == 0.2)
@@ -245,7 +245,7 @@ def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path,
     assert api.plan_trials(other, run=run).source == "run week of trot"
 
 
-def test_the_page_says_rounds_minutes_and_the_curve(
+def test_the_page_says_trials_minutes_and_the_curve(
     suite: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     png = tmp_path / "curve.png"
@@ -253,20 +253,21 @@ def test_the_page_says_rounds_minutes_and_the_curve(
         main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--png", str(png)])
     assert left.value.code == 0
     page = capsys.readouterr().out
-    assert "two: at most 20 rounds of 2 trials" in page
-    assert "a drop of 0.4 is convicted in 80 % within" in page
+    assert "two: at most 40 trials in 2 scenes" in page
+    assert "a policy 0.4 worse is REGRESSED in 80 % within" in page
+    assert "an equally good policy passes in 80 % within" in page
     assert "drop  REGRESSED" in page
-    assert page.count("\n0.") == 16
+    assert page.count("\n0.") == 15
     with Image.open(png) as picture:
         assert picture.size == (800, 560)
     assert png.stat().st_size < 100_000
 
 
-def test_a_drop_that_no_number_of_rounds_convicts_is_called_so(
+def test_a_drop_that_no_number_of_trials_convicts_is_called_so(
     suite: Path, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
         main(["plan", str(suite), "--run", str(run), "--detect", "0.04"])
     page = capsys.readouterr().out
-    assert "a drop of 0.04 is convicted in no more than" in page
+    assert "a policy 0.04 worse is REGRESSED in no more than" in page
     assert "however many of the starts are run" in page

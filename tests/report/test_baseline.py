@@ -75,9 +75,9 @@ FOUND = Comparison(
     scenes=(FINE, FELL, TOY),
     reasons=("worse than the baseline shipped",),
     curve=(
-        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, rounds=4.0),
-        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, rounds=8.0),
-        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, rounds=6.0),
+        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
+        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
+        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
     ),
 )
 
@@ -108,9 +108,10 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(pag
         "in 5 of 20 rounds \u00b7 success 1.000"
     )
     assert second.endswith(
-        "on the starts of this panel (seed 7) it is known: 1.000. Against the baseline this gate "
-        "passes an equal policy in over 99 %; one 0.05 worse: convicts 36 %, passes 64 %; one 0.1 "
-        "worse: convicts 90 %, passes 4 %, leaves 6 % open (simulated)."
+        "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
+        "equally good policy passes in \\> 99 %, regresses in \\< 1 %, undecided in \\< 1 %; one "
+        "that is 0.05 worse passes in 64 %, regresses in 36 %, undecided in \\< 1 %; one that is "
+        "0.1 worse passes in 4 %, regresses in 90 %, undecided in 6 % (simulated)."
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.foresee import (
-    about_more_rounds,
+    about_more_trials,
     in_a_sentence,
     outset_of_bank,
     outset_of_rows,
@@ -39,14 +39,14 @@ def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel
     assert (outset.scenes, outset.starts, outset.known) == (3, 30, True)
     assert outset.baseline == pytest.approx(1 - 0.25 / 30)
     assert (outset.rules.alpha_pass, outset.rules.alpha_regr) == (pytest.approx(0.05), 0.01)
-    assert (outset.rules.margins.max_drop, outset.rules.rounds) == (0.2, 20)
+    assert (outset.rules.margins.max_drop, outset.budget) == (0.2, 60)
 
 
-def test_no_more_rounds_are_foreseen_than_a_bank_has_starts(
+def test_no_more_trials_are_foreseen_than_a_bank_has_starts(
     make_run: Make, make_bank: Make
 ) -> None:
     small = make_bank(make_run("ab", 8), {name: [1.0] * 8 for name in "ab"}).panels[0]
-    assert outset_of_bank(small, GATE).rules.rounds == 8
+    assert outset_of_bank(small, GATE).budget == 16
 
 
 def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel: Any) -> None:
@@ -89,34 +89,45 @@ def test_three_points_are_foreseen_and_said(panel: Any) -> None:
     assert worse.passed <= 0.05 + 0.033
     assert outset.foresee() == (same, half, worse)
     points = [
-        CurvePoint(drop=0.0, passed=0.998, regressed=0.0, rounds=3.0),
-        CurvePoint(drop=0.05, passed=0.66, regressed=0.3, rounds=9.0),
-        CurvePoint(drop=0.1, passed=0.03, regressed=0.97, rounds=6.0),
+        CurvePoint(drop=0.0, passed=0.36, regressed=0.0, trials=48.0),
+        CurvePoint(drop=0.05, passed=0.06, regressed=0.3, trials=144.0),
+        CurvePoint(drop=0.1, passed=0.03, regressed=0.97, trials=96.0),
     ]
     assert in_a_sentence((points[0], points[1], points[2])) == (
-        "passes an equal policy in over 99 %; one 0.05 worse: convicts 30 %, passes 66 %, leaves "
-        "4 % open; one 0.1 worse: convicts 97 %, passes 3 % (simulated)"
+        "Power at this size: an equally good policy passes in 36 %, regresses in < 1 %, undecided "
+        "in 64 %; one that is 0.05 worse passes in 6 %, regresses in 30 %, undecided in 64 %; one "
+        "that is 0.1 worse passes in 3 %, regresses in 97 %, undecided in < 1 % (simulated)"
     )
+
+
+def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
+    few = outset_of_bank(panel, GATE, budget=12)
+    assert (few.budget, few.against) == (12, "fresh")
+    assert few.foresee()[0].undecided == 1.0
+    assert outset_of_bank(panel, GATE, budget=1000).budget == 90
+    # A gate beside a control has to tell two policies' luck apart: it takes more pairs.
+    alone = outset_of_bank(panel, GATE)
+    beside = outset_of_bank(panel, GATE, against="control")
+    assert beside.foresee()[2].trials > alone.foresee()[2].trials
 
 
 @pytest.mark.parametrize(
     ("passed", "words"),
     [
-        ((), "the bank has no more starts: save a larger one"),
-        ((0.0, 0.2), "chance that all 2 rounds that the bank has left settle it: 20 %"),
+        ((), "the baseline has no more starts: save a larger one"),
+        ((0.2,), "the 1 trial that the baseline has left decides with 20 % probability"),
+        ((0.0, 0.2), "all 2 trials that the baseline has left decide with 20 % probability"),
         (
             (0.1, 0.5, 0.7),
             (
-                "an even chance that 2 more rounds (32 trials) settle it; "
-                "all 3 rounds that the bank has left do in 70 %"
+                "2 more trials decide with 50 % probability, all 3 trials that the baseline has "
+                "left with 70 %"
             ),
         ),
-        (
-            (0.6, 0.8, 0.95),
-            "an even chance that 1 more round (16 trials) settles it, nine in ten that 3 do",
-        ),
+        ((0.6, 0.8, 0.95), "1 more trial decides with 50 % probability, 3 with 90 %"),
+        ((0.1, 0.95), "2 more trials decide with 90 % probability"),
     ],
 )
-def test_about_how_many_more_rounds_is_a_spread(passed: tuple[float, ...], words: str) -> None:
+def test_about_how_many_more_trials_is_a_spread(passed: tuple[float, ...], words: str) -> None:
     progress = Progress(passed=passed, regressed=tuple(0.0 for _ in passed))
-    assert about_more_rounds(progress, 16) == words
+    assert about_more_trials(progress) == words

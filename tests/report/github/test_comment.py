@@ -476,9 +476,9 @@ FOUND = Comparison(
     scenes=(FELL,),
     reasons=("worse than the baseline shipped",),
     curve=(
-        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, rounds=4.0),
-        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, rounds=8.0),
-        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, rounds=6.0),
+        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
+        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
+        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
     ),
 )
 

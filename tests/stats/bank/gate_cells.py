@@ -1,7 +1,8 @@
 """What the gate does trial by trial, simulated on the committed baselines with the shipped code.
 
 A cell is a kind of gate, a baseline, a number of starts and a policy; of each 2,000 gates are run.
-`python tests/stats/bank/gate_cells.py` writes `gate_cells.csv` and the tables of docs/gate.md anew.
+`python tests/stats/bank/gate_cells.py` writes `gate_cells.csv` anew. `record_gate_page.py` makes
+tables of docs/gate.md from it.
 
 The starts of a committed baseline are the population. A fresh claim draws a baseline of M starts
 from it in each gate, with replacement, and trials of a candidate beside it: what is true is true of
@@ -17,6 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -297,6 +299,19 @@ def _root(rises: Callable[[float], float], value: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if rises(middle) < value else (low, middle)
     return high
+
+
+def recorded_cells() -> Iterator[tuple[Cell, Found]]:
+    """Read the table."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            values: dict[str, Any] = {
+                name: value if name in {"question", "claim", "baseline", "kind"} else float(value)
+                for name, value in line.items()
+            }
+            cell = {name: values.pop(name) for name in Cell.__dataclass_fields__}
+            whole = {name: int(cell[name]) for name in ("starts", "rounds", "critical")}
+            yield Cell(**{**cell, **whole}), Found(**values)
 
 
 def _politely(cell: Cell) -> Found:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
 from math import sqrt
-from typing import Any
 
 import pytest
 from gate_cells import (
@@ -14,31 +11,18 @@ from gate_cells import (
     GATES,
     KINDS,
     STARTS,
-    TABLE,
     TWO_SCENES,
     Cell,
     Found,
     cells,
+    recorded_cells,
     simulate,
 )
 
 ALPHA_PASS, ALPHA_REGR = 0.05, 0.01
 
 
-def recorded() -> Iterator[tuple[Cell, Found]]:
-    """Read the table."""
-    with TABLE.open(encoding="utf-8", newline="") as file:
-        for line in csv.DictReader(file):
-            values: dict[str, Any] = {
-                name: value if name in {"question", "claim", "baseline", "kind"} else float(value)
-                for name, value in line.items()
-            }
-            cell = {name: values.pop(name) for name in Cell.__dataclass_fields__}
-            whole = {name: int(cell[name]) for name in ("starts", "rounds", "critical")}
-            yield Cell(**{**cell, **whole}), Found(**values)
-
-
-EVERY = list(recorded())
+EVERY = list(recorded_cells())
 
 
 def most(share: float) -> float:

@@ -9,6 +9,7 @@ from math import inf
 import numpy as np
 import pytest
 from gate_cells import HURDLES, scores_of
+from measured import real_run
 
 from nw_eval.stats.bank import (
     CRITICAL_TRIALS,
@@ -311,6 +312,52 @@ def test_interval_and_verdict_do_not_contradict_each_other() -> None:
     )
     whole = drop_interval_after(Bank(means=np.array([0.9])), nothing)
     assert (whole.low, whole.high) == (pytest.approx(-0.1), pytest.approx(0.9))
+
+
+def reordered(gates: int) -> tuple[Bank, DrawnTrials, float]:
+    """Two real runs from the same 30 starts of 16 scenes, in random orders; and the true drop."""
+    rng = np.random.default_rng(8)
+    baseline, candidate = real_run("go1-parkour"), real_run("noised")
+    order = np.array([rng.choice(baseline.size, 320, replace=False) for _ in range(gates)])
+    scenes = order // baseline.shape[1]
+    trials = DrawnTrials(
+        scenes=scenes, candidate=candidate.ravel()[order], baseline=baseline.ravel()[order]
+    )
+    return Bank.of(baseline), trials, float(baseline.mean() - candidate.mean())
+
+
+def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop() -> None:
+    bank, trials, drop = reordered(1000)
+    assert drop == pytest.approx(0.25, abs=0.01)
+    rules = TrialRules(tiers=tiers(), margins=Margins(max_drop=drop, tolerate=drop))
+    words = [ruling.word for ruling in settle_all(bank, trials, rules)]
+    assert words.count("PASS") <= 50 + 3 * 7
+    assert words.count("REGRESSED") <= 10 + 3 * 4
+
+
+@pytest.mark.nightly
+def test_the_interval_covers_the_drop_of_real_runs_at_every_look() -> None:
+    bank, every, drop = reordered(100)
+    missed = np.zeros(2)
+    for gate in range(100):
+        trials = cut(every, gate)
+        found = [
+            drop_interval_after(
+                bank,
+                DrawnTrials(
+                    scenes=trials.scenes[:count],
+                    candidate=trials.candidate[:count],
+                    baseline=trials.baseline[:count],
+                ),
+                alpha_regr=0.05,
+            )
+            for count in (8, 16, 32, 64, 128, 224, 320)
+        ]
+        missed += [
+            any(drop > look.high + 1e-7 for look in found),
+            any(drop < look.low - 1e-7 for look in found),
+        ]
+    assert (missed <= 5 + 3 * 2.2).all(), missed
 
 
 def test_the_parts_of_a_gate_err_together_with_the_sum_at_most() -> None:
