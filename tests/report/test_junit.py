@@ -73,7 +73,9 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(
     failure = cases(suite)["nw.hurdles.gaps/wide hurdles"].find("failure")
     assert failure is not None
     assert failure.get("type") == "regressed"
-    assert failure.get("message", "").startswith("below the bar 0.9 by itself; success 0.125 (95 %")
+    assert failure.get("message", "").startswith(
+        "below the bar 0.9 by itself; success 0.125, completed 0 of 20"
+    )
     assert failure.text is not None
     sentence, *commands = failure.text.splitlines()
     assert sentence == failure.get("message")
