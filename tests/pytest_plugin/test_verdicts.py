@@ -94,7 +94,7 @@ def test_junit_has_a_sentence_for_a_message_and_the_figures_as_properties(suite,
     )
     assert properties["report"].endswith("/report.md")
     properties = {each.get("name"): each.get("value") for each in scene.iter("property")}
-    assert (properties["state"], float(properties["effect"])) == ("failed", 0.0)
+    assert (properties["state"], float(properties["success"])) == ("failed", 0.0)
 
 
 def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, run, folders):

@@ -77,7 +77,7 @@ def judge(
     judged = [groups[item.scene] for item in scores if item.tier != "informational"]
     counted = [values for found in judged if (values := successes(found, left)).size]
     bounds = _bounds(judged, left, gate)
-    effect = float(np.mean([values.mean() for values in counted])) if counted else None
+    success = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
     capped = over_the_cap(rows, left, gate)
     word, reasons = _compare(bounds, scores, gate, against)
@@ -97,7 +97,7 @@ def judge(
     drop = gate.most_drop
     return Verdict(
         verdict=word,
-        effect=effect,
+        success=success,
         interval=bounds,
         confidence=gate.confidence,
         bar=gate.success_rate,
@@ -106,8 +106,8 @@ def judge(
         errors=sum(item.errors for item in scores),
         drop=drop,
         drop_passes=(
-            chance_to_pass(seen, gate, effect - drop)
-            if word == "PASS" and effect is not None and not left
+            chance_to_pass(seen, gate, success - drop)
+            if word == "PASS" and success is not None and not left
             else None
         ),
         reasons=(
