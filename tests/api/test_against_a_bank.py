@@ -207,7 +207,7 @@ def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_tak
     ]
     assert (judged.info.stopped_after, judged.verdict.against.basis) == (1, "same")
     whole = api.report("whole").verdict
-    assert (judged.verdict.effect, judged.verdict.interval) == (whole.effect, whole.interval)
+    assert (judged.verdict.success, judged.verdict.interval) == (whole.success, whole.interval)
     assert judged.verdict.n == 8
     for page in ("report.md", "report.html"):
         assert over in Path("same", page).read_text()

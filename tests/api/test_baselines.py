@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -110,6 +111,64 @@ def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_ban
     assert saved.action == "new"
     assert saved.bank.panels == before.panels
     assert len(journal.read_bytes().splitlines()) == 5
+
+
+@pytest.mark.usefixtures("project")
+def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_command():
+    """SIGINT to the real command as soon as two trials have ended, and the command again."""
+    file = Path("reports/baselines/quick/stand.parquet")
+    file.unlink()
+    saved = api.save_baseline("quick.yaml", starts=30, workers=2, note="the first", cache=False)
+    whole = saved.bank
+    file.unlink()
+    shutil.rmtree(work())
+    line = [sys.executable, "-m", "nw_eval", "baseline", "save", "quick.yaml", "--starts=30"]
+    line += ["--workers=1", "--no-cache", "--note=the first"]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True, bufsize=1) as process:
+        said = [process.stderr.readline()]
+        journal = None
+        while process.poll() is None:
+            journal = next(Path("reports").glob("bank-quick-*/journal.jsonl"), None)
+            if journal is not None and journal.read_bytes().count(b"\n") >= 3:
+                process.send_signal(signal.SIGINT)
+                break
+            time.sleep(0.002)
+        said += process.stderr.readlines()
+        assert process.wait() == 130
+    assert said[0].startswith(
+        "30 trials to run: at most about 0.1 minutes with --workers 1; Ctrl-C"
+    )
+    kept = journal.read_bytes().count(b"\n") - 1
+    assert 2 <= kept < 30
+    assert f"{kept} of 30 trials are kept; the same command goes on with them\n" in said
+    assert not file.exists()
+    again = subprocess.run(line, stderr=subprocess.PIPE, text=True, check=True)
+    assert f"{30 - kept} of 30 trials to run: at most about" in again.stderr
+    assert timeless(read_bank(file)) == timeless(whole)
+
+
+def timeless(bank):
+    """Return what a baseline's file holds but for when it was saved."""
+    infos = tuple(info.model_copy(update={"saved": ""}) for info in bank.manifest.panels)
+    return bank.manifest.model_copy(update={"panels": infos}).model_dump(), bank.panels
+
+
+@pytest.mark.usefixtures("project")
+def test_a_save_that_is_interrupted_before_its_first_trial_says_that_it_begins_again():
+    class Impatient(Silence):
+        said = ()
+
+        def message(self, text):
+            self.said = (*self.said, text)
+            if text.startswith("run folder"):
+                raise KeyboardInterrupt
+
+    Path("reports/baselines/quick/stand.parquet").unlink()
+    shutil.rmtree(work())
+    listener = Impatient()
+    with pytest.raises(KeyboardInterrupt):
+        api.save_baseline("quick.yaml", starts=4, workers=1, listener=listener)
+    assert listener.said[-1] == "no trial has ended yet; the same command begins again"
 
 
 @pytest.mark.usefixtures("project")

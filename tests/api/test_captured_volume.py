@@ -112,7 +112,7 @@ def test_one_that_leaves_is_counted_apart_and_neither_passes_nor_fails(ran, rows
     photographed, half = verdict.per_scene
     assert (photographed.n, photographed.outside, photographed.missing) == (1, 0, 0)
     assert (half.n, half.outside, half.missing) == (0, 1, 0)
-    assert verdict.effect == 1.0
+    assert verdict.success == 1.0
     # One of two may have been a failure: it counts as one.
     assert verdict.verdict == "PASS"
     assert verdict.interval.low == lower_bound([np.ones(1), np.zeros(1)])

@@ -54,7 +54,7 @@ def test_the_shipped_policy_passes_low_bars_and_leaves_the_evidence(suite, tmp_p
     # Its README: 0.96 to 1.00 of the waypoints for bars up to 0.25 m.
     ran = api.run(suite(trials=4, scenes="hurdles/three_low, hurdles/one_low_carpet"))
     assert ran.verdict.verdict == "PASS"
-    assert ran.verdict.effect >= 0.9
+    assert ran.verdict.success >= 0.9
     assert ran.exit_code == 0
     assert ran.folder.parent == tmp_path / "reports"
     for name in ("run.json", "journal.jsonl", "trials.parquet", "report.md"):
@@ -72,7 +72,7 @@ def test_the_shipped_policy_passes_low_bars_and_leaves_the_evidence(suite, tmp_p
 
 def test_a_policy_that_does_nothing_scores_zero_and_is_convicted(suite):
     ran = api.run(suite(policy="stand", trials=4, bar=0.9))
-    assert ran.verdict.effect == 0.0
+    assert ran.verdict.success == 0.0
     assert {row.outcome for row in ran.rows} == {"stuck"}
     assert ran.verdict.verdict == "REGRESSED"
     assert ran.exit_code == 1

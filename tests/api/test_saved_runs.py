@@ -209,7 +209,7 @@ def test_rows_of_another_run_are_noticed_by_their_digest(saved, tmp_path):
     with pytest.raises(StoreError, match=r"other rows than run\.json says"):
         api.report(folder.path)
     (tmp_path / "trials.parquet").replace(folder.trials)
-    assert api.report(folder.path).verdict.effect == 1.0
+    assert api.report(folder.path).verdict.success == 1.0
 
 
 def test_a_journal_as_it_was_at_the_end_is_not_compared_with_the_plan_again(saved, monkeypatch):
@@ -235,7 +235,7 @@ def test_rows_that_the_run_does_not_plan_are_told_and_not_judged(saved):
     judged = api.report(folder.path)
     assert [one.trial_id for one in judged.rows] == [trial(index).id for index in range(4)]
     assert judged.verdict.n == judged.verdict.planned == 4
-    assert judged.verdict.effect == 1.0
+    assert judged.verdict.success == 1.0
     assert "6 of 4" not in summary(judged)
     assert "2 rows of the journal (hurdles-one-004, hurdles-one-005)" in " ".join(
         summary(judged).split()

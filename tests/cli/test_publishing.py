@@ -66,6 +66,7 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
     assert outputs(step) == {
         "verdict": "INCONCLUSIVE",
         "exit-code": "3",
+        "success": "0.000000",
         "effect": "0.000000",
         "trials": "1",
         "report-path": "reports/r",

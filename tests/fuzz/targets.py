@@ -554,7 +554,7 @@ def _run_seeds(folder):
     report = api.run(folder / "tiny.yaml", out=folder / "run", workers=1)
     keep = ("run.json", "journal.jsonl", "trials.parquet")
     files = {name: (report.folder / name).read_bytes() for name in keep}
-    files["good.json"] = json.dumps({"effect": report.verdict.effect}).encode()
+    files["good.json"] = json.dumps({"success": report.verdict.success}).encode()
     (log, *_) = sorted(report.folder.rglob("*.mcap"))
     return files, log.read_bytes()
 
@@ -564,8 +564,8 @@ def _run_folder(folder):
 
     good = json.loads((folder / "good.json").read_text())
     told = api.report(folder)
-    if told.verdict.effect not in {good["effect"], None}:
-        raise AcceptedError(f"success {told.verdict.effect} in place of {good['effect']}")
+    if told.verdict.success not in {good["success"], None}:
+        raise AcceptedError(f"success {told.verdict.success} in place of {good['success']}")
 
 
 def _log_seeds(folder):

@@ -28,7 +28,7 @@ def test_a_run_whose_lower_bound_reaches_the_bar_passes(run_scene: Callable[...,
     rows = run_scene("a", [4] * 20) + run_scene("b", [4] * 20)
     verdict = judge(rows, BAR, {"a": 20, "b": 20})
     assert (verdict.verdict, verdict.exit_code) == ("PASS", 0)
-    assert verdict.effect == 1.0
+    assert verdict.success == 1.0
     assert verdict.interval.low == lower_bound([np.ones(20), np.ones(20)])
     assert verdict.interval.high == 1.0
     assert verdict.n == verdict.planned == 40
@@ -73,7 +73,7 @@ def test_success_at_the_bar_is_told_as_unlikely_to_be_decided_soon(
     verdict = judge(
         run_scene("a", [0] * 5 + [1] * 3 + [2] * 4 + [3] * 3 + [4] * 25), BAR, {"a": 40}
     )
-    assert (verdict.verdict, verdict.effect) == ("INCONCLUSIVE", 0.75)
+    assert (verdict.verdict, verdict.success) == ("INCONCLUSIVE", 0.75)
     twice, four_times = (int(share) for share in re.findall(r"(\d+) %", verdict.reasons[1]))
     assert twice < 25
     assert four_times < 50
@@ -81,13 +81,13 @@ def test_success_at_the_bar_is_told_as_unlikely_to_be_decided_soon(
 
 def test_scenes_weigh_equally(run_scene: Callable[..., Any]) -> None:
     rows = run_scene("a", [4] * 90) + run_scene("b", [0] * 10)
-    assert judge(rows, BAR, {"a": 90, "b": 10}).effect == 0.5
+    assert judge(rows, BAR, {"a": 90, "b": 10}).success == 0.5
 
 
 def test_an_error_that_is_left_blocks_whatever_the_score(run_scene: Callable[..., Any]) -> None:
     verdict = judge(run_scene("a", [4] * 60 + [None]), BAR, {"a": 61})
     assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
-    assert verdict.effect == 1.0  # The error does not count as a failure.
+    assert verdict.success == 1.0  # The error does not count as a failure.
     assert verdict.errors == 1
     (reason,) = verdict.reasons
     assert reason.startswith("1 trial ended in errors (1 crashed), first a-060: signal 11")
@@ -105,7 +105,7 @@ def test_no_trials_can_never_pass(planned: dict[str, int]) -> None:
     for settings in (BAR, Gate()):
         verdict = judge([], settings, planned)
         assert verdict.exit_code == 4
-        assert verdict.effect is None
+        assert verdict.success is None
         assert "nothing can pass without trials" in verdict.reasons[0]
 
 
@@ -141,7 +141,7 @@ def test_informational_scenes_are_reported_and_do_not_count(
     rows = run_scene("a", [4] * 40) + run_scene("toy", [0] * 40)
     verdict = judge(rows, gate(tiers={"toy": "informational"}), {"a": 40, "toy": 40})
     assert verdict.verdict == "PASS"
-    assert verdict.effect == 1.0
+    assert verdict.success == 1.0
     assert verdict.n == 40
     assert [(item.scene, item.mean) for item in verdict.per_scene] == [("a", 1.0), ("toy", 0.0)]
     alone = judge(run_scene("toy", [4] * 40), gate(tiers={"*": "informational"}), {"toy": 40})
@@ -284,7 +284,7 @@ def test_a_policy_that_only_fails_has_regressed_and_one_fault_of_the_machine_hid
         for row in run_scene("a", [0] * 12)
     ]
     verdict = judge(failed, BAR, {"a": 12})
-    assert (verdict.verdict, verdict.effect, verdict.errors) == ("REGRESSED", 0.0, 0)
+    assert (verdict.verdict, verdict.success, verdict.errors) == ("REGRESSED", 0.0, 0)
     assert verdict.per_scene[0].n == 12
     killed = run_scene("a", [0] * 12 + [None])[-1]
     verdict = judge([*failed, killed], BAR, {"a": 13})
@@ -306,3 +306,11 @@ def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> Non
         passed += judge(rows, BAR, {"a": 30, "b": 30}).verdict == "PASS"
     # At most 5 % by proof; standard error 1.5 %.
     assert passed / 200 <= 0.09
+
+
+def test_success_is_still_found_under_its_old_name_which_warns(
+    run_scene: Callable[..., Any],
+) -> None:
+    verdict = judge(run_scene("a", [4, 2]), BAR, {"a": 2})
+    with pytest.warns(DeprecationWarning, match="Verdict.effect is now Verdict.success"):
+        assert verdict.effect == verdict.success == 0.75

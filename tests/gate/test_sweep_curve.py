@@ -1,11 +1,13 @@
 """Where a policy breaks off along an axis: beyond chance, or not at all."""
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nw_eval.gate.sweep.curve import curve_of
+from nw_eval.reporting.sweep.pages import write_sweep
 from nw_eval.reporting.sweep.words import cliff_words, parting_words, sweep_table
 
 
@@ -57,6 +59,61 @@ def test_what_chance_may_explain_is_no_cliff():
     assert curve.cliffs == ()
     (line,) = cliff_words(curve)
     assert "no cliff from friction 0.4 to 1.2" in line
+
+
+def test_a_fall_that_so_few_trials_cannot_show_is_too_few_trials_and_says_how_many_would():
+    curve = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=2))
+    (line,) = cliff_words(curve)
+    assert line == (
+        "p: too few trials to tell; 3 needed in each scene at each value (--trials 3) for a fall "
+        "from 4 of 4 to none"
+    )
+    (enough,) = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=3)).cliffs
+    assert enough.falls.value == 0.2
+
+
+@pytest.mark.parametrize("scenes", [("a",), ("a", "b"), ("a", "b", "c", "d", "e", "f")])
+@pytest.mark.parametrize("values", [2, 5, 9])
+def test_the_number_that_is_needed_is_the_least_with_which_a_fall_to_none_is_found(scenes, values):
+    shares = {0.1 * (place + 1): 0.0 for place in range(values - 1)} | {1.25: 1.0}
+    few = curve_of("friction", "p", rows_of(shares, n=1, scenes=scenes))
+    if few.needed is None:
+        assert few.cliffs
+        return
+    for n in (few.needed - 1, few.needed):
+        curve = curve_of("friction", "p", rows_of(shares, n=n, scenes=scenes))
+        assert bool(curve.cliffs) == (n == few.needed)
+        assert (curve.needed is None) == (n == few.needed)
+
+
+def test_where_few_complete_at_the_reference_more_trials_are_needed_than_are_for_all():
+    curve = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 0.3}, n=10, scenes=("a",)))
+    (line,) = cliff_words(curve)
+    assert line.endswith("for a fall from 3 of 10 to none")
+    more = rows_of({0.2: 0.0, 1.25: 0.3}, n=curve.needed, scenes=("a",))
+    assert curve.needed > 10
+    assert curve_of("friction", "p", more).cliffs
+
+
+def test_two_policies_of_too_few_trials_are_not_said_to_be_alike():
+    one, two = (
+        curve_of("friction", name, rows_of({0.4: share, 1.2: share}, n=2))
+        for name, share in (("one", 1.0), ("two", 0.0))
+    )
+    assert parting_words(one, two) == (
+        "one and two: too few trials to tell; 3 needed in each scene at each value (--trials 3) "
+        "for all of one and none of the other"
+    )
+
+
+def test_a_value_at_which_too_few_trials_ran_neither_falls_nor_holds_in_the_parquet_file(tmp_path):
+    rows = rows_of({0.2: 0.0, 1.25: 1.0}, n=2)
+    write_sweep([[curve_of("friction", "p", rows)]], "smoke", tmp_path)
+    written = pq.read_table(tmp_path / "sweep.parquet").to_pylist()
+    assert [(row["falls"], row["trials_needed"]) for row in written] == [(None, 3), (False, 3)]
+    page = (tmp_path / "sweep.md").read_text()
+    assert "* p: too few trials to tell; 3 needed" in page
+    assert "no cliff" not in page
 
 
 def test_a_policy_that_never_completes_has_nothing_to_fall_from():

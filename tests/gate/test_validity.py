@@ -105,7 +105,7 @@ def test_a_policy_that_fails_by_itself_has_failed_wherever_it_was(rows: Any) -> 
 def test_a_trial_that_left_counts_against_each_bound_and_in_no_mean(rows: Any) -> None:
     # The first is a success, the second none: nobody looks which.
     verdict = judge(rows("a", [4, 1, 4, 4, 4, 4, 4, 4, 4, 4], left=[0, 1]), GATE, {"a": 10})
-    assert verdict.effect == 1.0
+    assert verdict.success == 1.0
     assert (verdict.n, verdict.completed) == (8, 8)
     (score,) = verdict.per_scene
     assert (score.n, score.outside, score.missing, score.unseen) == (8, 2, 0, False)
@@ -120,7 +120,7 @@ def test_who_leaves_where_it_would_fail_does_not_pass_by_it(rows: Any) -> None:
     reached = [4] * 40 + [0] * 10
     gate = Gate(success_rate=0.85, validity=LIMITS)
     kept = judge(rows("a", reached, left=range(40, 50)), gate, {"a": 50})
-    assert kept.effect == 1.0
+    assert kept.success == 1.0
     assert kept.verdict == "INCONCLUSIVE"
     assert judge(rows("a", reached[:40]), gate, {"a": 40}).verdict == "PASS"
 

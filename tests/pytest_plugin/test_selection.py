@@ -37,14 +37,14 @@ def ran(folders):
 def test_a_scene_that_is_asked_for_runs_alone(suite, run, ran, arguments):
     suite(scenes=[FLAT, HURDLE])
     named = () if arguments[0].startswith("tiny") else ("tiny.yaml",)
-    run(*arguments, *named).assert_outcomes(passed=1, deselected=2 if named else 0)
+    run(*arguments, *named).assert_outcomes(skipped=1, deselected=2 if named else 0)
     assert ran() == [{HURDLE}]
 
 
 def test_a_verdict_that_is_asked_for_takes_every_scene(suite, run, ran):
     suite(scenes=[FLAT, HURDLE])
     run("tiny.yaml::verdict").assert_outcomes(failed=1)
-    run("tiny.yaml", "-k", "verdict or one_low").assert_outcomes(passed=1, failed=1, deselected=1)
+    run("tiny.yaml", "-k", "verdict or one_low").assert_outcomes(skipped=1, failed=1, deselected=1)
     assert ran() == [{FLAT, HURDLE}] * 2
 
 
@@ -52,10 +52,10 @@ def test_last_failed_runs_the_scenes_that_failed_and_then_the_verdict(suite, run
     """One scene fails with the verdict, then with a better policy neither."""
     tiers = "{success_rate: 0.9, tiers: {hurdles/one_low_carpet: critical, '*': informational}}"
     suite(scenes=[FLAT, HURDLE, LOGS], trials=4, gate=f"gate: {tiers}")
-    run("tiny.yaml").assert_outcomes(failed=2, passed=2)
+    run("tiny.yaml").assert_outcomes(failed=2, skipped=2)
     assert ran() == [{FLAT, HURDLE, LOGS}]
     suite(scenes=[FLAT, HURDLE, LOGS], gate="")
-    run("tiny.yaml", "--lf").assert_outcomes(passed=1, deselected=3)
+    run("tiny.yaml", "--lf").assert_outcomes(skipped=1, deselected=3)
     assert ran() == [{HURDLE}]
     run("tiny.yaml", "--lf").assert_outcomes(passed=1, deselected=3)
     assert ran() == [{FLAT, HURDLE, LOGS}]

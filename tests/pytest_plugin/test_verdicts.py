@@ -10,6 +10,7 @@ import pytest
 from nw_eval import api
 from nw_eval.api.baselines import saved
 from nw_eval.engine import session
+from nw_eval.reporting.junit import junit_xml
 from nw_eval.rollout import trial
 
 FLAT, HURDLE, LOGS = "flat/carpet_room", "hurdles/one_low_carpet", "hurdles/two_logs_park"
@@ -30,11 +31,21 @@ def test_a_policy_that_passes_passes_every_test_and_a_last_line_says_by_how_much
     )
 
 
-def test_a_suite_without_a_gate_passes_once_its_trials_have_run(suite, run):
+def test_a_suite_without_a_gate_passes_once_its_trials_have_run_and_shows_nothing_of_a_scene(
+    suite, run
+):
     suite(gate="")
-    done = run("tiny.yaml")
-    done.assert_outcomes(passed=2)
-    done.stdout.fnmatch_lines(["tiny.yaml: RAN *"])
+    done = run("tiny.yaml", "-rs")
+    done.assert_outcomes(passed=1, skipped=1)
+    done.stdout.fnmatch_lines(
+        [
+            "tiny.yaml: RAN *",
+            (
+                "SKIPPED [[]1] tiny.yaml:8: not judged: success 0.000, completed 0 of 1 trial; "
+                "the verdict is RAN, which says only that the trials ran"
+            ),
+        ]
+    )
 
 
 def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, run):
@@ -44,7 +55,7 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
     done.stdout.fnmatch_lines(
         [
             "*_ tiny.yaml: flat/carpet_room _*",
-            "flat/carpet_room: below the bar 0.9 by itself; success 0.000 *completed 0 of 4",
+            "flat/carpet_room: below the bar 0.9 by itself; success 0.000, completed 0 of 4 trials",
             "REGRESSED * success 0.000 * completed 0 of 8 trials in 2 scenes *",
             "* success is at most *, the bar is 0.9",
             "Success by scene",
@@ -83,37 +94,90 @@ def test_junit_has_a_sentence_for_a_message_and_the_figures_as_properties(suite,
     )
     assert properties["report"].endswith("/report.md")
     properties = {each.get("name"): each.get("value") for each in scene.iter("property")}
-    assert (properties["state"], float(properties["effect"])) == ("failed", 0.0)
-
-
-def test_a_scene_that_convicts_nobody_passes_where_the_verdict_fails(suite, run):
-    # Two trials say too little of either scene alone, and enough of both.
-    suite(scenes=[FLAT, HURDLE], trials=2)
-    done = run("tiny.yaml", "-v")
-    done.assert_outcomes(passed=2, failed=1)
-    done.stdout.fnmatch_lines(["tiny.yaml::verdict FAILED*"])
+    assert (properties["state"], float(properties["success"])) == ("failed", 0.0)
 
 
 def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, run, folders):
     suite(scenes=[FLAT, HURDLE, LOGS], trials=2)
     done = run("tiny.yaml", "-v", "-k", "flat or one_low")
     done.assert_outcomes(failed=2, deselected=2)
-    done.stdout.fnmatch_lines([f"FAILED tiny.yaml::{FLAT} - {FLAT}: success 0.000*"])
+    done.stdout.fnmatch_lines([f"FAILED tiny.yaml::{FLAT} - {FLAT}: not decided*"])
+    done.stdout.fnmatch_lines([f"{FLAT}: not decided: success 0.000, completed 0 of 2 trials; *"])
     (folder,) = folders()
     assert {row.scene for row in api.report(folder).rows} == {FLAT, HURDLE}
+
+
+def test_scenes_fail_together_where_all_of_them_run_and_the_verdict_is_deselected(suite, run):
+    suite(scenes=[FLAT, HURDLE], trials=2)
+    run("tiny.yaml", "-k", "not verdict").assert_outcomes(failed=2, deselected=1)
+
+
+@pytest.mark.parametrize(
+    ("scenes", "trials", "gate", "verdict", "result"),
+    [
+        # Two trials say too little of either scene alone, and enough of both.
+        ([FLAT, HURDLE], 2, "gate: {success_rate: 0.9}", "failed", "skipped"),
+        ([FLAT], 1, "gate: {success_rate: 0.9}", "failed", "skipped"),
+        ([FLAT], 1, "", "passed", "skipped"),
+        ([FLAT], 4, "gate: {success_rate: 0.9}", "failed", "failed"),
+        (
+            [FLAT, HURDLE],
+            4,
+            f"gate: {{success_rate: 0.9, tiers: {{{FLAT}: informational}}}}",
+            "failed",
+            "mixed",
+        ),
+    ],
+)
+def test_pytest_and_junit_say_the_same_of_every_scene_and_no_scene_at_zero_passes(
+    suite, run, pytester, folders, scenes, trials, gate, verdict, result
+):
+    suite(scenes=scenes, trials=trials, gate=gate)
+    run("tiny.yaml", "--junitxml", "out.xml")
+    (folder,) = folders()
+    judged = api.report(folder)
+    by_junit = results(ET.fromstring(junit_xml_of(judged)), lambda case: case.get("classname")[8:])
+    by_pytest = results(ET.parse(pytester.path / "out.xml"), lambda case: case.get("name"))
+    assert by_junit.pop("") == by_pytest.pop("verdict") == (verdict, None)
+    assert by_junit == by_pytest
+    assert set(by_pytest) == set(scenes)
+    if result == "mixed":
+        assert [by_pytest[scene][0] for scene in scenes] == ["skipped", "failed"]
+        assert by_pytest[FLAT][1].startswith("informational, not judged")
+    else:
+        assert {word for word, _ in by_pytest.values()} == {result}
+    for word, message in by_pytest.values():
+        if word == "skipped":
+            assert f"success 0.000, completed 0 of {trials} trial" in message
+
+
+def junit_xml_of(judged):
+    return junit_xml(judged.info, judged.rows, judged.verdict, judged.typed_folder, None)
+
+
+def results(document, name):
+    """Return the result of each case, and the message of those that are skipped, by its name."""
+    words = {"failure": "failed", "error": "error", "skipped": "skipped"}
+    found = {}
+    for case in document.iter("testcase"):
+        ended = [each for each in case if each.tag in words]
+        word = words[ended[0].tag] if ended else "passed"
+        message = ended[0].get("message") if word == "skipped" else None
+        found[name(case)] = (word, message)
+    return found
 
 
 @pytest.mark.parametrize(
     ("arguments", "outcomes"),
     [
-        ([], {"failed": 1, "passed": 1}),
-        (["-o", "nw_inconclusive=xfail"], {"xfailed": 1, "passed": 1}),
+        ([], {"failed": 1, "skipped": 1}),
+        (["-o", "nw_inconclusive=xfail"], {"xfailed": 1, "skipped": 1}),
         pytest.param(
             ["-o", "nw_inconclusive=xfail", "--runxfail"],
-            {"failed": 1, "passed": 1},
+            {"failed": 1, "skipped": 1},
             marks=pytest.mark.nightly,
         ),
-        (["-o", "nw_inconclusive=pass"], {"passed": 2}),
+        (["-o", "nw_inconclusive=pass"], {"passed": 1, "skipped": 1}),
     ],
 )
 def test_an_inconclusive_verdict_is_what_the_ini_file_says(suite, run, arguments, outcomes):
@@ -138,7 +202,7 @@ def test_a_trial_without_a_result_is_an_error_of_its_scene_and_of_the_verdict(
     monkeypatch.setattr(trial, "open_trial", open_one)
     suite(scenes=[FLAT, HURDLE])
     done = run("tiny.yaml")
-    done.assert_outcomes(passed=1, errors=2)
+    done.assert_outcomes(skipped=1, errors=2)
     done.stdout.fnmatch_lines(
         [
             "*ERROR at setup of tiny.yaml: hurdles/one_low_carpet*",
@@ -242,5 +306,5 @@ def test_results_of_earlier_runs_are_taken_over_unless_it_is_told_not_to(
 
     monkeypatch.setattr(api, "run", begin)
     suite(gate="")
-    run("tiny.yaml", *arguments).assert_outcomes(passed=2)
+    run("tiny.yaml", *arguments).assert_outcomes(passed=1, skipped=1)
     assert asked_for == [cache]

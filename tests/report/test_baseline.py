@@ -208,3 +208,17 @@ def test_the_terminal_shows_the_same_table_and_the_verdict_last(
     assert re.search(r"three_low +critical +5 +0.950 +0.400 +0.550 +over 1000000 +yes +2", text)
     assert text.rstrip().endswith("* 3 trials ran and no bar was judged: the suite sets no "
                                   "gate.success_rate")  # fmt: skip
+
+
+def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(page: Make) -> None:
+    scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in FOUND.scenes)
+    text = page(replace(FOUND, scenes=scenes))
+    header, *lines = table(text)
+    assert header[6] == (
+        "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes"
+    )
+    assert {line[6] for line in lines} == {"-0.10 to 0.30"}
+    (of_scenes,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
+    assert " to " not in of_scenes
+    strict = page(replace(FOUND, scenes=scenes, alpha_regr=0.005, alpha_pass=0.1))
+    assert "(99.5 % lower, 90 % upper)" in table(strict)[0][6]

@@ -73,7 +73,9 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(
     failure = cases(suite)["nw.hurdles.gaps/wide hurdles"].find("failure")
     assert failure is not None
     assert failure.get("type") == "regressed"
-    assert failure.get("message", "").startswith("below the bar 0.9 by itself; success 0.125 (95 %")
+    assert failure.get("message", "").startswith(
+        "below the bar 0.9 by itself; success 0.125, completed 0 of 20"
+    )
     assert failure.text is not None
     sentence, *commands = failure.text.splitlines()
     assert sentence == failure.get("message")
@@ -85,7 +87,18 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(
     assert properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])["mcap"].endswith("-000.mcap")
     assert properties(suite)["verdict"] == "REGRESSED"
     assert properties(suite)["exit_code"] == "1"
-    assert float(properties(suite)["effect"]) == pytest.approx(0.5625)
+    assert float(properties(suite)["success"]) == pytest.approx(0.5625)
+    of_scene = properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])
+    assert float(of_scene["success"]) == pytest.approx(0.125)
+
+
+def test_success_is_also_called_effect_until_the_next_release(
+    make_run: Any, regressed: Any
+) -> None:
+    rows, planned, verdict = regressed
+    suite = read(junit_xml(make_run(planned), rows, verdict, FOLDER, None))
+    for found in [properties(suite), properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])]:
+        assert found["effect"] == found["success"]
 
 
 @pytest.mark.parametrize(

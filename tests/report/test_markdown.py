@@ -5,12 +5,15 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
 from nw_eval.gate import judge
 from nw_eval.reporting import render_markdown, write_report
+from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.results.provenance import PolicyInfo
+from nw_eval.stats import lower_bound, upper_bound
 from nw_eval.suite import Gate
 from nw_eval.suite.digest import digest_of
 
@@ -128,8 +131,72 @@ def test_scenes_are_listed_worst_first_with_intervals_around_their_means(
     assert good[:3] == ["good", "4", "1.000"]
     low, high = (float(end) for end in bad[3].split(" to "))
     assert low < 0.375 < high
-    # Wilson's lower end for n of n successes is n / (n + z^2) = 4 / (4 + 3.8415) = 0.510.
-    assert good[4:] == ["4 of 4", "0.51 to 1.00"]
+    assert good[4:] == ["4 of 4"]
+
+
+def test_each_mean_has_one_interval_and_its_header_says_of_what_it_is(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
+    header, *lines = section(render(rows, {"good": 4, "bad": 4}), "Success by scene")
+    assert [name for name in header if "%" in name] == [
+        "Per-scene interval (95 % two-sided), not corrected for the number of scenes"
+    ]
+    assert [sum(" to " in cell for cell in line) for line in lines] == [1, 1]
+
+
+def test_the_only_scene_and_the_only_cell_have_the_interval_of_the_verdict_and_no_other(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    """Their means are the run's, whose bounds stand in the first lines."""
+    icy = [(("friction", 0.4),)] * 4
+    rows = [make_row("a", k, k, perturbation=cell) for k, cell in enumerate(icy)]
+    text = render(rows, {"a": 4})
+    assert section(text, "Success by scene") == [
+        ["scene", "trials", "success", "completed"],
+        ["a", "4", "0.375", "0 of 4"],
+    ]
+    assert section(text, "Success by perturbation") == [
+        ["perturbation", "trials", "success"],
+        ["friction 0.4", "4", "0.375"],
+    ]
+
+
+def test_tasks_have_bounds_like_the_verdicts_and_the_only_task_has_those_of_the_verdict(
+    make_row: Callable[..., Row],
+) -> None:
+    rows = [make_row("a", k, k, task="gaps") for k in range(4)]
+    only = judge(rows, BAR, {"a": 4})
+    table = tasks_table(rows, only)
+    assert table.columns == ("task", "scenes", "trials", "success")
+    assert [bar.interval for bar in table.bars if bar is not None] == [only.interval]
+    rows += [make_row("b", k, 4, task="ramps") for k in range(4)]
+    table = tasks_table(rows, judge(rows, BAR, {"a": 4, "b": 4}))
+    assert table.columns[4] == (
+        "Per-task interval (95 % lower, 95 % upper), not corrected for the number of tasks"
+    )
+    groups = [np.array([0.0, 0.25, 0.5, 0.75])]
+    low, high = lower_bound(groups, 0.95), upper_bound(groups, 0.95)
+    assert table.rows[0] == ("gaps", "1", "4", "0.375", f"{low:.2f} to {high:.2f}")
+
+
+def test_cells_of_one_trial_in_a_scene_have_bounds_like_the_verdicts_with_room_above_the_mean(
+    make_row: Callable[..., Row], render: Callable[..., str]
+) -> None:
+    rows = [
+        make_row(scene, k, reached, perturbation=(("friction", friction),))
+        for k, friction in enumerate((0.4, 1.0))
+        for scene, reached in (("a", 4), ("b", 4), ("c", 1), ("d", 4))
+    ]
+    text = render(rows, dict.fromkeys("abcd", 2))
+    header, *cells = section(text, "Success by perturbation")
+    assert header[3] == (
+        "Per-cell interval (95 % lower, 95 % upper), not corrected for the number of cells"
+    )
+    groups = [np.array([value]) for value in (1.0, 1.0, 0.25, 1.0)]
+    expected = f"{lower_bound(groups, 0.95):.2f} to {upper_bound(groups, 0.95):.2f}"
+    assert [cell[3] for cell in cells] == [expected] * 2
+    assert upper_bound(groups, 0.95) > 0.8125 + 0.05
 
 
 def test_a_scene_that_lacks_trials_says_so(

@@ -6,8 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from nw_eval.gate import judge
-from nw_eval.gate.baseline.combine import without_bank
+from nw_eval.gate.baseline.combine import combined, without_bank
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
 from nw_eval.reporting.scene_states import scene_states, worst_first
+from nw_eval.stats import Interval
 from nw_eval.suite import Gate
 
 BAR = Gate(success_rate=0.75)
@@ -27,7 +29,7 @@ def test_a_scene_below_the_bar_fails_where_the_run_is_regressed_and_is_weak_wher
     bad = rows_of(make_row, good=[4] * 20, bad=[0] * 20)
     regressed = judge(bad, Gate(success_rate=0.9), {"good": 20, "bad": 20})
     assert regressed.verdict == "REGRESSED"
-    assert states(regressed) == {"good": "fine", "bad": "failed"}
+    assert states(regressed) == {"good": "undecided", "bad": "failed"}
     good = {f"s{k}": [4] * 20 for k in range(8)}
     passing = judge(
         rows_of(make_row, **good, bad=[0, 0, 0, 2, 2]), BAR, {**dict.fromkeys(good, 20), "bad": 5}
@@ -43,7 +45,7 @@ def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_f
     gate = Gate(success_rate=0.75, tiers={"bad": "critical", "toy": "informational"})
     rows = rows_of(make_row, good=[4] * 20, bad=[0] * 20, toy=[0] * 20)
     verdict = judge(rows, gate, {"good": 20, "bad": 20, "toy": 20})
-    assert states(verdict) == {"bad": "failed", "good": "fine", "toy": "weak"}
+    assert states(verdict) == {"bad": "failed", "good": "undecided", "toy": "weak"}
     (bad, *_) = scene_states(verdict)
     assert bad.sentence.startswith(
         "critical, and certainly below the bar 0.75 by itself; success 0"
@@ -54,7 +56,7 @@ def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_f
 def test_holes_are_errors_of_their_scenes_only(make_row: Any) -> None:
     rows = rows_of(make_row, good=[4] * 4, torn=[4, None])
     verdict = judge(rows, BAR, {"good": 4, "torn": 4, "gone": 2})
-    assert states(verdict) == {"gone": "error", "good": "fine", "torn": "error"}
+    assert states(verdict) == {"gone": "error", "good": "undecided", "torn": "error"}
     sentences = {item.scene: item.sentence for item in scene_states(verdict)}
     assert sentences["torn"].startswith("1 trial ended in errors; 2 trials missing; success 1.000")
     assert sentences["gone"] == "2 trials missing; no trial has a result"
@@ -67,4 +69,99 @@ def test_nothing_of_an_invalid_run_is_judged(make_row: Any) -> None:
 
 def test_a_run_that_is_regressed_by_nothing_of_its_scenes_blames_none(make_row: Any) -> None:
     verdict = judge(rows_of(make_row, a=[4] * 20), BAR, {"a": 20})
-    assert states(replace(verdict, verdict="REGRESSED")) == {"a": "fine"}
+    assert states(replace(verdict, verdict="REGRESSED")) == {"a": "undecided"}
+
+
+def against(word: Any, now: dict[str, float], *, named: str = "") -> Comparison:
+    """A comparison with a baseline that reached everything, two rounds of each scene."""
+    drops = tuple(
+        SceneDrop(
+            scene=scene,
+            tier="supporting",
+            baseline=1.0,
+            candidate=success,
+            trials=2,
+            evidence=3.0,
+            named=scene == named,
+        )
+        for scene, success in now.items()
+    )
+    drop = 1.0 - sum(now.values()) / len(now)
+    return Comparison(
+        word=word,
+        bank="shipped",
+        policy="go1-act-rgb",
+        basis="panel",
+        claim="panel and fresh",
+        rounds=2,
+        budget=20,
+        starts=60,
+        baseline=1.0,
+        drop=drop,
+        interval=Interval(0.0, 1.0),
+        max_drop=0.1,
+        tolerate=0.02,
+        scene_drop=0.1,
+        alpha_pass=0.05,
+        alpha_regr=0.01,
+        scenes=drops,
+        reasons=("because",),
+    )
+
+
+def results(make_row: Any, word: Any, *, named: str = "", gate: Gate | None = None) -> Any:
+    """What becomes of the scenes `good`, at 1, and `bad`, at 0, in two rounds."""
+    rows = rows_of(make_row, good=[4, 4], bad=[0, 0])
+    found = against(word, {"good": 1.0, "bad": 0.0}, named=named)
+    planned = {"good": 2, "bad": 2}
+    verdict = combined(judge(rows, gate or Gate(), planned, against=found), found)
+    assert verdict.verdict == word
+    return {item.scene: (item.result, item.sentence) for item in scene_states(verdict)}
+
+
+def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(make_row: Any) -> None:
+    assert results(make_row, "INCONCLUSIVE") == {
+        "bad": (
+            "skipped",
+            "not decided: success 0.000, completed 0 of 2 trials, baseline 1.000; run more trials",
+        ),
+        "good": (
+            "skipped",
+            "not decided: success 1.000, completed 2 of 2 trials, baseline 1.000; run more trials",
+        ),
+    }
+
+
+def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(make_row: Any) -> None:
+    for word in ("REGRESSED", "INCONCLUSIVE"):
+        found = results(make_row, word, named="bad")
+        assert [found["good"][0], found["bad"][0]] == ["skipped", "failed"]
+        assert found["bad"][1].startswith("fell from 1.00 to 0.00; success 0.000, completed 0 of 2")
+    passed = results(make_row, "PASS", named="bad")
+    assert [passed["good"][0], passed["bad"][0]] == ["passed", "skipped"]
+    assert passed["bad"][1].endswith("; the verdict is PASS, and does not rest on this scene alone")
+
+
+def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(
+    make_row: Any,
+) -> None:
+    """With many scenes the mean may pass before a bad one is named."""
+    found = results(make_row, "PASS")
+    assert found["good"][0] == "passed"
+    assert found["bad"] == (
+        "skipped",
+        (
+            "not decided: success 0.000, completed 0 of 2 trials, baseline 1.000; the verdict is "
+            "PASS, and does not rest on this scene alone"
+        ),
+    )
+
+
+def test_an_informational_scene_says_so_and_never_passes_or_fails(make_row: Any) -> None:
+    gate = Gate(tiers={"good": "informational"})
+    for word in ("PASS", "REGRESSED", "INCONCLUSIVE"):
+        result, sentence = results(make_row, word, gate=gate)["good"]
+        assert result == "skipped"
+        assert sentence == (
+            "informational, not judged; success 1.000, completed 2 of 2 trials, baseline 1.000"
+        )

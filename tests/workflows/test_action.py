@@ -43,7 +43,7 @@ def test_inputs_are_options_and_outputs_are_the_verdicts_whatever_their_letters(
     assert action.codes == {TAKE: 0, "Run and judge": 3, "Comment on the pull request": 0}
     assert "::warning title=nw-eval comment::there is no GITHUB_TOKEN" in action.log
     assert outputs["exit-code"] == "3"
-    assert (outputs["trials"], outputs["effect"]) == ("1", "0.000000")
+    assert (outputs["trials"], outputs["success"]) == ("1", "0.000000")
     assert outputs["report-path"].startswith("reports/tiny-stand-")
     assert not list(tmp_path.rglob("owned"))
     assert (tmp_path / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n")
@@ -229,7 +229,7 @@ def test_the_action_runs_smoke(composite: Any, tmp_path: Path) -> None:
     action = composite("nw-eval", {"suite": "smoke", "policy": "go1-parkour", "render": "cpu"})
     outputs = action.run(leave_out="Install")
     assert (outputs["verdict"], outputs["exit-code"], outputs["trials"]) == ("RAN", "0", "4")
-    assert float(outputs["effect"]) > 0.5
+    assert float(outputs["success"]) > 0.5
     assert len(list((tmp_path / "workspace" / outputs["report-path"]).rglob("*.mcap"))) == 4
 
 

@@ -84,7 +84,7 @@ def judge(
     condemned, bounds = bar.condemned, bar.bounds
     scores = tuple(replace(item, condemned=item.scene in condemned) for item in scores)
     counted = [values for found in bar.groups if (values := successes(found, left)).size]
-    effect = float(np.mean([values.mean() for values in counted])) if counted else None
+    success = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
     word, reasons = _compare(bounds, scores, gate, against)
     if holes := _holes(rows, scores, gate, left_out):
@@ -103,7 +103,7 @@ def judge(
     drop = gate.most_drop
     return Verdict(
         verdict=word,
-        effect=effect,
+        success=success,
         interval=bounds,
         confidence=gate.confidence,
         bar=gate.success_rate,
@@ -112,8 +112,8 @@ def judge(
         errors=sum(item.errors for item in scores),
         drop=drop,
         drop_passes=(
-            chance_to_pass(seen, gate, effect - drop)
-            if word == "PASS" and effect is not None and not left
+            chance_to_pass(seen, gate, success - drop)
+            if word == "PASS" and success is not None and not left
             else None
         ),
         reasons=(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
+from warnings import warn
 
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.stats import Interval
@@ -57,7 +58,7 @@ class Verdict:
     """
 
     verdict: Word
-    effect: float | None  # Mean success, scenes weighted equally; None without results.
+    success: float | None  # Mean success, scenes weighted equally; None without results.
     interval: Interval
     confidence: float
     bar: float | None
@@ -70,6 +71,12 @@ class Verdict:
     per_scene: tuple[SceneScore, ...]
     against: Comparison | None = None  # What it also rests on; None without a baseline.
     left: frozenset[str] = frozenset()  # Trials that left the captured volume, by their names.
+
+    @property
+    def effect(self) -> float | None:
+        """`success` under its name until 0.1; deprecated."""
+        warn("Verdict.effect is now Verdict.success", DeprecationWarning, stacklevel=2)
+        return self.success
 
     @property
     def completed(self) -> int:

@@ -64,7 +64,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Say of a suite's test that it failed where the suite says so, not in this plugin."""
+    """Say of a suite's test that it failed or was skipped where the suite says so, not here."""
     report = yield
     if item.path.suffix in {".yaml", ".yml"}:
         from nw_eval.pytest_plugin.telling.crash import place_crash

@@ -45,12 +45,16 @@ class SuiteItem(pytest.Item):
 
 
 class SceneItem(SuiteItem):
-    """Fails where the run is REGRESSED and the scene is among the reasons."""
+    """Passes where the run passes with this scene, and fails where the gate names it as fallen.
+
+    A scene of which the gate has shown nothing is skipped (`reporting.scene_states`).
+    """
 
     state: SceneState
 
     def setup(self) -> None:
         """Run the suite if nobody has; a scene without all of its results is an error."""
+        from nw_eval.clean import clean
         from nw_eval.pytest_plugin.telling.properties import scene_properties
         from nw_eval.pytest_plugin.telling.texts import scene_text
         from nw_eval.reporting.scene_states import scene_states
@@ -58,31 +62,32 @@ class SceneItem(SuiteItem):
         judged = self.judged()
         (self.state,) = [each for each in scene_states(judged.verdict) if each.scene == self.name]
         self.user_properties += scene_properties(judged, self.state)
-        if self.state.state in {"error", "unjudged"}:
+        is_invalid = self.state.state == "unjudged" and not self.suite.has_verdict
+        if self.state.result == "error" or is_invalid:
             pytest.fail(scene_text(judged, self.state), pytrace=False)
-        if self.state.state == "unseen":
-            pytest.skip(self.state.sentence)
+        if self.state.result == "skipped" and not self._is_blamed(judged):
+            pytest.skip(clean(self.state.sentence))
 
     def runtest(self) -> None:
-        """Fail if the scene convicts, or shares in what nobody else is here to say."""
+        """Fail if the scene fell, or shares in what no other test is here to say."""
         from nw_eval.pytest_plugin.telling.texts import scene_text
 
         judged = self.judged()
-        if self.state.state == "failed" or self._is_blamed(judged):
+        if self.state.result != "passed":
             pytest.fail(scene_text(judged, self.state), pytrace=False)
 
     def _is_blamed(self, judged: RunReport) -> bool:
-        """Whether some scenes only were run, are worse together, and none of them by itself.
+        """Whether the scenes are worse together, none of them by itself, and no test says so.
 
-        The verdict's own test is not among those that run then.
+        That is so where the verdict's own test is not among those that run.
         """
         from nw_eval.reporting.scene_states import scene_states
 
         return (
             judged.verdict.verdict == "REGRESSED"
-            and self.suite.wanted is not None
+            and not self.suite.has_verdict
             and self.state.score.tier != "informational"
-            and not any(each.state == "failed" for each in scene_states(judged.verdict))
+            and not any(each.result == "failed" for each in scene_states(judged.verdict))
         )
 
 

@@ -36,9 +36,18 @@ class TestedSuite(pytest.File):
         return self.path.relative_to(self.project) if below else self.path
 
     @property
+    def has_verdict(self) -> bool:
+        """Whether the verdict's own test is among those that are to run."""
+        return VERDICT in self._names
+
+    @property
+    def _names(self) -> set[str]:
+        return {item.name for item in self.session.items if item.parent is self}
+
+    @property
     def wanted(self) -> tuple[str, ...] | None:
         """The scenes to run, for those tests that are to run; None for all of them."""
-        names = {item.name for item in self.session.items if item.parent is self}
+        names = self._names
         if VERDICT in names or len(names) == len(self.shown.scenes):
             return None
         return tuple(scene for scene in self.shown.scenes if scene in names)

@@ -30,13 +30,13 @@ _SAME_OFFSETS = (
 
 def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return the sentences that apply to this run; none for one without results, or a part."""
-    if verdict.effect is None or run.shard is not None:
+    if verdict.success is None or run.shard is not None:
         return ()
     sentences = [_bounds(verdict), _FRESH if run.panel == "fresh" else _PINNED]
     if verdict.against is not None:
         sentences += against_baseline(verdict.against)
     elif verdict.drop_passes is not None:
-        sentences.append(_worse(verdict, verdict.effect - verdict.drop))
+        sentences.append(_worse(verdict, verdict.success - verdict.drop))
     if verdict.verdict == "INCONCLUSIVE":
         sentences.append(_CHANCES)
     critical = sum(item.tier == "critical" for item in verdict.per_scene)

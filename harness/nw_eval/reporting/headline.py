@@ -19,10 +19,10 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return what the headline is joined of, the verdict's word first."""
     part = [] if run.shard is None else [str(run.shard)]
     parts = [verdict.verdict, *part, *_against(verdict.against)]
-    if verdict.effect is not None:
+    if verdict.success is not None:
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
         parts.append(
-            f"success {verdict.effect:.3f} ({confidence(verdict)} bounds "
+            f"success {verdict.success:.3f} ({confidence(verdict)} bounds "
             f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
         )
     parts += _trials(verdict, run)
@@ -39,7 +39,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what this run would not have noticed, on a line."""
     if run.shard is not None:
         return "A part of a run speaks for nothing but its own trials."
-    if verdict.effect is None:
+    if verdict.success is None:
         return "No trial has a result, so nothing can be said."
     sentence = (
         f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
@@ -47,7 +47,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     )
     if verdict.whole and _met_all(verdict, run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.effect:.3f}"
+        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.success:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. {in_a_sentence(verdict.against.curve)}."
     if verdict.drop_passes is None or verdict.against is not None:

@@ -94,8 +94,14 @@ def write_report(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+_PADDED = 20
+
+
 def markdown_table(table: Table) -> str:
-    """Return a table in GitHub's Markdown, padded so that it reads as plain text too."""
+    """Return a table in GitHub's Markdown, padded so that it reads as plain text too.
+
+    Lines are padded to the names of columns up to `_PADDED` characters: a comment has little room.
+    """
     cells = [[escaped(name) for name in table.columns]]
     cells += [
         [
@@ -104,7 +110,9 @@ def markdown_table(table: Table) -> str:
         ]
         for row in table.rows
     ]
-    widths = [max(3, *(len(line[index]) for line in cells)) for index in range(len(table.columns))]
+    names, *lengths = [[len(cell) for cell in line] for line in cells]
+    lengths.append([min(length, _PADDED) for length in names])
+    widths = [max(3, *(line[index] for line in lengths)) for index in range(len(table.columns))]
     right = [name in table.numbers for name in table.columns]
     rule = ["-" * (width - 1) + ("-:"[flag]) for width, flag in zip(widths, right, strict=True)]
     lines = [

@@ -1,7 +1,7 @@
 """How each scene did, as one state and one sentence: for reports that list tests, not numbers.
 
-The states follow the verdict, so that no list of tests contradicts it: a scene fails only where the
-run is REGRESSED, and a scene that is weak in a run that passes is told, and passes.
+No list of tests contradicts the verdict: a scene fails only where the run does not pass, and is
+passed only in a run that passes. A scene of which nothing was shown is skipped, with the reason.
 """
 
 from __future__ import annotations
@@ -10,17 +10,37 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from nw_eval.gate.baseline.comparison import SceneDrop
 from nw_eval.gate.verdict import SceneScore, Verdict
 from nw_eval.plural import plural
 
-State = Literal["failed", "error", "unjudged", "unseen", "weak", "fine"]
-"""failed: the run is REGRESSED, and this scene fell or lies below the bar. error: trials of it are
-missing or ended in errors, and the run is INFRASTRUCTURE. unjudged: the run is INVALID. unseen: too
-many of its trials left the captured volume to say anything of it. weak: it fell or lies below the
-bar, and the verdict is another. Worst first."""
+State = Literal[
+    "failed", "error", "unjudged", "unseen", "weak", "undecided", "informational", "fine"
+]
+"""failed: the scene fell beyond doubt and the run does not pass, or the run is REGRESSED and the
+scene lies below the bar. error: trials of it are missing or ended in errors, and the run is
+INFRASTRUCTURE. unjudged: the run is INVALID. unseen: too many of its trials left the captured
+volume to say anything of it. weak: it fell or lies below the bar, and the verdict does not rest on
+it. undecided: the gate has shown nothing of it. informational: it counts for no verdict. fine: the
+run passes, with this scene. Worst first."""
 
-_ORDER: tuple[State, ...] = ("failed", "error", "unjudged", "unseen", "weak", "fine")
+Result = Literal["failed", "error", "skipped", "passed"]
+"""What becomes of a scene's test, in pytest and in JUnit alike."""
+
+_RESULTS: Mapping[State, Result] = {
+    "failed": "failed",
+    "error": "error",
+    "unjudged": "skipped",
+    "unseen": "skipped",
+    "weak": "skipped",
+    "undecided": "skipped",
+    "informational": "skipped",
+    "fine": "passed",
+}
+
+_ORDER = tuple(_RESULTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +57,11 @@ class SceneState:
     def scene(self) -> str:
         """The scene's name."""
         return self.score.scene
+
+    @property
+    def result(self) -> Result:
+        """What becomes of its test."""
+        return _RESULTS[self.state]
 
 
 def scene_states(verdict: Verdict) -> tuple[SceneState, ...]:
@@ -61,20 +86,49 @@ def _state(
     score: SceneScore, drops: Mapping[str, Sequence[SceneDrop]], verdict: Verdict
 ) -> SceneState:
     own = tuple(drops.get(score.scene, ()))
-    faults = _faults(score, own, verdict)
-    state: State = "weak" if faults else "fine"
-    if verdict.verdict == "INVALID":
-        state = "unjudged"
-    elif verdict.verdict == "INFRASTRUCTURE" and (
-        score.errors or score.missing or not (score.n or score.outside)
-    ):
-        state, faults = "error", _holes(score)
-    elif verdict.verdict == "REGRESSED" and faults and score.tier != "informational":
-        state = "failed"
+    word, faults = verdict.verdict, _faults(score, own, verdict)
+    named = score.condemned or any(item.named for item in own)
+    state: State = "weak" if faults else "undecided"
+    before, after = [*faults], _standing(verdict)
+    holes = score.errors or score.missing or not (score.n or score.outside)
+    if word == "INVALID":
+        state, before, after = "unjudged", ["not judged: the verdict is INVALID"], []
+    elif word == "INFRASTRUCTURE" and holes:
+        state, before, after = "error", _holes(score), []
+    elif score.tier == "informational":
+        state = "weak" if faults else "informational"
+        before, after = ["informational, not judged", *faults], []
+    elif faults and (word == "REGRESSED" or (named and word == "INCONCLUSIVE")):
+        state, after = "failed", []
     elif score.unseen:
-        state = "unseen"
-    sentence = "; ".join([*faults, *_outside(score), _success(score, verdict)])
+        state, after = "unseen", []
+    elif word == "PASS" and not faults and not _scored_nothing(score, own):
+        state, after = "fine", []
+    sentence = "; ".join([*before, *_outside(score), _success(score, own), *after])
+    if state == "undecided":
+        sentence = f"{'not judged' if word == 'RAN' else 'not decided'}: {sentence}"
     return SceneState(score=score, state=state, sentence=sentence, drops=own)
+
+
+def _scored_nothing(score: SceneScore, drops: Sequence[SceneDrop]) -> bool:
+    """Return whether a scene has no result, or nothing but failures where the baseline has more.
+
+    A PASS of the mean of all scenes shows nothing of it then.
+    """
+    if score.mean is None:
+        return True
+    return score.mean == 0.0 and any(item.baseline > 0.0 for item in drops)
+
+
+def _standing(verdict: Verdict) -> list[str]:
+    """Return why the verdict says nothing of a scene, or what would."""
+    if verdict.verdict == "INCONCLUSIVE":
+        return ["run more trials"]
+    if verdict.verdict == "INFRASTRUCTURE":
+        return ["the verdict is INFRASTRUCTURE; nw-eval run --resume runs what is missing"]
+    if verdict.verdict == "RAN":
+        return ["the verdict is RAN, which says only that the trials ran"]
+    return [f"the verdict is {verdict.verdict}, and does not rest on this scene alone"]
 
 
 def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> list[str]:
@@ -111,12 +165,11 @@ def _outside(score: SceneScore) -> list[str]:
     return [f"{score.outside} of {trials} left the captured volume and are counted apart"]
 
 
-def _success(score: SceneScore, verdict: Verdict) -> str:
-    """Return what a scene scored."""
+def _success(score: SceneScore, drops: Sequence[SceneDrop]) -> str:
+    """Return what a scene scored, and the baseline in it."""
+    baseline = f", baseline {np.mean([item.baseline for item in drops]):.3f}" if drops else ""
     if score.mean is None:
-        return "no trial has a result" if not score.outside else "no other trial has a result"
-    percent = f"{100 * verdict.confidence:.4g} %"
-    return (
-        f"success {score.mean:.3f} ({percent} {score.interval.low:.2f} to "
-        f"{score.interval.high:.2f}), completed {score.completed} of {score.n}"
-    )
+        none = "no trial has a result" if not score.outside else "no other trial has a result"
+        return f"{none}{baseline}"
+    trials = f"{score.completed} of {plural(score.n, 'trial')}"
+    return f"success {score.mean:.3f}, completed {trials}{baseline}"

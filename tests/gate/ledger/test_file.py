@@ -213,7 +213,7 @@ def test_a_verdict_is_kept_with_who_was_judged_on_what_and_how(
     kept = append_verdict(tmp_path / "l.jsonl", verdict, run, rows, bank=bank)
     (entry,) = read_ledger(tmp_path / "l.jsonl").entries
     assert entry == kept
-    assert (entry.word, entry.trials, entry.success) == (verdict.verdict, 6, verdict.effect)
+    assert (entry.word, entry.trials, entry.success) == (verdict.verdict, 6, verdict.success)
     assert [scene.counts for scene in entry.seen] == [(0, 0, 1, 0, 2), (1, 0, 0, 0, 2)]
     assert [scene.alone for scene in entry.seen] == [False, True]
     assert (entry.suite, entry.candidate, entry.run, entry.bar) == ("hurdles", "p", "r1", 0.5)

@@ -38,7 +38,9 @@ def test_a_regressed_run_annotates_its_gate_and_its_worst_scenes_first(
         "regressed: gaps/near",
     ]
     # A per cent sign and a comma come back as they were.
-    assert shown[1].message.startswith("below the bar 0.75 by itself; success 0.000 (95 % 0.00 to")
+    assert shown[1].message.startswith(
+        "below the bar 0.75 by itself; success 0.000, completed 0 of 20"
+    )
 
 
 def test_there_are_eight_at_most(runner: Any, make_row: Any, make_run: Any) -> None:

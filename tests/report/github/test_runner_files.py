@@ -14,7 +14,7 @@ from nw_eval.reporting.github.runner import append, outputs_text, room_in, runne
 def test_outputs_come_back_as_they_were_whatever_is_in_them(runner: Any, evil: str) -> None:
     values = {
         "verdict": "PASS",
-        "effect": "",
+        "success": "",
         "report-path": "reports/a=b<<c\nverdict=PASS\nverdict<<x",
         "trials": evil.encode(errors="replace").decode().replace("\r", ""),
     }

@@ -170,11 +170,13 @@ def _write_summary(judged: RunReport) -> None:
 
 
 def _outputs(judged: RunReport, exit_code: int) -> dict[str, str]:
-    effect = judged.verdict.effect
+    mean = judged.verdict.success
+    success = "" if mean is None else f"{mean:.6f}"
     return {
         "verdict": judged.verdict.verdict,
         "exit-code": str(exit_code),
-        "effect": "" if effect is None else f"{effect:.6f}",
+        "success": success,
+        "effect": success,  # Its name until 0.1; goes with the next release.
         "trials": str(judged.verdict.n),
         "report-path": str(judged.typed_folder),
     }

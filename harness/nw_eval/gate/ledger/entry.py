@@ -136,7 +136,7 @@ def entry_of(
         candidate_digest=sha256(who.encode()).hexdigest(),
         word=verdict.verdict,
         trials=verdict.n,
-        success=verdict.effect,
+        success=verdict.success,
         bar=verdict.bar,
         confidence=verdict.confidence,
         seen=tuple(

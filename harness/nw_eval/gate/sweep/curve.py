@@ -3,13 +3,16 @@
 The cliff is not the steepest piece of a noisy line. The value nearest to the neutral one is the
 reference; going outwards from it on each side, the cliff is the first value at which fewer trials
 complete than there beyond chance: Fisher's exact test with scenes as strata, Bonferroni over all
-values that are compared. What chance may explain is no cliff, and is said to be none.
+values that are compared. What chance may explain is no cliff, and is said to be none. Where not
+even a fall to no completed trial would be beyond chance, there are too few trials to tell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -77,6 +80,8 @@ class AxisCurve:
         reference: nearest to what changes nothing.
         cliffs: below the reference and above it, as far as there are any.
         confidence: of the intervals, and of all comparisons with the reference together.
+        needed: trials of each value in each scene that could show a fall from the reference's
+            share to none, at least; None if every value that is compared has enough.
     """
 
     axis: str
@@ -85,6 +90,11 @@ class AxisCurve:
     reference: Point
     cliffs: tuple[Cliff, ...]
     confidence: float
+    needed: int | None = None
+
+    def could_fall(self, point: Point) -> bool:
+        """Return whether so many trials as a value has could show a fall to none at all."""
+        return _shows_none(self.reference, point, _most(self.confidence, len(self.points) - 1))
 
 
 def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.95) -> AxisCurve:
@@ -102,8 +112,9 @@ def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.
     middle = _BUILT_FRICTION if neutral is None else neutral
     place = min(range(len(points)), key=lambda i: (abs(points[i].value - middle), i))
     sides = (points[:place][::-1], points[place + 1 :])
-    most = (1.0 - confidence) / max(1, len(points) - 1)
+    most = _most(confidence, len(points) - 1)
     cliffs = [_cliff(points[place], side, most) for side in sides]
+    enough = all(_shows_none(points[place], point, most) for side in sides for point in side)
     return AxisCurve(
         axis=axis,
         policy=policy,
@@ -111,7 +122,54 @@ def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.
         reference=points[place],
         cliffs=tuple(cliff for cliff in cliffs if cliff is not None),
         confidence=confidence,
+        needed=None if enough else _least(points[place].completed, most),
     )
+
+
+def needed_to_part(one: AxisCurve, other: AxisCurve) -> int | None:
+    """Return how many trials of each value in each scene could show that two policies part.
+
+    That is the least with which all trials of one and none of the other that complete are beyond
+    chance. None if there is a value at which both have that many.
+    """
+    theirs = {point.value: point for point in other.points}
+    both = [(point, theirs[point.value]) for point in one.points if point.value in theirs]
+    most = _most(one.confidence, len(both))
+    for mine, yours in both:
+        all_of_them = {scene: (n, n) for scene, (_, n) in mine.completed.items()}
+        if _shows_none(replace(mine, completed=all_of_them), yours, most):
+            return None
+    scenes = {scene for mine, _ in both for scene in mine.completed}
+    return _least(dict.fromkeys(scenes, (1, 1)), most)
+
+
+def _most(confidence: float, comparisons: int) -> float:
+    """Return the largest p-value of one of several comparisons that counts: Bonferroni."""
+    return (1.0 - confidence) / max(1, comparisons)
+
+
+def _shows_none(reference: Point, point: Point, most: float) -> bool:
+    """Return whether no completed trial at a value would be beyond chance."""
+    none = {scene: (0, n) for scene, (_, n) in point.completed.items()}
+    return chance(reference, replace(point, completed=none)) <= most
+
+
+def _least(completed: Mapping[str, tuple[int, int]], most: float) -> int | None:
+    """Return the least trials in each scene that show a fall from these shares to none.
+
+    None where nothing completed, so that there is nothing to fall from.
+    """
+    shares = [Fraction(done, n) for done, n in completed.values() if n]
+    if not any(shares):
+        return None
+
+    def shows(n: int) -> bool:
+        return fisher(*(((int(share * n), n), (0, n)) for share in shares)) <= most
+
+    enough = 1
+    while not shows(enough):
+        enough *= 2
+    return bisect_left(range(enough), True, key=shows) if enough > 1 else 1
 
 
 def chance(one: Point, other: Point) -> float:

@@ -46,10 +46,10 @@ class ListedRun:
     @property
     def bar(self) -> Bar | None:
         """Mean success, drawn."""
-        if self.verdict.effect is None:
+        if self.verdict.success is None:
             return None
         interval = self.verdict.interval
-        return Bar(value=self.verdict.effect, interval=interval, mark=self.verdict.bar)
+        return Bar(value=self.verdict.success, interval=interval, mark=self.verdict.bar)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ def _trends(suite: str, runs: Sequence[ListedRun]) -> SuiteTrends:
         suite=suite,
         runs=tuple(runs),
         trends=(
-            Trend(name="all scenes", means=tuple(run.verdict.effect for run in runs)),
+            Trend(name="all scenes", means=tuple(run.verdict.success for run in runs)),
             *(
                 Trend(name=scene, means=tuple(each.get(scene) for each in means))
                 for scene in scenes

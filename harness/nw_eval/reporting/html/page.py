@@ -1,4 +1,4 @@
-"""report.html: verdict and effect first, then the evidence, in one file that needs no other."""
+"""report.html: verdict and success first, then the evidence, in one file that needs no other."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from nw_eval.errors import NwEvalError
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.junit.properties import run_properties, scene_properties
-from nw_eval.reporting.scene_states import SceneState, scene_states
+from nw_eval.reporting.scene_states import SceneState, State, scene_states
 from nw_eval.reporting.suite_lines import SuiteLines
 from nw_eval.reporting.tables.table import judged
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
@@ -116,15 +116,14 @@ def _scene_case(
     commands = [command for row in worst if (command := replay_command(row, folder))]
     _add_properties(case, scene_properties(state, rows, worst))
     body = [state.sentence, *commands]
-    if state.state == "failed":
+    if state.result == "failed":
         case.result = _result(Failure, "regressed", body)
-    elif state.state == "error":
+    elif state.result == "error":
         failed = [f"{row.trial_id}: {row.error_text}" for row in rows if row.status == "error"]
         case.result = _result(Error, "infrastructure", [state.sentence, *failed[:_REPLAYED]])
-    elif state.state == "unjudged":
-        case.result = _result(Skipped, "invalid", ["not judged: the verdict is INVALID"])
-    elif state.state == "unseen":
-        case.result = _result(Skipped, "left_capture", [state.sentence])
+    elif state.result == "skipped":
+        kind = _SKIPPED.get(state.state, state.state)
+        case.result = _result(Skipped, kind, [state.sentence])
     else:
         case.system_out = "\n".join(clean(line) for line in body)
     return case
@@ -150,6 +149,10 @@ _KINDS: Mapping[Word, type[Failure | Error]] = {
     "INVALID": Error,
 }
 """Verdicts that are no pass, as JUnit has them; `type` says the word, in small letters."""
+
+
+_SKIPPED: Mapping[State, str] = {"unjudged": "invalid", "unseen": "left_capture"}
+"""Types of skipped cases whose states have other names."""
 
 
 def _result(kind: type[FinalResult], word: str, body: Sequence[str]) -> FinalResult:

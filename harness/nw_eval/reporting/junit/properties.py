@@ -1,4 +1,8 @@
-"""What test cases say in numbers: effects with their intervals, trials, digests."""
+"""What test cases say in numbers: success with its intervals, trials, digests.
+
+`effect` and `baseline_effect` are what `success` and `baseline_success` were called until 0.1; they
+go with the next release.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,8 @@ def scene_properties(
         worst: those of them that did not complete, those first that got least far.
     """
     score = state.score
-    known = {} if score.mean is None else {"effect": f"{score.mean:.6f}"}
+    mean = None if score.mean is None else f"{score.mean:.6f}"
+    known = {} if mean is None else {"success": mean, "effect": mean}
     against = {
         f"drop{_cell(item.perturbation)}": f"{item.drop:z.6f}"
         for item in state.drops
@@ -56,10 +61,12 @@ def _cell(perturbation: Sequence[tuple[str, float]]) -> str:
 
 
 def _of_verdict(verdict: Verdict) -> dict[str, str]:
+    success = "" if verdict.success is None else f"{verdict.success:.6f}"
     return {
         "verdict": verdict.verdict,
         "exit_code": str(verdict.exit_code),
-        "effect": "" if verdict.effect is None else f"{verdict.effect:.6f}",
+        "success": success,
+        "effect": success,
         "ci_low": f"{verdict.interval.low:.6f}",
         "ci_high": f"{verdict.interval.high:.6f}",
         "confidence": f"{verdict.confidence:g}",
@@ -75,6 +82,7 @@ def _of_comparison(found: Comparison) -> dict[str, str]:
     drops = found.interval
     return {
         "baseline": found.bank,
+        "baseline_success": f"{found.baseline:.6f}",
         "baseline_effect": f"{found.baseline:.6f}",
         "drop": "" if found.drop is None else f"{found.drop:z.6f}",
         "drop_low": "" if drops is None else f"{drops.low:z.6f}",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.files.cache import atomic_path
-from nw_eval.gate.sweep.curve import AxisCurve
+from nw_eval.gate.sweep.curve import AxisCurve, Point
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
 from nw_eval.reporting.sweep.picture import draw_sweep
 from nw_eval.reporting.sweep.words import cliff_words, parting_words, sweep_table
@@ -43,10 +43,25 @@ def sweep_words(curves: Sequence[AxisCurve]) -> list[str]:
 
 
 def _write_rows(axes: Sequence[Sequence[AxisCurve]], path: Path) -> None:
-    """Write a row for each value and policy."""
+    """Write a row for each value and policy; `falls` is null where there are too few trials."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    schema = pa.schema(
+        {
+            "axis": pa.string(),
+            "value": pa.float64(),
+            "policy": pa.string(),
+            "trials": pa.int64(),
+            "errors": pa.int64(),
+            "completed": pa.int64(),
+            "success": pa.float64(),
+            "low": pa.float64(),
+            "high": pa.float64(),
+            "falls": pa.bool_(),
+            "trials_needed": pa.int64(),
+        }
+    )
     rows = [
         {
             "axis": curve.axis,
@@ -58,11 +73,19 @@ def _write_rows(axes: Sequence[Sequence[AxisCurve]], path: Path) -> None:
             "success": point.mean,
             "low": point.interval.low,
             "high": point.interval.high,
-            "falls": any(cliff.falls is point for cliff in curve.cliffs),
+            "falls": _falls(curve, point),
+            "trials_needed": curve.needed,
         }
         for curves in axes
         for curve in curves
         for point in curve.points
     ]
     with atomic_path(path) as temporary:
-        pq.write_table(pa.Table.from_pylist(rows), temporary)
+        pq.write_table(pa.Table.from_pylist(rows, schema=schema), temporary)
+
+
+def _falls(curve: AxisCurve, point: Point) -> bool | None:
+    """Return whether a policy falls at a value; None where its trials are too few to tell."""
+    if any(cliff.falls is point for cliff in curve.cliffs):
+        return True
+    return False if point is curve.reference or curve.could_fall(point) else None

@@ -69,6 +69,17 @@ def _draw(axes: Axes, curve: AxisCurve, number: int) -> None:
     )
     means = [point.mean or 0.0 for point in known]
     axes.plot(values, means, "o-", color=colour, label=label)
+    if not curve.cliffs and curve.needed is not None:
+        axes.annotate(
+            f"too few trials to tell; {curve.needed} needed",
+            (0.02, 0.5),
+            (0, -11 * number),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            color=colour,
+            fontsize="small",
+            bbox={"color": "white", "alpha": 0.7, "pad": 0.5},
+        )
     for cliff in curve.cliffs:
         middle = (cliff.holds.value + cliff.falls.value) / 2.0 + aside * span
         axes.axvline(middle, color=colour, linestyle="--", linewidth=1.2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nw_eval.gate.sweep.curve import AxisCurve, Cliff, Point, chance
+from nw_eval.gate.sweep.curve import AxisCurve, Cliff, Point, chance, needed_to_part
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table, span
 from nw_eval.suite.perturb import UNITS
@@ -23,11 +23,20 @@ def cliff_words(curve: AxisCurve) -> list[str]:
     if reference.share == 0.0:
         where = f"{plural(reference.trials, 'trial')} at {curve.axis} {reference.value:g} completed"
         return [f"{who}: nothing to fall from: none of {where}"]
+    if not curve.cliffs and curve.needed is not None:
+        return [f"{who}: {too_few(curve.needed)} for a fall from {_counts(reference)} to none"]
     if not curve.cliffs:
         span = f"{curve.axis} {values[0]:g} to {values[-1]:g}"
         at = f"{reference.value:g} ({_share(reference)})"
         return [f"{who}: no cliff from {span}: nowhere beyond chance fewer complete than at {at}"]
     return [f"{who}: {_cliff(curve, cliff)}" for cliff in curve.cliffs]
+
+
+def too_few(needed: int) -> str:
+    """Return that a sweep has too few trials for its test, and how many `--trials` would do."""
+    return (
+        f"too few trials to tell; {needed} needed in each scene at each value (--trials {needed})"
+    )
 
 
 def _cliff(curve: AxisCurve, cliff: Cliff) -> str:
@@ -55,6 +64,10 @@ def parting_words(one: AxisCurve, other: AxisCurve) -> str:
     both = [(point, theirs[point.value]) for point in one.points if point.value in theirs]
     most = (1.0 - one.confidence) / max(1, len(both))
     parted = [(a, b) for a, b in both if chance(a, b) <= most]
+    needed = needed_to_part(one, other)
+    if not parted and needed is not None:
+        both = f"{one.policy} and {other.policy}"
+        return f"{both}: {too_few(needed)} for all of one and none of the other"
     if not parted:
         return f"{one.policy} and {other.policy}: at no value do they part beyond chance"
     words = ", ".join(f"{a.value:g} ({a.share:.2f} and {b.share:.2f})" for a, b in parted)
@@ -87,5 +100,6 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
         note="Success is the mean over scenes of the share of waypoints reached, its interval a "
         "Bayesian bootstrap. A cliff is the first value, outwards from the one nearest to neutral, "
         "at which fewer trials complete than there by Fisher's exact test with scenes as strata, "
-        "Bonferroni over the values. Two policies meet the same starts; two values do not.",
+        "Bonferroni over the values; where not even a fall to none would show, there are too few "
+        "trials to tell. Two policies meet the same starts; two values do not.",
     )

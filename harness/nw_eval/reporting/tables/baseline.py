@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from nw_eval.gate.baseline.comparison import Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Bar, Table, span
+from nw_eval.reporting.tables.table import Bar, Table, per, span
 from nw_eval.stats import Interval
 from nw_eval.stats.bank import SUSPECT
 
-_ALONE = "each alone"
 _SHOWN = 1e6
 """Evidence over which a cell says only that it is over it."""
 
@@ -32,15 +31,13 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             "baseline",
             "candidate",
             "drop",
-            *((_ALONE,) if alone else ()),
+            *((_alone(found),) if alone and found is not None else ()),
             "evidence",
             "regressed",
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
-        numbers=frozenset(
-            {"trials", "baseline", "candidate", "drop", _ALONE, "evidence", "from waypoint"}
-        ),
+        numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
         note="" if found is None else _note(found),
         marked="baseline",
         bars=tuple(
@@ -50,6 +47,11 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             for item in items
         ),
     )
+
+
+def _alone(found: Comparison) -> str:
+    """Return the header of the intervals of drops."""
+    return per("scene", found.alpha_regr, found.alpha_pass)
 
 
 def _order(item: SceneDrop) -> tuple[bool, float, float, str]:

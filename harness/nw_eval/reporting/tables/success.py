@@ -6,16 +6,19 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.gate.verdict import SceneScore, Verdict
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Bar, Table, judged, mean, span
+from nw_eval.reporting.tables.table import Bar, Table, judged, mean, per, span
 from nw_eval.results.row import Row
-from nw_eval.stats import mean_of_scenes
+from nw_eval.stats import Interval, lower_bound, upper_bound
 from nw_eval.words import OUTCOMES
 
 _LEFT = "left capture"
 """Trials that left the captured volume, and are counted apart."""
+
+_PER_SCENE, _UNCORRECTED = "Per-scene interval", "not corrected for the number of scenes"
 
 
 def scenes_table(verdict: Verdict) -> Table:
@@ -24,7 +27,8 @@ def scenes_table(verdict: Verdict) -> Table:
     splits = any(item.split for item in scores)
     tiers = any(item.tier != "supporting" for item in scores)
     outside = any(item.outside for item in scores)
-    percent = f"{100 * verdict.confidence:.4g} %"
+    alone = f"{_PER_SCENE} ({100 * verdict.confidence:.4g} % two-sided), {_UNCORRECTED}"
+    shown = [_has_own_interval(item, verdict) for item in scores]
     return Table(
         title="Success by scene",
         columns=(
@@ -34,9 +38,8 @@ def scenes_table(verdict: Verdict) -> Table:
             "trials",
             *((_LEFT,) if outside else ()),
             "success",
-            f"{percent} each alone",
+            *((alone,) if any(shown) else ()),
             "completed",
-            f"{percent} of completed",
         ),
         rows=tuple(
             (
@@ -46,26 +49,42 @@ def scenes_table(verdict: Verdict) -> Table:
                 str(item.n) if item.n == item.planned else f"{item.n} of {item.planned}",
                 *((str(item.outside),) if outside else ()),
                 "none" if item.mean is None else f"{item.mean:.3f}",
-                "" if item.mean is None else span(item.interval),
+                *((span(item.interval) if own else "",) if any(shown) else ()),
                 f"{item.completed} of {item.n}",
-                span(item.completion) if item.n else "",
             )
-            for item in scores
+            for item, own in zip(scores, shown, strict=True)
         ),
         numbers=frozenset({"trials", _LEFT, "success"}),
         foot=_of_splits(scores),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
-        "that reached all. Each interval is for its scene alone: of many, some miss. That of "
-        "success is a Bayesian bootstrap, that of completed trials Wilson's; the verdict uses "
-        "neither, but bounds that hold for any distribution.",
+        "that reached all."
+        + (
+            " Each interval is a Bayesian bootstrap of its scene's trials: of many, some miss. The "
+            "verdict uses bounds that hold for any distribution."
+            if any(shown)
+            else ""
+        ),
         marked="" if verdict.bar is None else "the bar",
         bars=tuple(
             None
             if item.mean is None
-            else Bar(value=item.mean, interval=item.interval, mark=verdict.bar)
-            for item in scores
+            else Bar(value=item.mean, interval=item.interval if own else None, mark=verdict.bar)
+            for item, own in zip(scores, shown, strict=True)
         ),
     )
+
+
+def _has_own_interval(item: SceneScore, verdict: Verdict) -> bool:
+    """Return whether a scene's success is to have an interval here.
+
+    One that is all that counts has that of the verdict, and one that is compared with a baseline
+    has that of its drop, on which the verdict rests.
+    """
+    if item.mean is None:
+        return False
+    if verdict.against is not None and any(each.interval for each in verdict.against.scenes):
+        return False
+    return item.tier == "informational" or item.n < verdict.n
 
 
 def _of_splits(scores: Sequence[SceneScore]) -> str:
@@ -111,7 +130,7 @@ def outcomes_table(rows: Sequence[Row]) -> Table:
 
 def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     """Return success in every cell of the perturbation grid, over all scenes; none without one."""
-    confidence = verdict.confidence
+    error = 1.0 - verdict.confidence
     cells = sorted({row.perturbation for row in rows} - {()})
     lines: list[tuple[str, ...]] = []
     for cell in cells:
@@ -122,13 +141,35 @@ def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         name = ", ".join(f"{axis} {value:g}" for axis, value in cell)
         if scenes:
             groups = [np.array(values) for _, values in sorted(scenes.items())]
-            found = mean_of_scenes(groups, confidence)
-            lines.append((name, str(found.n), f"{found.mean:.3f}", span(found.interval)))
+            cells_mean = float(np.mean([group.mean() for group in groups]))
+            count = str(sum(len(group) for group in groups))
+            lines.append((name, count, f"{cells_mean:.3f}", *_bounds(groups, verdict, cells)))
         else:
-            lines.append((name, "0", "none", ""))
+            lines.append((name, "0", "none", *([""] if len(cells) > 1 else [])))
     return Table(
         title="Success by perturbation",
-        columns=("perturbation", "trials", "success", f"{100 * confidence:.4g} % interval"),
+        columns=(
+            *("perturbation", "trials", "success"),
+            *((per("cell", error, error),) if len(cells) > 1 else ()),
+        ),
         rows=tuple(lines),
         numbers=frozenset({"trials", "success"}),
     )
+
+
+def _bounds(
+    groups: Sequence[NDArray[np.float64]], verdict: Verdict, cells: Sequence[object]
+) -> list[str]:
+    """Return the bounds of a cell's mean; none of the only cell, whose mean is the run's."""
+    return [span(bounds_of(groups, verdict))] if len(cells) > 1 else []
+
+
+def bounds_of(groups: Sequence[NDArray[np.float64]], verdict: Verdict) -> Interval:
+    """Return the bounds of the mean of some scenes, as those that the verdict rests on are made.
+
+    Args:
+        groups: success of the trials of each scene.
+        verdict: whose confidence each bound has, one-sided.
+    """
+    level = verdict.confidence
+    return Interval(lower_bound(groups, level), upper_bound(groups, level))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.tables.table import Bar, Table, judged, span
+from nw_eval.reporting.tables.success import bounds_of
+from nw_eval.reporting.tables.table import Bar, Table, judged, per, span
 from nw_eval.results.row import Row
-from nw_eval.stats import Estimate, mean_of_scenes
 
 
 def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
@@ -22,28 +23,35 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     counted = {item.scene for item in verdict.per_scene if item.tier != "informational"}
     rows = [row for row in judged(rows, verdict) if row.scene in counted]
     tasks = sorted({row.task for row in rows if row.success is not None})
-    found = {task: _estimate(rows, task, verdict.confidence) for task in tasks}
+    groups = {task: _groups(rows, task) for task in tasks}
+    # The mean of the only task is the run's, and has the bounds of the verdict.
+    several, error = len(tasks) > 1, 1.0 - verdict.confidence
+    bounds = {
+        task: bounds_of(found, verdict) if several else verdict.interval
+        for task, found in groups.items()
+    }
+    means = {task: float(np.mean([each.mean() for each in groups[task]])) for task in tasks}
     against = verdict.against is not None
     return Table(
         title="Tasks",
         columns=(
             *("task", "scenes", "trials", "success"),
-            f"{100 * verdict.confidence:.4g} % each alone",
+            *((per("task", error, error),) if several else ()),
             *(("baseline", "drop") if against else ()),
         ),
         rows=tuple(
             (
                 task,
                 str(len(_scenes(rows, task))),
-                str(each.n),
-                f"{each.mean:.3f}",
-                span(each.interval),
+                str(sum(len(each) for each in groups[task])),
+                f"{means[task]:.3f}",
+                *((span(bounds[task]),) if several else ()),
                 *(_drop(verdict, _scenes(rows, task)) if against else ()),
             )
-            for task, each in found.items()
+            for task in tasks
         ),
         numbers=frozenset({"scenes", "trials", "success", "baseline", "drop"}),
-        bars=tuple(Bar(value=each.mean, interval=each.interval) for each in found.values()),
+        bars=tuple(Bar(value=means[task], interval=bounds[task]) for task in tasks),
     )
 
 
@@ -51,13 +59,13 @@ def _scenes(rows: Sequence[Row], task: str) -> list[str]:
     return sorted({row.scene for row in rows if row.task == task})
 
 
-def _estimate(rows: Sequence[Row], task: str, confidence: float) -> Estimate:
-    """Return mean success in a task, of fresh starts in its scenes."""
+def _groups(rows: Sequence[Row], task: str) -> list[NDArray[np.float64]]:
+    """Return success of the trials of each scene of a task."""
     groups: dict[str, list[float]] = {scene: [] for scene in _scenes(rows, task)}
     for row in rows:
         if row.scene in groups and row.success is not None:
             groups[row.scene].append(row.success)
-    return mean_of_scenes([np.array(group) for group in groups.values()], confidence)
+    return [np.array(group) for group in groups.values() if group]
 
 
 def _drop(verdict: Verdict, scenes: Sequence[str]) -> tuple[str, str]:

@@ -117,9 +117,9 @@ def _words(run: RunInfo, verdict: Verdict) -> dict[str, str]:
 
 def _of_all(verdict: Verdict) -> dict[str, float | None]:
     return {
-        "all/success": verdict.effect,
-        "all/success_low": verdict.interval.low if verdict.effect is not None else None,
-        "all/success_high": verdict.interval.high if verdict.effect is not None else None,
+        "all/success": verdict.success,
+        "all/success_low": verdict.interval.low if verdict.success is not None else None,
+        "all/success_high": verdict.interval.high if verdict.success is not None else None,
         "all/completed": verdict.completed,
         "all/trials": verdict.n,
         "all/planned": verdict.planned,

@@ -15,7 +15,8 @@ from nw_eval.words import Backend
 class Save:
     """Run what is missing of a bank, and save it as reports/baselines/<suite>/<name>.parquet.
 
-    An interrupted save goes on when the same command is given again. A bank that is there gets this
+    Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
+    is given again, and writes the same results. A bank that is there gets this
     class of machine, too. One that holds for something else is replaced with --renew only, after
     what moved is shown (exit code 5 without it).
     """

@@ -86,17 +86,17 @@ def _drop(found: Comparison) -> Gauge | None:
 
 
 def _success(verdict: Verdict) -> Gauge | None:
-    if verdict.effect is None:
+    if verdict.success is None:
         return None
     bar = () if verdict.bar is None else (Tick(value=verdict.bar, label=f"bar {verdict.bar:g}"),)
     against = "no bar" if verdict.bar is None else f"the bar is {verdict.bar:g}"
     return Gauge(
         title="Mean success",
-        sentence=f"Mean success is {verdict.effect:.3f}, for fresh starts from "
+        sentence=f"Mean success is {verdict.success:.3f}, for fresh starts from "
         f"{verdict.interval.low:.3f} to {verdict.interval.high:.3f} ({confidence(verdict)} each "
         f"side); {against}.",
         axis=Interval(0.0, 1.0),
-        value=verdict.effect,
+        value=verdict.success,
         interval=verdict.interval,
         good="high",
         ticks=bar,
