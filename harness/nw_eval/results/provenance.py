@@ -62,14 +62,19 @@ class PolicyInfo(_Saved):
     adapter: str = ""
     card_digest: str = ""
     checkpoint_digest: str
+    # Hex sha256 of network and card without names and metadata (`Bundle.computes`); empty: unknown.
+    computes: str = ""
     card: str = ""  # Path of the card, for --resume.
     origin: str = ""  # What the digest is of where there are no weights: server, code.
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
     @property
     def key(self) -> str:
-        """What starts are drawn by: a checkpoint with its card."""
-        return f"{self.checkpoint_digest}/{self.card_digest}"
+        """What starts are drawn by: what the policy computes, so that a re-export meets the same.
+
+        Where that is unknown, or an older nw-eval wrote the file, the checkpoint with its card.
+        """
+        return self.computes or f"{self.checkpoint_digest}/{self.card_digest}"
 
 
 class CodeInfo(_Saved):
