@@ -172,16 +172,10 @@ class Bundle:
             return ""
         fields = self._meaning()
         del fields["name"]
-        feeding = {name: self.of_network(name)._computed() for name in self.networks}
+        feeding = {name: _computed(self.of_network(name)) for name in self.networks}
         # Not sorted: one input takes the observations in their order.
-        text = json.dumps([fields, self._computed(), feeding, self.code_sha256])
+        text = json.dumps([fields, _computed(self), feeding, self.code_sha256])
         return hashlib.sha256(text.encode()).hexdigest()
-
-    def _computed(self) -> str:
-        """Return the digest of what one file computes, or of the file."""
-        if self.checkpoint is None or self.card.adapter.startswith("python:"):
-            return self.checkpoint_sha256  # Code may read anything of a file, its metadata too.
-        return computed_digest(self.read_checkpoint()) or self.checkpoint_sha256
 
     def _meaning(self) -> dict[str, Any]:
         """Return all of the card that can change an action, and its name."""
@@ -215,6 +209,13 @@ class Bundle:
                 fix="start again once it is no longer written to",
             )
         return data
+
+
+def _computed(bundle: Bundle) -> str:
+    """Return the digest of what the weights of a bundle compute, or of their file."""
+    if bundle.checkpoint is None or bundle.card.adapter.startswith("python:"):
+        return bundle.checkpoint_sha256  # Code may read anything of a file, its metadata too.
+    return computed_digest(bundle.read_checkpoint()) or bundle.checkpoint_sha256
 
 
 def load_bundle(

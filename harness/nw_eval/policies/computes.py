@@ -17,7 +17,7 @@ import math
 import pickletools
 import re
 import struct
-from collections import ChainMap
+from collections import ChainMap, Counter
 from collections.abc import Mapping, MutableMapping, Sequence
 from hashlib import sha256
 from typing import Any, cast
@@ -33,6 +33,12 @@ _NESTED = 16
 """Graphs in graphs, as `check_onnx` takes them."""
 _TYPED = 2**20
 """Numbers of a file that are written one by one in place of as bytes: a second of reading."""
+_PICKLE = 2**22
+"""Bytes of a pickle, whose steps are read one by one. The numbers of tensors lie beside it."""
+_JSON = 2**26
+"""Bytes of a graph or a header."""
+_SHORT = 64
+"""Letters of a text of a pickle that is kept as it is: it may be used a million times."""
 _DRAWS = re.compile(r"Random|Bernoulli|Multinomial")
 """Operators of which two equal ones give different values."""
 _SIZES = {
@@ -283,20 +289,22 @@ def _members(archive: Archive) -> list[tuple[str, str]]:
     """Return names and digests of the members of a file of torch that say what it computes."""
     names = [name for name in archive.names() if not _TRACES.match(name)]
     known: dict[str, str] = {}
-    pickled = _pickled(archive.read("data.pkl"), known) if "data.pkl" in names else b""
+    pickled = (
+        _pickled(archive.read("data.pkl", at_most=_PICKLE), known) if "data.pkl" in names else b""
+    )
     found: list[tuple[str, str]] = []
     for name in names:
-        data = archive.read(name)
+        data, place = archive.read(name), name
         if name == "data.pkl":
             data = pickled
         elif code := _CODE.match(name):
-            name = f"code {_renamed(code[1].replace('/', '.'), known)}"
+            place = f"code {_renamed(code[1].replace('/', '.'), known)}"
             data = _NAMES.sub(
                 lambda hit: f"{_renamed(hit[1], known)}.{hit[2]}", data.decode()
             ).encode()
         elif name.endswith(".json"):
             data = _without_traces(data)
-        found.append((name, sha256(data).hexdigest()))
+        found.append((place, sha256(data).hexdigest()))
     return sorted(found)
 
 
@@ -314,6 +322,7 @@ def _pickled(data: bytes, known: dict[str, str]) -> bytes:
             them.
     """
     steps: list[str] = []
+    times: Counter[str] = Counter()
     memo: dict[int, str] = {}
     for opcode, argument, _ in pickletools.genops(data):
         if opcode.name in {"BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"}:
@@ -326,14 +335,18 @@ def _pickled(data: bytes, known: dict[str, str]) -> bytes:
             module, _, name = str(argument).rpartition(" ")
             if module.startswith("__torch__") and module not in known:
                 plain = _MANGLED.sub("", module)
-                same = sum(_MANGLED.sub("", other) == plain for other in known)
-                known[module] = f"{plain}#{same}"
-            steps.append(f"text {_renamed(module, known)} {name}")
+                known[module] = f"{plain}#{times[plain]}"
+                times[plain] += 1
+            steps.append(f"text {_short(_renamed(module, known))} {_short(name)}")
         elif "UNICODE" in opcode.name:
-            steps.append(f"text {argument!r}")
+            steps.append(f"text {_short(repr(argument))}")
         elif opcode.name != "PROTO":
             steps.append(f"{opcode.name} {argument!r}")
     return "\n".join(steps).encode()
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHORT else sha256(text.encode(errors="replace")).hexdigest()
 
 
 def _renamed(module: str, known: Mapping[str, str]) -> str:
@@ -342,6 +355,8 @@ def _renamed(module: str, known: Mapping[str, str]) -> str:
 
 def _without_traces(data: bytes) -> bytes:
     """Return the JSON of torch.export without its stack traces and torch's own version."""
+    if len(data) > _JSON:
+        raise ValueError("a graph of another size than networks have")
     graph: Any = json.loads(data)
     if isinstance(graph, dict):
         for key in ("torch_version", "schema_version"):
@@ -362,6 +377,8 @@ def _without_traces(data: bytes) -> bytes:
 def _tensors(data: bytes) -> list[tuple[str, object]]:
     """Return names, types, shapes and digests of the tensors of a safetensors file."""
     end = 8 + int.from_bytes(data[:8], "little")
+    if end > _JSON:
+        raise ValueError("a header of another size than networks have")
     header: dict[str, dict[str, Any]] = json.loads(data[8:end])
     body = memoryview(data)[end:]
     found: list[tuple[str, object]] = []

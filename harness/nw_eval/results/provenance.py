@@ -185,7 +185,7 @@ class RunInfo(_Saved):
     own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]
     left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
-    panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
+    panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the policy's `key`.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
     # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw
     # of what runs again (`recheck_key`).

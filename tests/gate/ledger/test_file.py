@@ -93,7 +93,7 @@ def test_a_ledger_that_was_written_anew_is_not_the_one_of_its_head(
     for entry in (entries[0], *entries[2:], entries[0]):
         append_entry(anew, entry)
     ledger.write_bytes(anew.read_bytes())
-    with pytest.raises(StoreError, match="ledger.jsonl:5: another line than was written"):
+    with pytest.raises(StoreError, match=r"ledger\.jsonl:5: another line than was written"):
         read_ledger(ledger)
 
 
