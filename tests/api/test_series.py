@@ -60,7 +60,12 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     assert found.exit_code == 1
     assert found.trials <= 8, "what is as good as the bank costs nothing"
     page = series_page(found)
-    assert "the first that fell: fourth.onnx; third.onnx before it passed" in page
+    interval = found.runs[2].verdict.against.interval
+    assert (
+        f"the first flagged: fourth.onnx, {interval.low:.2f} (99 % sure) to {interval.high:.2f} "
+        "(95 % sure) worse than the good one" in page
+    )
+    assert "the last before it that passed: third.onnx" in page
     again = api.bisect("one.yaml", series, **settings)
     assert again.bank == found.bank
     rows = [[row.state_digest for row in run.rows] for run in found.runs.values()]

@@ -31,7 +31,15 @@ def test_verdicts_of_runs_and_gates_are_kept_and_reckoned_up(
     assert (report.entries, report.judged_again) == (2, 1)
     capsys.readouterr()
     assert left("ledger", "all/ledger.jsonl") == 0
-    assert "2 verdicts (2 REGRESSED)" in capsys.readouterr().out
+    page = capsys.readouterr().out
+    assert "2 verdicts (2 REGRESSED)" in page
+    assert f"head {report.head}: kept elsewhere" in page
+    assert left("ledger", "all/ledger.jsonl", "--head", report.head) == 0
+    assert left("ledger", "all/ledger.jsonl", "--head", "0" * 16) == 4
+    assert "has the sum 0000000000000000: its end was cut off" in capsys.readouterr().err
+    assert first.computes == second.computes != ""
+    assert len(first.trajectories) == 2
+    assert set(first.tiers.values()) == {"supporting"}
 
 
 def test_a_ledger_that_cannot_be_written_costs_no_verdict(regressed_run, tmp_path, capsys):

@@ -1,13 +1,28 @@
-"""Which checkpoint of a series fell first."""
+"""Which checkpoint of a series is flagged first."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, log2
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nw_eval.api.running.reports import RunReport
+from nw_eval.api.series import BisectedSeries
+from nw_eval.cli.text.judging.series import series_page
+from nw_eval.gate.absolute import judge
+from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.bisection import Decision, bisect
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import PolicyInfo, RunInfo
+from nw_eval.stats import Interval
+from nw_eval.suite.model import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Series:
@@ -72,3 +87,70 @@ def test_whatever_the_series_nobody_is_asked_twice_and_what_is_said_was_seen(wor
         assert series.words[found.last_good] == "PASS"
     everyone = bisect(len(words), Series(words).judge, everyone=True)
     assert len(everyone.words) == len(words)
+
+
+DROPS = {
+    "+": ("PASS", Interval(-0.01, 0.094)),
+    "-": ("REGRESSED", Interval(0.031, 0.12)),
+    "?": ("INCONCLUSIVE", Interval(-0.02, 0.15)),
+}
+
+
+def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
+    """Return what `bisect` prints of a series with these verdicts, each with its drops."""
+    found = bisect(len(words), Series(words).judge)
+    rows = run_scene("a", [4, 4])
+    runs: dict[int, RunReport] = {}
+    for place in found.words:
+        word, interval = DROPS[words[place]]
+        against = Comparison(
+            word=word, bank="good", policy="p", basis="panel", claim="panel", rounds=2, budget=4,
+            starts=60, baseline=0.95, drop=0.05, interval=interval, max_drop=0.1, tolerate=0.02,
+            scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01, scenes=(), reasons=(),
+        )  # fmt: skip
+        runs[place] = RunReport(
+            folder=Path(),
+            info=RunInfo(
+                id="r",
+                started="2026-11-26T09:00:00+00:00",
+                suite_file="one.yaml",
+                suite={"name": "one"},
+                suite_digest="aa" * 32,
+                policy=PolicyInfo(name="p", checkpoint_digest="cc" * 32),
+                scenes={},
+                code=code_info(),
+                machine=machine_info(),
+            ),
+            verdict=replace(judge(rows, Gate(), {"a": 2}), against=replace(against, **changes)),
+            rows=tuple(rows),
+            page=None,
+        )
+    names = tuple(f"step-{place}" for place in range(len(words)))
+    return series_page(
+        BisectedSeries(bank="good", checkpoints=names, runs=runs, found=found, folder=Path("out"))
+    )
+
+
+def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_intervals(
+    run_scene: Callable[..., Any],
+) -> None:
+    page = page_of("++--", run_scene)
+    flagged = (
+        "the first flagged: step-2, 0.03 (99 % sure) to 0.12 (95 % sure) worse than the good one"
+    )
+    passed = (
+        "the last before it that passed: step-1; it may already be up to 0.09 worse than the good "
+        "one (95 % sure)"
+    )
+    assert [line for line in page.splitlines() if "step-" in line][4:] == [flagged, passed]
+    assert "first that fell" not in page
+    assert "up to" not in page_of("++--", run_scene, basis="same"), "it is the good one itself"
+
+
+def test_what_is_left_open_before_the_first_flagged_is_named(run_scene: Callable[..., Any]) -> None:
+    page = page_of("+??-", run_scene)
+    assert "not passed and not flagged before it: step-1, step-2" in page
+    assert "it is the first of the series" in page_of("----", run_scene)
+    passed = page_of("++++", run_scene)
+    assert "none was flagged: step-3 passed; it may already be up to 0.09 worse" in passed
+    assert "no checkpoint was flagged; left open: step-3" in page_of("+++?", run_scene)

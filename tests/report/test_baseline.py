@@ -154,7 +154,7 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
     pinned, fresh = page(FOUND), page(FOUND, panel="fresh")
     assert "The panel of starts is pinned, the suite's own." in pinned
     assert "--panel fresh draws the checkpoint's own" in pinned
-    assert "The panel of starts is fresh: it follows from the checkpoint's digest" in fresh
+    assert "The panel of starts is fresh: it follows from what the checkpoint computes" in fresh
     assert "on the starts of this fresh panel (seed 7) it is known" in fresh
     assert "same starts), fresh |" in " ".join(fresh.split())
 

@@ -54,8 +54,7 @@ def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
     assert first.endswith("bar 0.75) · completed 38 of 40 trials in 2 scenes · 60 s on 2 workers")
     assert second.startswith("Fresh starts in these scenes: success 0.8")
     assert "(95 % each side); on the starts of this panel (seed 7) it is known: 0.988." in second
-    (share,) = re.findall(r"A policy 0.10 worse would still PASS in (\d+) % of such runs.", second)
-    assert 20 < int(share) < 60
+    assert "worse" not in second, "one estimate of what a worse policy would get says too little"
 
 
 def test_a_score_of_zero_claims_no_sight_of_drops(
@@ -90,8 +89,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     plain = render(rows, planned).split("## How sure")[1]
     assert "fresh starts in these scenes" in plain
     assert "picks luck too: --panel fresh draws the checkpoint's own" in plain
-    assert "0.10 worse means: in every scene the odds of reaching the next waypoint" in plain
-    for absent in ("critical", "neverwhere"):
+    for absent in ("critical", "neverwhere", "worse"):
         assert absent not in plain
     critical = Gate(success_rate=0.75, tiers={"*": "critical"})
     told = render(rows, planned, critical, suite={"protocol": "neverwhere-2026"})

@@ -33,17 +33,19 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
     return Path(ledger)
 
 
-def read_ledger(file: str | Path) -> LedgerReport:
+def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     """Reckon up a ledger: gates a year, false alarms, re-rolls, and the best of many.
 
     Args:
         file: of the ledger.
+        head: the `head` of an earlier report, kept elsewhere: a line that the ledger must still
+            have.
 
     Raises:
-        StoreError: it is missing or damaged.
+        StoreError: it is missing or damaged, or its end was cut off.
     """
     from nw_eval.gate.ledger import file as ledger_file
     from nw_eval.gate.ledger.report import ledger_report
 
-    contents = ledger_file.read_ledger(Path(file))
-    return ledger_report(contents.entries, dropped=contents.dropped)
+    contents = ledger_file.read_ledger(Path(file), head=head)
+    return ledger_report(contents.entries, dropped=contents.dropped, head=contents.last_sum)

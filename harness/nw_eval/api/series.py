@@ -1,4 +1,4 @@
-"""A series of checkpoints: which of them fell first."""
+"""A series of checkpoints: which of them is flagged first."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class BisectedSeries:
 
     @property
     def exit_code(self) -> int:
-        """1 if one fell, 0 if none did, 3 if nothing was decided, 130 if it was interrupted."""
+        """1 if one was flagged, 0 if none was, 3 if nothing was decided, 130 if interrupted."""
         if self.found is None:
             return 130
         if self.found.first_fallen is not None:
@@ -63,7 +63,7 @@ def bisect(
     progress: Callable[[str, str], None] | None = None,
     **changes: Any,
 ) -> BisectedSeries:
-    """Find which checkpoint of a series is the first that is worse than a good one.
+    """Find which checkpoint of a series is the first that the gate flags as worse than a good one.
 
     Each that is asked for is judged against the bank of the good one, in rounds, as `run` does it;
     the suite's bar is left out, since all of a series may lie on one side of it.

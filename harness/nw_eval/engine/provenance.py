@@ -127,6 +127,7 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
         adapter=bundle.card.adapter,
         card_digest=bundle.digest,
         checkpoint_digest=bundle.checkpoint_digest,
+        computes=bundle.computes,
         card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
         fetched=None if bundle.card_path is None else _fetched(bundle.card_path),

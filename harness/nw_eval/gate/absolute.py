@@ -31,7 +31,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.outlook import advice, chance_to_pass, courses
+from nw_eval.gate.outlook import advice, courses
 from nw_eval.gate.scores import by_scene, score, successes
 from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left, too_many
 from nw_eval.gate.verdict import SceneScore, Verdict, Word
@@ -100,7 +100,6 @@ def judge(
     elif _is_open(word, left, against) and gate.success_rate is not None:
         cells = len({row.perturbation for row in rows})
         reasons.append(advice(counted, seen, gate, gate.success_rate, cells=cells))
-    drop = gate.most_drop
     return Verdict(
         verdict=word,
         success=success,
@@ -110,12 +109,6 @@ def judge(
         n=sum(item.n for item in scores if item.tier != "informational"),
         planned=sum(planned.values()),
         errors=sum(item.errors for item in scores),
-        drop=drop,
-        drop_passes=(
-            chance_to_pass(seen, gate, success - drop)
-            if word == "PASS" and success is not None and not left
-            else None
-        ),
         reasons=(
             *reasons,
             *in_a_sentence(rows, left, gate),

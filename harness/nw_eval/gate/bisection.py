@@ -1,8 +1,9 @@
-"""Which checkpoint of a series fell first: a search that asks for few verdicts.
+"""Which checkpoint of a series is flagged first: a search that asks for few verdicts.
 
 Each verdict is a test of its own against the same bank, with its own errors: of k that were asked
 for, each convicts an unharmed checkpoint with at most the gate's false alarm, and passes one that
-fell by the gate's max_drop with at most 1 - confidence.
+fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not be
+the first that is worse: one before it that passed may be worse by less than max_drop.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class Bisection:
 
     @property
     def last_good(self) -> int | None:
-        """The last checkpoint that passed before the first that fell; None if none did."""
+        """The last checkpoint that passed before the first that was flagged; None if none did."""
         fallen = self.first_fallen
         good = [i for i, word in self.words.items() if word == "PASS"]
         return max((i for i in good if fallen is None or i < fallen), default=None)
@@ -38,7 +39,7 @@ class Bisection:
 
     @property
     def suspects(self) -> range:
-        """Checkpoints of which one fell first: one alone where the search came to its end."""
+        """The first that was flagged, and those before it that did not pass or were not asked."""
         fallen = self.first_fallen
         if fallen is None:
             return range(0)

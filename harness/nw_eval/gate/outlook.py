@@ -8,7 +8,7 @@ from math import ceil
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.plural import plural
 from nw_eval.results.row import Row
-from nw_eval.stats import Groups, SceneCounts, shares_after, shares_at, trials_to_certify
+from nw_eval.stats import Groups, SceneCounts, shares_after, trials_to_certify
 from nw_eval.suite.model import Gate
 
 
@@ -38,16 +38,6 @@ def courses(
     return found
 
 
-def chance_to_pass(seen: list[SceneCounts], gate: Gate, success: float) -> float | None:
-    """Return how often runs like this one pass a policy of that true success; None if never asked.
-
-    That is so without a bar, without trials, or with a success that no policy has.
-    """
-    if gate.success_rate is None or not seen or not 0.0 < success < 1.0:
-        return None
-    return shares_at(seen, success, bar=gate.success_rate, confidence=gate.confidence).passed
-
-
 def advice(
     groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float, *, cells: int = 1
 ) -> str:
@@ -60,14 +50,14 @@ def advice(
         bar: what the lower bound must reach.
         cells: of perturbations, in each of which a scene has its trials.
     """
-    n = sum(len(values) for values in groups)
+    n, strata = sum(len(values) for values in groups), len(seen) * cells
     if n < trials_to_certify(bar, gate.confidence):
-        needed = trials_to_pass(gate, len(groups) * cells)
+        needed = trials_to_pass(gate, strata)
         return (
             f"{plural(n, 'trial')} cannot reach this bar even if all are perfect: run "
             f"{plural(needed, 'trial')} in each scene at least (--trials {needed})"
         )
-    longest = max(len(values) for values in groups)
+    each = ceil(n / len(seen))
     twice, four_times = (
         percent(shares.passed + shares.regressed)
         for shares in (
@@ -75,8 +65,8 @@ def advice(
         )
     )
     return (
-        f"chance that {2 * longest} trials in each scene (now {longest}) decide: {twice}, that "
-        f"{4 * longest} do: {four_times}; --resume with more --trials adds them"
+        f"chance that {2 * each} trials in each scene (now {each}) decide: {twice}, that "
+        f"{4 * each} do: {four_times}; --resume with more --trials adds them"
     )
 
 

@@ -65,8 +65,6 @@ class Verdict:
     n: int
     planned: int
     errors: int
-    drop: float  # How much worse a policy is that `drop_passes` speaks of.
-    drop_passes: float | None  # Chance that such a policy passes a run like this; None unless PASS.
     reasons: tuple[str, ...]
     per_scene: tuple[SceneScore, ...]
     against: Comparison | None = None  # What it also rests on; None without a baseline.

@@ -7,8 +7,9 @@ import json
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
@@ -18,6 +19,7 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
 from nw_eval.policies.code_digest import code_digest
+from nw_eval.policies.computes import computed_digest
 
 if TYPE_CHECKING:
     from nw_eval.hub.fetched import Fetched
@@ -146,6 +148,37 @@ class Bundle:
     @property
     def digest(self) -> str:
         """Hex SHA-256 of all that can change an action: card, weights, code beside the card."""
+        fields = self._meaning()
+        code = [self.code_sha256] if self.code_sha256 else []
+        # Their order counts where a file takes its inputs in it. Other cards keep what they had.
+        is_sorted = not self.networks
+        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=is_sorted)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @cached_property
+    def computes(self) -> str:
+        """Hex SHA-256 of what the policy computes; empty where nothing says what that is.
+
+        It is the same for every export of one network on a card of the same meaning: it covers
+        `computed_digest` of the files of weights, code beside the card, and the card without its
+        name and title. A file that cannot be read so counts with its own digest.
+
+        Raises:
+            PolicyError: as `read_checkpoint`.
+        """
+        if self.card.adapter == "remote" and self.checkpoint_sha256 in {"", NOTHING}:
+            return ""
+        if self.instance is not None and not self.checkpoint_sha256:
+            return ""
+        fields = self._meaning()
+        del fields["name"]
+        feeding = {name: _computed(self.of_network(name)) for name in self.networks}
+        # Not sorted: one input takes the observations in their order.
+        text = json.dumps([fields, _computed(self), feeding, self.code_sha256])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _meaning(self) -> dict[str, Any]:
+        """Return all of the card that can change an action, and its name."""
         fields = self.card.model_dump(
             mode="json", by_alias=True, exclude={"title", "licence", "trained_on", "checkpoint"}
         )
@@ -159,11 +192,7 @@ class Bundle:
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
-        code = [self.code_sha256] if self.code_sha256 else []
-        # Their order counts where a file takes its inputs in it. Other cards keep what they had.
-        is_sorted = not self.networks
-        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=is_sorted)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return fields
 
     def read_checkpoint(self) -> bytes:
         """Return the bytes of the weights, verified again: what is loaded is what was checked.
@@ -180,6 +209,13 @@ class Bundle:
                 fix="start again once it is no longer written to",
             )
         return data
+
+
+def _computed(bundle: Bundle) -> str:
+    """Return the digest of what the weights of a bundle compute, or of their file."""
+    if bundle.checkpoint is None or bundle.card.adapter.startswith("python:"):
+        return bundle.checkpoint_sha256  # Code may read anything of a file, its metadata too.
+    return computed_digest(bundle.read_checkpoint()) or bundle.checkpoint_sha256
 
 
 def load_bundle(

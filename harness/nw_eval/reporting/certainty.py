@@ -15,7 +15,7 @@ _PINNED = (
     "starts picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
 )
 _FRESH = (
-    "The panel of starts is fresh: it follows from the checkpoint's digest, so that nobody chose "
+    "The panel of starts is fresh: it follows from what the checkpoint computes: nobody chose "
     "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (
@@ -35,8 +35,6 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     sentences = [_bounds(verdict), _FRESH if run.panel == "fresh" else _PINNED]
     if verdict.against is not None:
         sentences += against_baseline(verdict.against)
-    elif verdict.drop_passes is not None:
-        sentences.append(_worse(verdict, verdict.success - verdict.drop))
     if verdict.verdict == "INCONCLUSIVE":
         sentences.append(_CHANCES)
     critical = sum(item.tier == "critical" for item in verdict.per_scene)
@@ -53,14 +51,6 @@ def _bounds(verdict: Verdict) -> str:
         f"The bounds hold for fresh starts in these scenes, {confidence(verdict)} each, whatever "
         "the distribution of success, and however often trials are added and judged again. They "
         "say nothing of other scenes."
-    )
-
-
-def _worse(verdict: Verdict, mean: float) -> str:
-    return (
-        f"{verdict.drop:.2f} worse means: in every scene the odds of reaching the next waypoint "
-        f"are lower by one factor, so that mean success is {mean:.3f}. Runs of such a policy, as "
-        "long as this one, were simulated and judged as it was."
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from nw_eval.gate.baseline.comparison import Comparison, Recheck
 from nw_eval.gate.baseline.foresee import in_a_sentence
-from nw_eval.gate.outlook import percent
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
 from nw_eval.results.provenance import RunInfo
@@ -36,7 +35,7 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
-    """Return what the bounds speak of, and what this run would not have noticed, on a line."""
+    """Return what the bounds speak of, and what a gate against a baseline notices, on a line."""
     if run.shard is not None:
         return "A part of a run speaks for nothing but its own trials."
     if verdict.success is None:
@@ -50,12 +49,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
         sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.success:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. {in_a_sentence(verdict.against.curve)}."
-    if verdict.drop_passes is None or verdict.against is not None:
-        return f"{sentence}."
-    return (
-        f"{sentence}. A policy {verdict.drop:.2f} worse would still PASS in "
-        f"{percent(verdict.drop_passes)} of such runs."
-    )
+    return f"{sentence}."
 
 
 def confidence(verdict: Verdict) -> str:

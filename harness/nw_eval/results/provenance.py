@@ -62,14 +62,19 @@ class PolicyInfo(_Saved):
     adapter: str = ""
     card_digest: str = ""
     checkpoint_digest: str
+    # Hex sha256 of network and card without names and metadata (`Bundle.computes`); empty: unknown.
+    computes: str = ""
     card: str = ""  # Path of the card, for --resume.
     origin: str = ""  # What the digest is of where there are no weights: server, code.
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
 
     @property
     def key(self) -> str:
-        """What starts are drawn by: a checkpoint with its card."""
-        return f"{self.checkpoint_digest}/{self.card_digest}"
+        """What starts are drawn by: what the policy computes, so that a re-export meets the same.
+
+        Where that is unknown, or an older nw-eval wrote the file, the checkpoint with its card.
+        """
+        return self.computes or f"{self.checkpoint_digest}/{self.card_digest}"
 
 
 class CodeInfo(_Saved):
@@ -193,7 +198,7 @@ class RunInfo(_Saved):
     own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]
     left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
-    panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the checkpoint's digest.
+    panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the policy's `key`.
     drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
     # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw
     # of what runs again (`recheck_key`).

@@ -41,6 +41,83 @@ def test_a_bar_with_critical_scenes_convicts_wrongly_twice_as_often(
     assert ledger_report([critical]).against_bars.passed == pytest.approx(0.05)
 
 
+def test_critical_scenes_of_a_baseline_convict_wrongly_up_to_twice_as_often(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    baseline = make_entry().baseline
+    for critical, expected in ((0, 0.01), (1, 0.0125), (4, 0.02)):
+        against = baseline.model_copy(update={"scenes": 4, "critical": critical})
+        report = ledger_report([make_entry(baseline=against)])
+        assert report.against_baselines.regressed == pytest.approx(expected)
+    # An older ledger says of each scene that was seen whether it convicts alone.
+    alone = tuple(scene.model_copy(update={"alone": True}) for scene in make_entry().seen)
+    older = ledger_report([make_entry(seen=alone)])
+    assert older.against_baselines.regressed == pytest.approx(0.02)
+
+
+def test_scenes_that_were_picked_after_a_look_are_a_test_of_their_own(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    all_four = dict.fromkeys("abcd", "supporting")
+    first = make_entry(word="REGRESSED", tiers=all_four)
+    picked = make_entry(days=1, tiers={"a": "supporting", "b": "supporting"})
+    eased = make_entry(days=2, tiers={**all_four, "d": "informational"})
+    looser = first.baseline.model_copy(update={"scene_drop": 0.3})
+    margin = make_entry(days=3, tiers=all_four, baseline=looser)
+    report = ledger_report([first, picked, eased, margin])
+    assert report.judged_again == 0
+    assert report.rerolls[0].tests == 4
+    assert report.rerolls[0].words == ("REGRESSED", "PASS", "PASS", "PASS")
+
+
+def test_exports_of_one_network_are_one_candidate(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    entries = [
+        make_entry(days=day, checkpoint=day, computes="cc" * 32, panel="pinned") for day in range(4)
+    ]
+    report = ledger_report(entries)
+    assert (report.judged_again, report.rerolls, report.best_of_many) == (3, (), ())
+    tries = [
+        each.model_copy(update={"suite_digest": f"{day:064x}"}) for day, each in enumerate(entries)
+    ]
+    (reroll,) = ledger_report(tries).rerolls
+    assert (reroll.tests, reroll.exports) == (4, 4)
+    assert "step-3 (00000000) on hurdles, 4 exports of one policy: 4 tests" in ledger_page(
+        ledger_report(tries)
+    )
+
+
+def test_candidates_that_went_the_same_way_from_every_start_they_share_are_one(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    def told(number: int, **ways: str) -> LedgerEntry:
+        return make_entry(
+            days=number, checkpoint=number, computes=f"{number:064x}", trajectories=ways
+        )
+
+    first = told(1, a="w1", b="w2", c="w3")
+    same = told(2, b="w2", c="w3", d="w4")
+    differs = told(3, a="w1", b="other")
+    apart = told(4, e="w1")
+    report = ledger_report([first, same, differs, apart])
+    (reroll,) = report.rerolls
+    assert (reroll.digest, reroll.tests, reroll.exports) == (first.candidate_digest, 2, 2)
+    assert report.judged_again == 0, "each was drawn in an order of its own"
+    (best,) = report.best_of_many
+    assert best.candidates == 3
+
+
+def test_a_verdict_of_an_older_version_is_of_the_candidate_with_its_files(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    older = make_entry(word="REGRESSED")
+    newer = make_entry(days=1, computes="cc" * 32)
+    again = make_entry(days=2, checkpoint=7, computes="cc" * 32, suite_digest="ab" * 32)
+    (reroll,) = ledger_report([older, newer, again]).rerolls
+    assert (reroll.tests, reroll.exports) == (3, 2)
+
+
 def test_what_chance_has_no_part_in_is_no_test(make_entry: Callable[..., LedgerEntry]) -> None:
     same = make_entry().baseline.model_copy(update={"basis": "same"})
     entries = [
@@ -119,6 +196,10 @@ def test_an_empty_ledger_says_so_and_a_short_one_foretells_no_year(
     make_entry: Callable[..., LedgerEntry],
 ) -> None:
     assert ledger_page(ledger_report([])) == "no verdicts"
+    headed = ledger_page(ledger_report([make_entry()], head="0123456789abcdef"))
+    assert headed.endswith(
+        "head 0123456789abcdef: kept elsewhere, --head shows later whether the end was cut off"
+    )
     short = ledger_report([make_entry(), make_entry(days=2, checkpoint=1)])
     assert short.per_year is None
     assert "too short a time to foretell a year" in ledger_page(short)

@@ -163,17 +163,16 @@ def about_more_trials(progress: Progress) -> str:
     """
     settled, left = progress.settled, len(progress.settled)
     if not left:
-        return "the baseline has no more starts: save a larger one"
+        return "there is nothing more to run: save a baseline with more starts"
     half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
-    whole = f"{'the' if left == 1 else 'all'} {plural(left, 'trial')} that the baseline has left"
     if half is None:
         verb = "decides" if left == 1 else "decide"
-        return f"{whole} {verb} with {percent(settled[-1])} probability"
+        return f"{plural(left, 'more trial')} {verb} with {percent(settled[-1])} probability"
     within = f"{plural(half, 'more trial')} {'decides' if half == 1 else 'decide'}"
     if half == most:
         return f"{within} with 90 % probability"
     if most is None:
-        return f"{within} with 50 % probability, {whole} with {percent(settled[-1])}"
+        return f"{within} with 50 % probability, {left} with {percent(settled[-1])}"
     return f"{within} with 50 % probability, {most} with 90 %"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from datetime import datetime
 from hashlib import sha256
@@ -14,10 +15,14 @@ from nw_eval.gate.baseline.comparison import Basis
 from nw_eval.gate.outlook import courses
 from nw_eval.gate.scores import by_scene
 from nw_eval.gate.verdict import Verdict, Word
+from nw_eval.results.bank import trajectory
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats import SceneCounts
-from nw_eval.words import PanelKind
+from nw_eval.words import PanelKind, Tier
+
+_MOST_TRAJECTORIES = 64
+"""Trials of a verdict by which its candidate can be told from others."""
 
 
 class _Line(BaseModel):
@@ -45,14 +50,22 @@ class BaselineEntry(_Line):
     bank: str
     digest: str
     """Of the bank's file."""
-    basis: Basis
+    basis: Basis | Literal["sample"]
+    """"sample" is of an older nw-eval, which ran no control."""
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
-    rounds: int = Field(ge=0)
+    trials: int = Field(default=0, ge=0)
+    """0: an older nw-eval, which counted rounds."""
     drop: float | None
     max_drop: float
     tolerate: float
     alpha_pass: float = Field(gt=0.0, lt=1.0)
     alpha_regr: float = Field(gt=0.0, lt=1.0)
+    scene_drop: float | None = None
+    """None: an older nw-eval, which did not write it."""
+    scenes: int = Field(default=0, ge=0)
+    """Scenes that count, each as often as it has cells of perturbations; 0: likewise."""
+    critical: int = Field(default=0, ge=0)
+    """Of these, such as convict alone."""
 
 
 class LedgerEntry(_Line):
@@ -69,7 +82,9 @@ class LedgerEntry(_Line):
     candidate: str
     """The policy's name."""
     candidate_digest: str
-    """Of checkpoint and card."""
+    """Of the files: checkpoint and card."""
+    computes: str = ""
+    """What the candidate computes (`PolicyInfo.computes`); empty where that is unknown."""
     word: Word
     trials: int = Field(ge=0)
     success: float | None
@@ -78,6 +93,10 @@ class LedgerEntry(_Line):
     confidence: float = Field(gt=0.0, lt=1.0)
     """Of each of the bar's bounds."""
     seen: tuple[SeenScene, ...] = ()
+    tiers: dict[str, Tier] = Field(default_factory=dict[str, Tier])
+    """Of all scenes that were judged, by name; empty: an older nw-eval, which did not write it."""
+    trajectories: dict[str, str] = Field(default_factory=dict[str, str], max_length=10_000)
+    """Some of the trials: `results.bank.trajectory` by a digest of the start."""
     baseline: BaselineEntry | None = None
 
     @property
@@ -96,14 +115,19 @@ class LedgerEntry(_Line):
 
     @property
     def test(self) -> tuple[object, ...]:
-        """What is equal for two verdicts on the same trials by the same rules: one test.
+        """What is equal for two verdicts on one candidate by one test: same trials, same rules.
 
-        More trials of a run are no other test, since the bounds hold at any look.
+        More trials of a run are no other test, since the bounds hold at any look. Other scenes,
+        tiers or margins are: whoever picks them after a look has had one more chance. So are the
+        starts of a baseline, or fresh ones, in another order.
         """
         rules = self.baseline and self.baseline.model_dump(
-            include={"digest", "max_drop", "tolerate", "alpha_pass", "alpha_regr"}
+            include={"digest", "max_drop", "tolerate", "scene_drop", "alpha_pass", "alpha_regr"}
         )
-        panel = (self.candidate_digest, self.suite_digest, self.panel)
+        is_drawn = self.baseline is not None or self.panel == "fresh"
+        drawn_by = (self.computes or self.candidate_digest) if is_drawn else ""
+        scenes = tuple(sorted(self.tiers.items()))
+        panel = (drawn_by, self.suite_digest, self.panel, scenes)
         return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()))
 
 
@@ -134,6 +158,7 @@ def entry_of(
         panel=run.panel,
         candidate=run.policy.name,
         candidate_digest=sha256(who.encode()).hexdigest(),
+        computes=run.policy.computes,
         word=verdict.verdict,
         trials=verdict.n,
         success=verdict.success,
@@ -142,8 +167,25 @@ def entry_of(
         seen=tuple(
             SeenScene(counts=tuple(scene.counts.tolist()), alone=scene.alone) for scene in seen
         ),
+        tiers={item.scene: item.tier for item in verdict.per_scene},
+        trajectories=_trajectories(rows, run.suite_digest),
         baseline=_baseline(verdict, bank or run.baseline),
     )
+
+
+def _trajectories(rows: Sequence[Row], suite_digest: str) -> dict[str, str]:
+    """Return trajectories by digests of starts, of the trials whose starts have the smallest ones.
+
+    Two candidates that met the same starts keep the same ones of them. A trial that a policy failed
+    in tells nothing: many do so at once, in the same way.
+    """
+    found: dict[str, str] = {}
+    for row in rows:
+        if row.status == "ok" and row.outcome != "policy_failed" and row.state_digest:
+            facts = [suite_digest, row.scene, row.scene_digest, row.perturbation, row.seed_index]
+            start = sha256(json.dumps([*facts, row.seed]).encode()).hexdigest()[:16]
+            found[start] = trajectory(row)
+    return dict(sorted(found.items())[:_MOST_TRAJECTORIES])
 
 
 def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | None:
@@ -155,10 +197,13 @@ def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | No
         digest="" if bank is None else bank.sha256,
         basis=found.basis,
         word=found.word,
-        rounds=found.trials,
+        trials=found.trials,
         drop=found.drop,
         max_drop=found.max_drop,
         tolerate=found.tolerate,
         alpha_pass=found.alpha_pass,
         alpha_regr=found.alpha_regr,
+        scene_drop=found.scene_drop,
+        scenes=sum(scene.counts for scene in found.scenes),
+        critical=sum(scene.tier == "critical" for scene in found.scenes),
     )

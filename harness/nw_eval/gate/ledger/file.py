@@ -4,7 +4,14 @@
     {"verdict": {...}, "sum": ...}
 
 Each line's sum covers the line and the sum before it, as in a run's journal: a verdict that was
-changed, or left out because one would rather forget it, is an error. It is no signature.
+changed, or left out because one would rather forget it, is an error. A chain does not show that its
+end was cut off. So the sum of the last line is kept beside the ledger as well, in FILE.head, which
+is written after each line:
+
+    {"verdicts": 1, "head": ..., "sum": ...}
+
+A ledger that does not have that line any more is an error too. It is no signature: whoever writes
+both files anew can leave out what they like, and only a head that was kept elsewhere shows it.
 """
 
 from __future__ import annotations
@@ -21,9 +28,11 @@ from pydantic import ValidationError
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import followed, open_own, sync_folder
+from nw_eval.files.cache import atomic_path, followed, is_stream, open_own, sync_folder
 from nw_eval.gate.ledger.entry import LedgerEntry, entry_of
 from nw_eval.gate.verdict import Verdict
+from nw_eval.plural import plural
+from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 from nw_eval.results.seal import seal, unseal
@@ -33,6 +42,7 @@ _MOST = 256 * 2**20  # bytes of a ledger: some 100,000 verdicts
 _LONGEST_LINE = 2**20  # bytes
 _TRIES = 5
 _MEND = "restore it from a copy, or begin another one"
+_MEND_END = "restore it from a copy, or remove {head} to go on without what is missing"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +54,13 @@ class LedgerContents:
     """A sentence about a torn last line."""
     good_bytes: int = 0
     """Length of the file up to the last whole line."""
-    last_sum: str = ""
-    """Of that line, which the next one's covers."""
+    sums: tuple[str, ...] = ()
+    """Of all lines, the first one's included: each covers the one before it."""
+
+    @property
+    def last_sum(self) -> str:
+        """Of the last whole line; empty for an empty ledger."""
+        return self.sums[-1] if self.sums else ""
 
 
 def append_verdict(
@@ -87,11 +102,8 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         target = _followed(path)
         for _ in range(_TRIES):
-            at, line = _append(target, entry)
-            with target.open("rb") as handle:
-                handle.seek(at)
-                if handle.read(len(line)) == line:
-                    break
+            if _append(target, entry):
+                break
         else:
             raise StoreError(
                 f"{path} was written over {_TRIES} times while a verdict was added",
@@ -117,35 +129,115 @@ def _followed(path: Path) -> Path:
         raise StoreError(error.message, fix="name another file with --ledger") from error
 
 
-def _append(path: Path, entry: LedgerEntry) -> tuple[int, bytes]:
-    """Write the line of an entry behind all others; return its place in the file, and it."""
+def _append(path: Path, entry: LedgerEntry) -> bool:
+    """Write the line of an entry behind all others, then the head; return whether it is there."""
     with os.fdopen(open_own(path, os.O_RDWR | os.O_CREAT), "r+b", buffering=0) as handle:
         _lock(handle)
+        head = _read_head(path)
         contents = _read(path, handle)
+        _check_head(path, head, contents)
         handle.truncate(contents.good_bytes)
         handle.seek(contents.good_bytes)
-        line = _lines(entry, contents.last_sum)
+        line, last_sum = _lines(entry, contents.last_sum)
         _write(handle, line)
-    return contents.good_bytes, line
+        with path.open("rb") as written:
+            written.seek(contents.good_bytes)
+            if written.read(len(line)) != line:
+                return False
+        _write_head(path, len(contents.entries) + 1, last_sum)
+    return True
 
 
-def read_ledger(path: Path) -> LedgerContents:
-    """Read a ledger.
+def _head_of(path: Path) -> Path | None:
+    """Return where the head of a ledger lies; None for one that has no folder."""
+    return None if is_stream(path) else path.with_name(f"{path.name}.head")
+
+
+def _write_head(path: Path, verdicts: int, last_sum: str) -> None:
+    place = _head_of(path)
+    if place is not None:
+        with atomic_path(place) as temporary:
+            text = json.dumps({"verdicts": verdicts, "head": last_sum})
+            temporary.write_text(seal(text)[0], encoding="utf-8")
+
+
+def _read_head(path: Path) -> tuple[int, str] | None:
+    """Return how many verdicts a ledger had at least, and the sum of the last; None if unknown.
+
+    It is read before the ledger, to which others may add in between.
 
     Raises:
-        StoreError: it is missing, too large, or damaged before its last line.
+        StoreError: it is damaged.
+    """
+    place = _head_of(path)
+    if place is None:
+        return None
+    try:
+        record = json.loads(unseal(bounded_bytes(place, _LONGEST_LINE))[0])
+        return int(record["verdicts"]), str(record["head"])
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        fix = "remove it if the ledger is whole: the next verdict writes it anew"
+        raise StoreError(f"{place}: damaged ({clean(error)})", fix=fix) from None
+
+
+def _check_head(path: Path, head: tuple[int, str] | None, contents: LedgerContents) -> None:
+    """Refuse a ledger whose end was cut off, or that is another one than its head is of.
+
+    Raises:
+        StoreError: so it is.
+    """
+    if head is None:
+        return
+    verdicts, last_sum = head
+    fix = _MEND_END.format(head=f"{path}.head")
+    if verdicts > len(contents.entries):
+        missing = plural(verdicts - len(contents.entries), "verdict")
+        raise StoreError(
+            f"{path} ends after {plural(len(contents.entries), 'verdict')}, and had {verdicts}: "
+            f"{missing} cut off",
+            fix=fix,
+        )
+    if verdicts < 0 or contents.sums[verdicts : verdicts + 1] != (last_sum,):
+        raise StoreError(
+            f"{path}:{verdicts + 1}: another line than was written: the ledger was written anew",
+            fix=fix,
+        )
+
+
+def read_ledger(path: Path, *, head: str | None = None) -> LedgerContents:
+    """Read a ledger.
+
+    Args:
+        path: of the ledger.
+        head: the sum of a line that it must still have, as it was kept elsewhere.
+
+    Raises:
+        StoreError: it is missing, too large, damaged before its last line, or ends before the line
+            of its head.
     """
     try:
         if not path.is_file():
             raise StoreError(f"no ledger at {path}", fix="`nw-eval gate --ledger` begins one")
-        with path.open("rb") as handle:
-            return _read(path, handle)
+        target = _followed(path)
+        kept = _read_head(target)
+        with target.open("rb") as handle:
+            contents = _read(path, handle)
+        _check_head(target, kept, contents)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+    if head is not None and head not in contents.sums:
+        raise StoreError(
+            f"no line of {path} has the sum {clean(head, at_most=80)}: its end was cut off, or it "
+            "was written anew",
+            fix="restore it from a copy, or give the head of this ledger",
+        )
+    return contents
 
 
-def _lines(entry: LedgerEntry, last_sum: str) -> bytes:
-    """Return the line of an entry; in an empty file, with the first line before it."""
+def _lines(entry: LedgerEntry, last_sum: str) -> tuple[bytes, str]:
+    """Return the line of an entry and its sum; in an empty file, with the first line before it."""
     records: Sequence[dict[str, Any]] = [{"verdict": entry.model_dump(mode="json")}]
     if not last_sum:
         records = [{"ledger": _VERSION}, *records]
@@ -153,7 +245,7 @@ def _lines(entry: LedgerEntry, last_sum: str) -> bytes:
     for record in records:
         line, last_sum = seal(json.dumps(record, separators=(",", ":"), allow_nan=False), last_sum)
         text += line
-    return text.encode()
+    return text.encode(), last_sum
 
 
 def _write(handle: IO[bytes], data: bytes) -> None:
@@ -173,12 +265,13 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
         raise StoreError(f"{path} has over {_MOST // 2**20} MiB", fix="check what it is")
     entries: list[LedgerEntry] = []
     good, last_sum = 0, ""
+    sums: list[str] = []
     for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
         place = f"{path}:{number}"
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
             dropped = f"{place}: dropped a line that was cut off after {len(line)} bytes"
             return LedgerContents(
-                entries=tuple(entries), dropped=dropped, good_bytes=good, last_sum=last_sum
+                entries=tuple(entries), dropped=dropped, good_bytes=good, sums=tuple(sums)
             )
         try:
             body, last_sum = unseal(line, last_sum)
@@ -194,7 +287,8 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
         except (ValueError, TypeError, LookupError, RecursionError) as error:
             raise StoreError(f"{place}: damaged ({clean(error)})", fix=_MEND) from None
         good += len(line)
-    return LedgerContents(entries=tuple(entries), good_bytes=good, last_sum=last_sum)
+        sums.append(last_sum)
+    return LedgerContents(entries=tuple(entries), good_bytes=good, sums=tuple(sums))
 
 
 def _check_version(record: dict[str, Any], path: Path) -> None:

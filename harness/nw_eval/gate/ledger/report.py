@@ -11,6 +11,7 @@ from statistics import fmean
 
 from nw_eval.gate.ledger.entry import LedgerEntry
 from nw_eval.gate.verdict import Word
+from nw_eval.stats.bank import most_false_alarms
 from nw_eval.stats.best_of_many import luck_of_the_best
 from nw_eval.words import PanelKind
 
@@ -36,6 +37,10 @@ class Reroll:
 
     candidate: str
     digest: str
+    """Of the files of its first verdict."""
+    exports: int
+    """Pairs of a checkpoint and a card by which it was given: of one network, as its digest or the
+    same trajectories show."""
     suite: str
     tests: int
     words: tuple[Word, ...]
@@ -86,16 +91,26 @@ class LedgerReport:
     rerolls: tuple[Reroll, ...]
     best_of_many: tuple[BestOfMany, ...]
     dropped: str | None = None
+    head: str = ""
+    """The sum of its last line; empty for an empty one."""
 
 
-def ledger_report(entries: Sequence[LedgerEntry], *, dropped: str | None = None) -> LedgerReport:
+def ledger_report(
+    entries: Sequence[LedgerEntry], *, dropped: str | None = None, head: str = ""
+) -> LedgerReport:
     """Reckon up a ledger.
 
     A wrong word has at most the probability that its test was set to, so that some tests together
     give on average at most the sum of these of them, whether they are independent or not. And at
     least one is wrong with at most that probability.
+
+    Args:
+        entries: verdicts, in any order.
+        dropped: a sentence about a torn last line.
+        head: the sum of the last line.
     """
-    tests = _tests(entries)
+    whose = _candidates(entries)
+    tests = _tests(entries, whose)
     times = sorted(entry.time for entry in entries)
     return LedgerReport(
         entries=len(entries),
@@ -106,18 +121,57 @@ def ledger_report(entries: Sequence[LedgerEntry], *, dropped: str | None = None)
         judged_again=sum(entry.is_test for entry in entries) - len(tests),
         against_baselines=_alarms([each for each in tests if each.baseline is not None]),
         against_bars=_alarms([each for each in tests if each.bar is not None], of_bar=True),
-        rerolls=_rerolls(tests),
-        best_of_many=_best_of_many(tests),
+        rerolls=_rerolls(tests, whose),
+        best_of_many=_best_of_many(tests, whose),
         dropped=dropped,
+        head=head,
     )
 
 
-def _tests(entries: Sequence[LedgerEntry]) -> list[LedgerEntry]:
+def _candidates(entries: Sequence[LedgerEntry]) -> dict[str, str]:
+    """Return for each pair of checkpoint and card the first one that is the same candidate.
+
+    Those are that compute the same. So are those that met at least one start together and went the
+    same way from every start that they share, bit for bit: nothing that was judged tells them
+    apart.
+    """
+    same: dict[str, str] = {}
+    drawn: dict[str, str] = {}
+    for entry in sorted(entries, key=lambda entry: entry.time):
+        digest = entry.candidate_digest
+        if digest not in same:
+            same[digest] = drawn.get(entry.computes, digest) if entry.computes else digest
+        if entry.computes:
+            drawn.setdefault(entry.computes, same[digest])
+    went: dict[str, dict[str, set[str]]] = {}
+    for entry in entries:
+        ways = went.setdefault(same[entry.candidate_digest], {})
+        for start, way in entry.trajectories.items():
+            ways.setdefault(start, set()).add(way)
+    first = dict.fromkeys(same.values())
+    joined: dict[str, str] = {}
+    met: dict[tuple[str, str], list[str]] = {}
+    for digest in first:
+        ways = went[digest]
+        places = [(start, way) for start, all_of in ways.items() for way in sorted(all_of)]
+        known = dict.fromkeys(other for place in places for other in met.get(place, ()))
+        alike = (
+            joined[other]
+            for other in known
+            if all(ways[start] & went[other][start] for start in ways.keys() & went[other].keys())
+        )
+        joined[digest] = next(alike, digest)
+        for place in places:
+            met.setdefault(place, []).append(digest)
+    return {digest: joined[one] for digest, one in same.items()}
+
+
+def _tests(entries: Sequence[LedgerEntry], whose: Mapping[str, str]) -> list[LedgerEntry]:
     """Return the last verdict of each test, in the order in which the tests were begun."""
     tests: dict[tuple[object, ...], LedgerEntry] = {}
     for entry in sorted(entries, key=lambda entry: entry.time):
         if entry.is_test:
-            tests[entry.test] = entry
+            tests[whose[entry.candidate_digest], entry.test] = entry
     return list(tests.values())
 
 
@@ -128,20 +182,30 @@ def _per_year(times: Sequence[datetime]) -> float | None:
     return None if days < _SHORTEST else (len(times) - 1) / days * _DAYS
 
 
-def _alphas(test: LedgerEntry, *, of_bar: bool) -> tuple[float, float]:
-    """Return with which probability a test convicts and passes wrongly, at most."""
-    if not of_bar:
-        assert test.baseline is not None, "only tests against a baseline are asked"
-        return test.baseline.alpha_regr, test.baseline.alpha_pass
-    if test.bar is None:
-        return 0.0, 0.0
-    alpha = 1.0 - test.confidence
-    critical = any(scene.alone for scene in test.seen)
-    return (2.0 if critical else 1.0) * alpha, alpha
+def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, float]:
+    """Return with which probability a test convicts and passes wrongly, by bar, baseline or either.
+
+    Either of them convicts, and so do critical scenes alone. Both must pass, so that no wrong PASS
+    is likelier than by the one of them that it slips through.
+    """
+    by_bar = 1.0 - test.confidence if bar and test.bar is not None else None
+    against = test.baseline if baseline else None
+    alone = sum(scene.alone for scene in test.seen)
+    critical, scenes = alone, len(test.seen)
+    if against is not None and against.scenes:
+        critical, scenes = against.critical, against.scenes
+    regressed = most_false_alarms(
+        bar=by_bar,
+        bar_critical=alone > 0,
+        baseline=None if against is None else against.alpha_regr,
+        critical=min(critical, scenes),
+        scenes=scenes,
+    )
+    return regressed, max(by_bar or 0.0, 0.0 if against is None else against.alpha_pass)
 
 
 def _alarms(tests: Sequence[LedgerEntry], *, of_bar: bool = False) -> Alarms:
-    alphas = [_alphas(test, of_bar=of_bar) for test in tests]
+    alphas = [_alphas(test, bar=of_bar, baseline=not of_bar) for test in tests]
     return Alarms(
         tests=len(tests),
         regressed=sum(regressed for regressed, _ in alphas),
@@ -149,19 +213,20 @@ def _alarms(tests: Sequence[LedgerEntry], *, of_bar: bool = False) -> Alarms:
     )
 
 
-def _rerolls(tests: Sequence[LedgerEntry]) -> tuple[Reroll, ...]:
+def _rerolls(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tuple[Reroll, ...]:
     def who(test: LedgerEntry) -> tuple[str, str]:
-        return test.suite, test.candidate_digest
+        return test.suite, whose[test.candidate_digest]
 
     found: list[Reroll] = []
     for (suite, digest), group in groupby(sorted(tests, key=who), key=who):
         again = list(group)
         if len(again) > 1:
-            chances = [_either(test) for test in again]
+            chances = [_alphas(test, bar=True, baseline=True) for test in again]
             found.append(
                 Reroll(
                     candidate=again[-1].candidate,
                     digest=digest,
+                    exports=len({test.candidate_digest for test in again}),
                     suite=suite,
                     tests=len(again),
                     words=tuple(test.word for test in again),
@@ -172,26 +237,13 @@ def _rerolls(tests: Sequence[LedgerEntry]) -> tuple[Reroll, ...]:
     return tuple(found)
 
 
-def _either(test: LedgerEntry) -> tuple[float, float]:
-    """Return with which probability a test convicts and passes wrongly, by bar or baseline.
-
-    Either of them convicts; both must pass, so that no wrong PASS is likelier than by one of them.
-    """
-    bar = _alphas(test, of_bar=True)
-    if test.baseline is None:
-        return bar
-    baseline = _alphas(test, of_bar=False)
-    passed = baseline[1] if test.bar is None else max(bar[1], baseline[1])
-    return bar[0] + baseline[0], passed
-
-
-def _best_of_many(tests: Sequence[LedgerEntry]) -> tuple[BestOfMany, ...]:
+def _best_of_many(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tuple[BestOfMany, ...]:
     def panel(test: LedgerEntry) -> tuple[str, str, str]:
         return test.suite, test.suite_digest, test.panel
 
     found: list[BestOfMany] = []
     for _, group in groupby(sorted(tests, key=panel), key=panel):
-        latest = {test.candidate_digest: test for test in group if test.seen}
+        latest = {whose[test.candidate_digest]: test for test in group if test.seen}
         if len(latest) > 1:
             found.append(_best(list(latest.values())))
     return tuple(found)

@@ -35,6 +35,9 @@ def _lines(report: LedgerReport) -> Iterator[str]:
     yield from _wrong(report)
     yield from _again(report)
     yield from _best(report)
+    if report.head:
+        yield ""
+        yield f"head {report.head}: kept elsewhere, --head shows later whether the end was cut off"
 
 
 def _rate(report: LedgerReport) -> str:
@@ -77,6 +80,8 @@ def _again(report: LedgerReport) -> Iterator[str]:
 def _reroll(each: Reroll) -> str:
     words = ", ".join(f"{count} {word}" for word, count in Counter(each.words).items())
     name = f"{clean(each.candidate, at_most=80)} ({each.digest[:8]}) on {clean(each.suite)}"
+    if each.exports > 1:
+        name += f", {each.exports} exports of one policy"
     return (
         f"{name}: {each.tests} tests ({words}); chance of at least one wrong word: REGRESSED at "
         f"most {_percent(each.false_regressed)}, PASS at most {_percent(each.false_passed)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.text.table import aligned
+from nw_eval.gate.baseline.comparison import percent_sure
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def series_page(series: BisectedSeries) -> str:
-    """Return the checkpoints that were judged, and which of the series fell first."""
+    """Return the checkpoints that were judged, and which of the series was flagged first."""
     head = ["", "checkpoint", "against the good one", "drop", "trials", "fell in"]
     lines = [
         [str(place + 1), name, *_cells(series.runs.get(place))]
@@ -22,7 +23,7 @@ def series_page(series: BisectedSeries) -> str:
     ]
     judged = plural(len(series.runs), "checkpoint")
     cost = f"{judged} of {len(series.checkpoints)} judged, in {plural(series.trials, 'trial')}"
-    words = [] if series.found is None else _sentences(series.found, series.checkpoints)
+    words = [] if series.found is None else _sentences(series.found, series)
     table = aligned([head, *lines], right={0, 4})
     return "\n".join([*table, "", *words, f"{cost}; each run in {series.folder}"])
 
@@ -38,24 +39,51 @@ def _cells(run: RunReport | None) -> tuple[str, str, str, str]:
     return against.word, drop, str(len(run.rows)), ", ".join(named)
 
 
-def _sentences(found: Bisection, names: tuple[str, ...]) -> list[str]:
-    """Return what was found, and what was not looked at."""
-    if found.first_fallen is None:
+def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
+    """Return what was found, how sure that is, and what was not looked at."""
+    names, fallen, good = series.checkpoints, found.first_fallen, found.last_good
+    if fallen is None:
         opened = [names[place] for place, word in found.words.items() if word == "INCONCLUSIVE"]
         if opened:
-            return [f"no checkpoint fell beyond doubt; left open: {', '.join(opened)}"]
-        return [f"none fell: {names[-1]} passed"]
-    first = names[found.first_fallen]
+            return [f"no checkpoint was flagged; left open: {', '.join(opened)}"]
+        return [f"none was flagged: {names[-1]} passed{_up_to(series.runs.get(len(names) - 1))}"]
+    words = [f"the first flagged: {names[fallen]}{_worse(series.runs.get(fallen))}"]
+    if good is not None:
+        words.append(
+            f"the last before it that passed: {names[good]}{_up_to(series.runs.get(good))}"
+        )
+    elif fallen == 0:
+        words.append("it is the first of the series")
     if len(found.suspects) > 1:
-        among = ", ".join(names[place] for place in found.suspects)
-        words = [f"the first that fell is one of {among}; {first} fell beyond doubt"]
-    elif found.last_good is None:
-        words = [f"the first that fell: {first}, the first of the series"]
-    else:
-        words = [f"the first that fell: {first}; {names[found.last_good]} before it passed"]
+        among = ", ".join(names[place] for place in found.suspects[:-1])
+        words.append(f"not passed and not flagged before it: {among}")
     if found.recovered:
         later = ", ".join(names[place] for place in found.recovered)
-        words.append(f"the series is not monotone: {later} passed after {first} had fallen")
+        words.append(
+            f"the series is not monotone: {later} passed after {names[fallen]} was flagged"
+        )
     elif len(found.words) < found.length:
         words.append("monotone as far as judged; --everyone judges the others too")
     return words
+
+
+def _worse(run: RunReport | None) -> str:
+    """Return between which drops a flagged checkpoint lies; nothing where that is unknown."""
+    against = None if run is None else run.verdict.against
+    if against is None or against.interval is None:
+        return ""
+    low, high = against.interval
+    return (
+        f", {low:.2f} ({percent_sure(against.alpha_regr)} sure) to {high:.2f} "
+        f"({percent_sure(against.alpha_pass)} sure) worse than the good one"
+    )
+
+
+def _up_to(run: RunReport | None) -> str:
+    """Return how much worse a checkpoint that passed may be; nothing where that is unknown."""
+    against = None if run is None else run.verdict.against
+    if against is None or against.interval is None or against.basis == "same":
+        return ""
+    high = max(0.0, against.interval.high)
+    sure = percent_sure(against.alpha_pass)
+    return f"; it may already be up to {high:.2f} worse than the good one ({sure} sure)"

@@ -1,4 +1,4 @@
-"""`nw-eval bisect`: which checkpoint of a series fell first."""
+"""`nw-eval bisect`: which checkpoint of a series is flagged first."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class BisectSeries:
-    """Find the first checkpoint of a series that is worse than a good one.
+    """Find the first checkpoint of a series that the gate flags as worse than a good one.
 
     Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
     that is asked for is judged against the bank of the good one, as `run --baseline` does, but for
-    the suite's bar. Exit code 1 if one fell, 0 if the bad one did not, 3 if nothing was decided.
+    the suite's bar. One before the first flagged may already be worse by less than the gate sees:
+    the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was not, 3
+    if nothing was decided.
     """
 
     suite: tyro.conf.Positional[str]
