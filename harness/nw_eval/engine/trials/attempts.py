@@ -70,6 +70,7 @@ class Attempts:
         self._latest = {name: latest[name] for name in self._finished}
         self._ended: dict[str, Row] = {}  # In this session.
         self._is_enough = False
+        self._is_held = False  # A trial is to run again before any further one begins.
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
@@ -104,8 +105,9 @@ class Attempts:
             jobs: any.
             interrupts: heard whenever workers say something, and some ten times a second.
             more: asked whenever one has ended which others are to run as well; None: nothing that
-                runs is needed any more.
+                runs is needed any more. What it says is dropped once a trial is to run again.
         """
+        self._is_held = False
         todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
         new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
@@ -131,6 +133,7 @@ class Attempts:
         # process.
         again = [job for job in todo if self._awaits_repeat(job)]
         first = [job for job in todo if not self._awaits_repeat(job)]
+        self._is_held |= bool(again)
         if first and interrupts.requested is None:
             if self._staff is None:
                 self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
@@ -184,6 +187,7 @@ class Attempts:
                 row = self._keep(ended, before)
                 if is_open(row, before if fresh else None):
                     again.append(ended.job)
+                    self._is_held = True
                     self._announce_retry(row)
                 else:
                     self._announce_failure(row)
@@ -199,8 +203,15 @@ class Attempts:
         return again
 
     def _go_on(self, workers: Workers, more: Callable[[], list[TrialJob] | None]) -> bool:
-        """Give the workers what comes next; return whether anything is needed any more."""
+        """Give the workers what comes next; return whether anything is needed any more.
+
+        Nothing is given once a trial is to run again after an error: its place in the order counts
+        only when it has, and what ran meanwhile might not be needed. `settle` is to be called anew.
+        """
         while (jobs := more()) is not None:
+            self._is_held |= any(job.trial.id in self._errors for job in jobs)
+            if self._is_held:
+                return True
             todo = [job for job in jobs if not self._is_finished(job)]
             run = self._known.to_run(todo)
             workers.submit(run)
