@@ -94,10 +94,11 @@ class KnownTrials:
         """Return those of some jobs that are to run; the results of the others wait.
 
         Those that the cache knows all the same come first, the longest of them before the others:
-        all that waits is waiting for the last of them.
+        all that waits is waiting for the last of them. Once one has come out otherwise, all run,
+        and what has waited for it comes first.
         """
         if self._differing:
-            return list(jobs)
+            return [*self._in_vain(), *jobs]
         found = {job.trial.id: known for job in jobs if (known := self._find(job)) is not None}
         wanted = {name for name in found if name in self._again}
         again = wanted | self._drawn(sorted(set(found) - wanted), is_enough=bool(wanted))
@@ -144,12 +145,15 @@ class KnownTrials:
 
     def unconfirmed(self) -> list[TrialJob]:
         """Return the jobs that have waited in vain."""
+        self._expected.clear()
+        return self._in_vain()
+
+    def _in_vain(self) -> list[TrialJob]:
         jobs = [job for job, _ in self._waiting.values()]
         for job in jobs:
             with suppress(OSError):
                 self._log_of(job).unlink()
         self._waiting.clear()
-        self._expected.clear()
         return jobs
 
     def _find(self, job: TrialJob) -> tuple[CacheEntry, Row] | None:
