@@ -262,13 +262,13 @@ def test_a_run_that_needs_every_trial_leaves_none_out(go):
 
 
 def test_what_still_runs_when_it_is_enough_is_dropped_and_leaves_no_log(go):
-    office = Office(slow=(1, 7, 8, 9))
+    office = Office(slow=(6, 7, 8))
     outcome = go(office, Until(2), workers=4)
     assert outcome.enough == Standing(first=6)
     assert set(started(office)) == {*range(9)}
-    assert set(outcome.by_place) == {*range(7)}, "7 and 8 were running"
+    assert set(outcome.by_place) == {*range(6)}, "the others were running"
     logs = {path.name for path in outcome.folder.path.rglob("*.mcap*")}
-    assert logs == {outcome.jobs[place].mcap.name for place in range(7)}
+    assert logs == {outcome.jobs[place].mcap.name for place in range(6)}
     assert outcome.missing == ()
 
 

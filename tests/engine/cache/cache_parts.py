@@ -35,8 +35,8 @@ def conditions_of(**changes):
     return Conditions(**known | changes)
 
 
-def jobs_of(folder, *, trials=1, scenes=("flat/a",)):
-    """Return the jobs of a suite of so many trials in each scene, in their order."""
+def jobs_of(folder, *, trials=1, scenes=("flat/a",), is_drawn=False):
+    """Return the jobs of a suite of so many trials in each scene, in their order or a drawn one."""
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -48,6 +48,7 @@ def jobs_of(folder, *, trials=1, scenes=("flat/a",)):
             "scenes": list(scenes),
         }
     )
+    drawn = [(name, (), index) for index in range(trials) for name in scenes] if is_drawn else None
     return [
         TrialJob(
             trial=trial,
@@ -58,7 +59,7 @@ def jobs_of(folder, *, trials=1, scenes=("flat/a",)):
             checkpoint_digest="c",
             mcap=folder.mcap(trial.scene, trial.id),
         )
-        for trial in in_order(expand(suite, [Place(name) for name in scenes]))
+        for trial in in_order(expand(suite, [Place(name) for name in scenes], drawn))
     ]
 
 

@@ -47,7 +47,7 @@ NAMING_OF_TRIAL = {
     "suite": TEXT,
     "scene": TEXT,
     "tier": st.sampled_from(["critical", "informational"]),
-    "drawn": WHOLE,
+    "place": WHOLE,
 }
 [JOB] = jobs_of(RunFolder(path=Path("run")))
 

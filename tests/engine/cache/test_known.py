@@ -8,7 +8,7 @@ from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
 
 from nw_eval.engine.cache.known import KnownTrials
 from nw_eval.engine.machine import interrupts
-from nw_eval.engine.rounds import run_trials
+from nw_eval.engine.rounds import Standing, run_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
@@ -29,7 +29,8 @@ def go(store, tmp_path):
         *,
         trials=4,
         results=None,
-        rounds=None,
+        first=None,
+        workers=1,
         resume=False,
         seed=0,
         hold=True,
@@ -63,13 +64,18 @@ def go(store, tmp_path):
         opened = Journal.resume if resume else Journal.create
         with opened(folder.journal, header) as journal:
             outcome = run_trials(
-                jobs_of(folder, trials=trials, scenes=names.get("scenes", ("flat/a",))),
+                jobs_of(
+                    folder,
+                    trials=trials,
+                    scenes=names.get("scenes", ("flat/a",)),
+                    is_drawn=first is not None,
+                ),
                 journal=journal,
                 folder=folder,
                 policy=names.get("policy", "p"),
                 hire=office,
-                workers=1,
-                enough=None if rounds is None else lambda rows: len(rows) >= rounds,
+                workers=workers,
+                enough=None if first is None else enough_after(first, trials),
                 listener=Ears(),
                 known=known,
             )
@@ -78,6 +84,22 @@ def go(store, tmp_path):
         return outcome
 
     return run
+
+
+def enough_after(count, trials):
+    """Return what finds it enough once the first trials of a drawn order have ended, so many."""
+
+    def enough(ended):
+        first = next(place for place in range(count + 1) if place not in ended or place == count)
+        nexts = () if first == count else range(trials)
+        return Standing(first=first, ahead=tuple(place for place in nexts if place not in ended))
+
+    return enough
+
+
+def judged(outcome, first):
+    """Return the digest of the rows of the first trials of the order."""
+    return rows_digest(row for row in outcome.rows if row.seed_index < first)
 
 
 def hits(outcome):
@@ -170,21 +192,43 @@ def test_the_longest_of_those_that_run_again_comes_first(go):
     assert again != sorted(again)
 
 
-def test_in_rounds_some_of_each_may_run_again_and_one_of_the_first_does(go):
+@pytest.mark.parametrize("workers", [1, 3])
+def test_in_a_drawn_order_the_first_runs_again_and_later_ones_may(go, workers):
     go("first", trials=100)
-    again = go("again", trials=100, rounds=90, seed=3)
-    assert again.stopped_after == 90
-    assert again.office.started[0] == "flat-a-000"
+    again = go("again", trials=100, first=90, workers=workers, seed=3)
+    assert again.enough == Standing(first=90)
     places = [int(name[-3:]) for name in again.office.started]
+    assert places[0] in range(workers)
     assert len(places) == len({*places}) == again.info.reexecuted
     assert 1 < len(places) < 8
 
 
-def test_early_stop_and_rows_are_those_of_a_run_without_the_cache(go):
-    first = go("first", trials=5, rounds=3)
-    again = go("again", trials=5, rounds=3)
-    assert (first.stopped_after, again.stopped_after) == (3, 3)
-    assert rows_digest(first.rows) == rows_digest(again.rows)
+@pytest.mark.parametrize("workers", [1, 3])
+def test_the_end_and_the_rows_are_those_of_a_run_without_the_cache(go, workers):
+    first = go("first", trials=8, first=5)
+    again = go("again", trials=8, first=5, workers=workers)
+    assert (first.enough, again.enough) == (Standing(first=5), Standing(first=5))
+    assert judged(first, 5) == judged(again, 5)
+    assert again.missing == ()
+    assert len(hits(again)) == 4
+
+
+@pytest.mark.parametrize("workers", [1, 3, 8])
+def test_what_was_not_needed_in_the_end_leaves_no_log_of_the_cache(go, workers):
+    go("first", trials=12)
+    again = go("again", trials=12, first=4, workers=workers)
+    logs = {path.name for path in again.folder.cached.rglob("*") if path.is_file()}
+    assert logs == {f"{row.trial_id}.mcap" for row in again.rows if row.cached}
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_run_in_a_drawn_order_that_goes_on_ends_where_it_would_have_ended(go, workers):
+    whole = go("whole", trials=8, first=6)
+    go("cut", trials=3, first=3, conditions=conditions_of(policy="elsewhere"))
+    resumed = go("cut", trials=8, first=6, resume=True, workers=workers)
+    assert resumed.enough == whole.enough
+    assert judged(resumed, 6) == judged(whole, 6)
+    assert len(hits(resumed)) >= 2
 
 
 def test_a_result_that_differs_voids_all_and_nothing_is_taken_over(go):
@@ -205,15 +249,37 @@ def test_a_result_that_differs_voids_all_and_nothing_is_taken_over(go):
     assert later.info.differing == ()
 
 
-def test_what_differs_in_a_later_round_ends_the_use_of_the_cache(go):
+def test_what_differs_later_in_a_drawn_order_ends_the_use_of_the_cache(go):
     go("first", trials=100)
-    # The first round agrees; then whatever runs comes out otherwise.
+    # The first trial agrees; then whatever runs comes out otherwise.
     wrong = {f"flat-a-{i:03d}": [FELL] for i in range(1, 100)}
-    again = go("again", trials=100, rounds=100, results=wrong, seed=3)
+    again = go("again", trials=100, first=100, results=wrong, seed=3)
     assert again.info.differing
     bad = [int(name[-3:]) for name in again.office.started]
     assert bad[1:] == [*range(bad[1], 100)]
     assert len(again.rows) == 100
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 8])
+def test_what_waited_for_a_result_that_differs_runs_before_anything_further(go, workers):
+    go("first", trials=40)
+    wrong = {f"flat-a-{i:03d}": [FELL] for i in range(40)}
+    again = go("again", trials=40, first=10, workers=workers, results=wrong)
+    assert again.enough == Standing(first=10)
+    assert hits(again) == []
+    assert {row.outcome for row in again.rows} == {"fell"}
+    assert len(again.rows) < 10 + workers
+    assert len(again.info.differing) == 1
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_an_errors_trial_holds_a_drawn_order_and_is_compared_when_it_has_run_again(go, workers):
+    go("first", trials=8)
+    crash = {f"flat-a-{i:03d}": [CRASHED, DONE] for i in range(8)}
+    again = go("again", trials=8, first=5, workers=workers, results=crash)
+    assert again.enough == Standing(first=5)
+    assert again.office.started[0] == again.office.started[1], "before anything further"
+    assert hits(again) == [i for i in range(5) if f"flat-a-{i:03d}" not in again.office.started]
 
 
 def test_an_errors_trial_is_compared_when_it_has_run_again(go):
