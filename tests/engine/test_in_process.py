@@ -13,14 +13,15 @@ from nw_eval.cards.card import Card
 from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.rounds import run_trials
+from nw_eval.engine.rounds import Standing, run_trials
 from nw_eval.engine.workers.in_process import InProcess
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import PolicyError
 from nw_eval.policies import instance_bundle, load_bundle
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.provenance import read_run_info
+from nw_eval.results.parquet import read_rows
+from nw_eval.results.provenance import StopInfo, read_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.mcap.reader import LogReader
@@ -108,8 +109,8 @@ class Ears:
             self.then()
 
 
-def plan_of(bundle, *, trials, allow_code=False):
-    """Return the plan of trials of a fifth of a second."""
+def plan_of(bundle, *, trials, allow_code=False, drawn=None):
+    """Return the plan of trials of a fifth of a second; `drawn` are their indexes in an order."""
     place = FoundScene.at(SCENE)
     suite = new_suite(SUITE | {"policy": bundle.name, "trials": trials})
     return Plan(
@@ -117,7 +118,7 @@ def plan_of(bundle, *, trials, allow_code=False):
         suite=suite,
         bundle=bundle,
         found=(place,),
-        trials=expand(suite, [place.scene]),
+        trials=expand(suite, [place.scene], drawn and [(SCENE, (), index) for index in drawn]),
     )
 
 
@@ -149,17 +150,17 @@ def go(tmp_path):
 
 @pytest.fixture
 def session_of(tmp_path):
-    """Return what runs a bundle's trials as `nw-eval run` does, in this process."""
+    """Return what runs a bundle's trials as `nw-eval run` does: in this process, or in workers."""
 
-    def run(bundle, *, trials, enough=None):
+    def run(bundle, *, trials, enough=None, name="run", workers=None, resume=False, **how):
         return session.carry_out(
-            plan_of(bundle, trials=trials),
-            workers=None,
-            out=tmp_path / "run",
-            resume=None,
+            plan_of(bundle, trials=trials, **how),
+            workers=workers,
+            out=None if resume else tmp_path / name,
+            resume=tmp_path / name if resume else None,
             command=(),
             listener=None,
-            in_process=True,
+            in_process=workers is None,
             enough=enough,
         )
 
@@ -302,14 +303,106 @@ def test_run_json_and_report_say_that_nothing_stood_between(session_of):
     folder = session_of(instance_bundle(standing, Card.model_validate(CARD)), trials=1)
     info = read_run_info(folder.run_json)
     assert info.fence == "off: in the calling process"
-    assert (info.workers, info.stopped_after) == (1, None)
+    assert (info.workers, info.stop) == (1, None)
     assert (info.policy.card, info.policy.origin) == ("", "an object in the calling process")
     ran = api.report(folder.path)
     assert (ran.verdict.verdict, len(ran.rows)) == ("RAN", 1)
     assert "mine, an object in the calling process" in folder.report_md.read_text()
 
 
-def test_run_json_says_after_which_round_there_was_enough(session_of):
-    folder = session_of(load_bundle("stand"), trials=3, enough=lambda rows: len(rows) == 2)
-    assert read_run_info(folder.run_json).stopped_after == 2
-    assert len(read_journal(folder.journal).rows) == 2
+def enough_after(first, *, followed=(), ended=0):
+    """Return what finds the first trials of an order of five enough, once so many have ended."""
+
+    def enough(rows):
+        lacking = [place for place in (*range(first), *followed) if place not in rows]
+        if not lacking and len(rows) >= ended:
+            return Standing(first=first, followed=followed)
+        nexts = lacking if followed else range(5)
+        return Standing(first=0, ahead=tuple(place for place in nexts if place not in rows))
+
+    return enough
+
+
+def judged(folder):
+    rows, _ = read_rows(folder.trials)
+    return rows
+
+
+def test_run_json_says_which_trials_were_enough(session_of):
+    order = [4, 0, 3, 1, 2]
+    folder = session_of(
+        load_bundle("stand"), trials=5, drawn=order, enough=enough_after(2, followed=(3,))
+    )
+    stop = StopInfo(first=2, followed=(3,), trials={SCENE: 3})
+    assert read_run_info(folder.run_json).stop == stop
+    assert read_run_info(folder.run_json).planned == {SCENE: 3}
+    assert [row.seed_index for row in read_journal(folder.journal).rows] == [4, 0, 1]
+    assert {row.seed_index for row in judged(folder)} == {4, 0, 1}
+
+
+def test_trials_that_ended_beyond_what_was_enough_are_no_rows_of_the_run(session_of):
+    order = [4, 0, 3, 1, 2]
+    bundle = load_bundle("stand")
+    less = session_of(bundle, trials=5, drawn=order, enough=enough_after(2), name="less")
+    more = session_of(bundle, trials=5, drawn=order, enough=enough_after(2, ended=4), name="more")
+    infos = [read_run_info(folder.run_json) for folder in (less, more)]
+    assert [info.stop for info in infos] == [StopInfo(first=2, trials={SCENE: 2})] * 2
+    assert len(read_journal(more.journal).rows) == 4
+    assert {row.seed_index for row in judged(more)} == {4, 0}
+    assert len({info.rows_digest for info in infos}) == 1
+    all_of_them = session_of(bundle, trials=5, drawn=order, name="more", resume=True)
+    assert read_run_info(all_of_them.run_json).stop is None
+    assert len(judged(all_of_them)) == 5, "what had ended was kept"
+
+
+OVERTAKEN = """\
+from pathlib import Path
+from time import sleep
+
+class Policy:
+    def __init__(self, bundle):
+        self.flag = Path(__file__).with_name("overtaken")
+
+    def reset(self, seed):
+        if seed == {later}:
+            self.flag.touch()
+        while seed == {first} and not self.flag.exists():
+            sleep(0.01)
+
+    def act(self, observation):
+        return [0.0] * 12
+"""
+
+
+def test_workers_that_overtake_each_other_judge_the_trials_that_one_alone_does(
+    session_of, tmp_path
+):
+    order = [4, 0, 3, 1, 2]
+    bundle = written(tmp_path, "overtaken", "pass")
+    planned = plan_of(bundle, trials=5, drawn=order).trials
+
+    def run(first, later, **how):
+        """Run with a policy whose first trial ends after a later one has begun."""
+        (bundle.folder / "mine.py").write_text(OVERTAKEN.format(first=first, later=later))
+        asked = []
+
+        def enough(rows):
+            asked.append(set(rows))
+            return enough_after(1)(rows)
+
+        mine = load_bundle(bundle.folder)
+        folder = session_of(mine, trials=5, drawn=order, enough=enough, allow_code=True, **how)
+        return folder, asked
+
+    alone, _ = run(-1, -1, name="alone")
+    # With three workers the fourth trial begins once the second or the third has ended.
+    together, asked = run(planned[0].seed, planned[3].seed, name="together", workers=3)
+    assert any(rows and 0 not in rows for rows in asked), "a later trial ended first"
+    infos = [read_run_info(folder.run_json) for folder in (alone, together)]
+    assert [info.stop for info in infos] == [StopInfo(first=1, trials={SCENE: 1})] * 2
+    [row], [other] = judged(alone), judged(together)
+    assert (row.trial_id, row.state_digest) == (other.trial_id, other.state_digest)
+    beyond = [row.trial_id for row in read_journal(together.journal).rows]
+    assert beyond[-1] == row.trial_id
+    assert len(beyond) > 1
+    assert [*together.logs.rglob("*.partial")] == []

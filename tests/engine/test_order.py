@@ -1,10 +1,12 @@
 """The order of a run."""
 
+import random
 from collections import Counter
 from dataclasses import replace
 
-from nw_eval.engine.order import in_order, next_place, rounds
-from nw_eval.rollout.job import TrialJob
+import pytest
+
+from nw_eval.engine.order import in_order, next_place
 from nw_eval.suite.trials import Trial
 
 
@@ -84,19 +86,42 @@ def test_two_workers_of_one_speed_load_each_scene_once():
     assert not own[0] & own[1]
 
 
-def test_a_round_is_what_a_bank_draws_and_not_one_index():
-    drawn = [replace(trial, drawn=(trial.index + len(trial.scene)) % 4) for trial in trials()]
-    drawn += [replace(trial, drawn=3 - trial.drawn, perturbation=(("p", 1.0),)) for trial in drawn]
-    jobs = [
-        TrialJob(trial=t, robot="go1", scene=t.scene, duration=1.0, policy="p",
-                 checkpoint_digest="c")
-        for t in in_order(drawn)
-    ]  # fmt: skip
-    parts = rounds(jobs)
-    assert [{job.trial.drawn for job in part} for part in parts] == [{0}, {1}, {2}, {3}]
-    strata = {(t.scene, t.perturbation) for t in drawn}
-    assert all({(j.trial.scene, j.trial.perturbation) for j in part} == strata for part in parts)
-    waiting = [job.trial for job in jobs]
-    last = waiting[-1].scene
-    place = next_place(waiting, own={last}, taken=set())
-    assert (waiting[place].scene, waiting[place].drawn) == (last, 0), "not of a later round"
+def drawn(**counts):
+    """Return trials in a drawn order."""
+    listed = trials(**counts)
+    random.Random(4).shuffle(listed)
+    return [replace(trial, place=place) for place, trial in enumerate(listed)]
+
+
+def test_a_drawn_order_is_kept_whatever_the_trials_are():
+    ordered = drawn()
+    assert list(in_order(reversed(ordered))) == ordered
+    indexes = [trial.index for trial in ordered]
+    assert indexes != sorted(indexes), "not round by round"
+    swapped = [replace(trial, place=len(ordered) - 1 - trial.place) for trial in ordered]
+    assert [trial.id for trial in in_order(swapped)] == [trial.id for trial in reversed(ordered)]
+
+
+@pytest.mark.parametrize("gone", [0, 7])
+def test_a_worker_chooses_among_the_next_sixteen_of_a_drawn_order(gone):
+    scenes = [f"hurdles/{k}" for k in range(40)]
+    ordered = [
+        replace(trial, scene=scene, place=place)
+        for place, (trial, scene) in enumerate(zip(drawn(scenes=10), scenes, strict=True))
+    ]
+    waiting = ordered[gone:]
+    for offset in (1, 15):
+        own = {waiting[offset].scene, waiting[16].scene}
+        assert next_place(waiting, own=own, taken=set()) == offset
+    assert next_place(waiting, own={waiting[16].scene}, taken=own) == 0, "not the seventeenth"
+    # Places count, not how many wait: some in between have been taken.
+    assert next_place([waiting[0], *waiting[16:]], own={waiting[16].scene}, taken=set()) == 0
+
+
+def test_a_worker_of_a_drawn_order_prefers_its_own_scenes_then_those_of_nobody():
+    waiting = drawn(scenes=5)[:16]
+    scenes = [trial.scene for trial in waiting]
+    *loaded, own, free = dict.fromkeys(scenes)
+    assert next_place(waiting, own={own}, taken={*loaded, own}) == scenes.index(own)
+    assert next_place(waiting, own=set(), taken={*loaded, own}) == scenes.index(free)
+    assert next_place(waiting, own=set(), taken={*scenes}) == 0

@@ -149,7 +149,7 @@ class Ears:
     def planned(self, *, total, finished):
         pass
 
-    def trial(self, row):
+    def trial(self, row):  # noqa: ARG002 - their number counts.
         if self.after is not None:
             self.after -= 1
             if self.after == 0:

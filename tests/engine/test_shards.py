@@ -1,7 +1,7 @@
-"""Parts of a plan: every trial in one of them, in every round as many as in any other."""
+"""Parts of a plan: every trial in one of them, of any stretch as many as in any other."""
 
-from collections import Counter
 from itertools import permutations
+from random import Random
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +15,7 @@ from nw_eval.request import Request, Shard
 from nw_eval.suite import expand, new_suite
 
 
-def plan(scenes=3, rounds=4, frictions=(), seed=1, starts=None):
+def plan(scenes=3, rounds=4, frictions=(), seed=1, lot=None):
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -31,10 +31,17 @@ def plan(scenes=3, rounds=4, frictions=(), seed=1, starts=None):
     places = [
         SimpleNamespace(name=f"p/{k}", task="flat", digest=f"{k:02d}" * 32) for k in range(scenes)
     ]
-    drawn = starts and {
-        (place.name, cell): starts for place in places for cell in suite.perturb.cells
-    }
-    return expand(suite, places, drawn)
+    if lot is None:
+        return expand(suite, places)
+    # As against a baseline: all pairs of a scene and a start in random order, as many of them.
+    pairs = [
+        (place.name, cell, start)
+        for place in places
+        for cell in suite.perturb.cells
+        for start in range(9)
+    ]
+    Random(lot).shuffle(pairs)
+    return expand(suite, places, pairs[: rounds * len(places) * len(suite.perturb.cells)])
 
 
 @given(
@@ -54,7 +61,7 @@ def test_every_trial_is_in_one_part_and_every_round_is_shared_evenly(
     sizes = [len(part) for part in parts]
     assert max(sizes) - min(sizes) <= 1
     for number in range(rounds):
-        here = [sum(trial.round == number for trial in part) for part in parts]
+        here = [sum(trial.index == number for trial in part) for part in parts]
         assert max(here) - min(here) <= 1
 
 
@@ -69,15 +76,29 @@ def test_a_part_does_not_depend_on_how_trials_are_listed_or_on_rounds_that_come_
     assert (part, info) == shard_of(trials, shard)
     assert (part, info) == shards_of(trials, count)[shard.index - 1]
     more, later = shard_of(plan(rounds=rounds + 2), shard)
-    assert {t.id for t in part} == {t.id for t in more if t.round < rounds}
+    assert {t.id for t in part} == {t.id for t in more if t.index < rounds}
     assert later.plan != info.plan, "it is a part of another plan"
 
 
-def test_parts_of_rounds_that_a_bank_draws_are_those_of_its_rounds():
-    trials = plan(rounds=3, starts=(17, 4, 9))
-    assert {trial.index for trial in trials} == {17, 4, 9}
-    for part, _ in shards_of(trials, 3):
-        assert sorted(Counter(trial.round for trial in part).items()) == [(0, 1), (1, 1), (2, 1)]
+@given(
+    rounds=st.integers(1, 5),
+    cells=st.integers(0, 2),
+    lot=st.integers(0, 99),
+    count=st.integers(1, 5),
+    data=st.data(),
+)
+def test_parts_of_a_drawn_order_share_out_every_stretch_of_it_evenly(
+    rounds, cells, lot, count, data
+):
+    frictions = tuple(0.4 + 0.1 * k for k in range(cells))
+    trials = plan(5, rounds, frictions, lot=lot)
+    parts = [part for part, _ in shards_of(data.draw(st.permutations(trials)), count)]
+    for number, part in enumerate(parts):
+        assert [trial.place for trial in part] == [*range(number, len(trials), count)]
+        assert list(part) == list(trials[number::count])
+    more = [part for part, _ in shards_of(plan(5, rounds + 1, frictions, lot=lot), count)]
+    for part, longer in zip(parts, more, strict=True):
+        assert [t.id for t in longer[: len(part)]] == [t.id for t in part], "others come behind"
 
 
 def test_no_part_has_one_scene_alone_where_another_order_would_give_it_that():
@@ -93,6 +114,15 @@ def test_a_plan_is_known_by_its_trials_and_by_nothing_else():
     digests = [plan_digest(in_order(trials)) for trials in others]
     assert digests[-1] in same
     assert len({*digests, *same}) == 5
+
+
+def test_a_plan_in_another_drawn_order_is_another_plan():
+    order = plan(2, 9, lot=1)
+    same = {plan_digest(in_order(listed)) for listed in (order, order[::-1])}
+    assert same == {plan_digest(order)}
+    shuffled = plan(2, 9, lot=2)
+    assert {trial.id for trial in shuffled} == {trial.id for trial in order}
+    assert plan_digest(shuffled) not in same | {plan_digest(in_order(plan(2, 9)))}
 
 
 NO_PARTS = ("0/3", "4/3", "1", "1/0", "-1/2", "1/2/3", "a/b", " 1/2", "", "1/1000000000")
