@@ -221,6 +221,16 @@ def test_what_was_not_needed_in_the_end_leaves_no_log_of_the_cache(go, workers):
     assert logs == {f"{row.trial_id}.mcap" for row in again.rows if row.cached}
 
 
+def test_what_still_waits_when_it_is_enough_leaves_no_log_of_the_cache(go):
+    # The first is not kept, for it has run twice. Of the others one runs again, and the last waits.
+    go("first", trials=3, results={"flat-a-000": [CRASHED, DONE]})
+    crash = {f"flat-a-{i:03d}": [CRASHED] for i in (1, 2)}
+    again = go("again", trials=3, first=1, workers=3, results=crash)
+    assert again.enough == Standing(first=1)
+    assert len(again.office.started) == 2
+    assert [path for path in again.folder.cached.rglob("*") if path.is_file()] == []
+
+
 @pytest.mark.parametrize("workers", [1, 3])
 def test_a_run_in_a_drawn_order_that_goes_on_ends_where_it_would_have_ended(go, workers):
     whole = go("whole", trials=8, first=6)
