@@ -227,29 +227,6 @@ def test_the_trials_that_a_bar_needs_are_told_in_the_unit_of_trials(
     assert judge(cells, BAR, {"a": 4}).reasons[1].endswith("(--trials 8)")
 
 
-def test_the_chance_that_a_worse_policy_passes_is_that_of_the_drop_the_suite_names(
-    run_scene: Callable[..., Any],
-) -> None:
-    rows = [row for k in range(8) for row in run_scene(f"s{k}", [4] * 9 + [3])]
-    planned = {row.scene: 10 for row in rows}
-    small, large = (judge(rows, gate(max_drop=drop), planned) for drop in (0.05, 0.2))
-    assert (small.drop, large.drop, judge(rows, BAR, planned).drop) == (0.05, 0.2, 0.1)
-    assert small.drop_passes is not None
-    assert large.drop_passes is not None
-    assert small.drop_passes > 0.9
-    assert large.drop_passes < 0.2
-    # The same rows in another order say the same, digit by digit.
-    assert judge(rows[::-1], gate(max_drop=0.2), planned) == large
-
-
-@pytest.mark.parametrize("reached", [[0] * 20, [4, 4, 4, 1]])
-def test_only_a_pass_speaks_of_worse_policies_that_would_pass_too(
-    run_scene: Callable[..., Any], reached: list[int]
-) -> None:
-    assert judge(run_scene("a", reached), BAR, {"a": len(reached)}).drop_passes is None
-    assert judge(run_scene("a", reached), Gate(), {"a": len(reached)}).drop_passes is None
-
-
 def test_a_critical_scene_of_ten_coins_is_convicted_as_often_as_the_gate_says(
     run_scene: Callable[..., Any],
 ) -> None:

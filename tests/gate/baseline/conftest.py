@@ -1,13 +1,22 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.draw import draw_starts
+from nw_eval.gate.baseline.draw import drawn_order
 from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank.against import Against, Control
 from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
-from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.provenance import (
+    BaselineInfo,
+    CodeInfo,
+    MachineInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+)
 from nw_eval.results.row import Row
 from nw_eval.suite import new_suite
 
@@ -17,6 +26,7 @@ if TYPE_CHECKING:
     from nw_eval.results.bank import Stratum
 
     Scores = Mapping[str | Stratum, Sequence[float | None]]
+    Visits = Mapping[str | Stratum, Sequence[float | None] | float | None]
 
 ENGINE = {"mujoco": "4.0.0", "embreex": "4.4", "renderer": "cpu gsplat-1.5", "cpu": "zen 4"}
 
@@ -133,19 +143,55 @@ def run_rows() -> Callable[..., list[Row]]:
 
 @pytest.fixture
 def drawn_rows() -> Callable[..., list[Row]]:
-    """Rows of a run that drew its starts from a bank, from successes in the order of the rounds."""
+    """Rows of a run in the order in which its trials were drawn, as `drawn` gives them."""
+    return drawn
 
-    def make(run: RunInfo, scores: Scores) -> list[Row]:
-        assert run.drawn_from is not None
-        strata = {stratum_of(name): values for name, values in scores.items()}
-        order = draw_starts(
-            strata, run.drawn_from, candidate=run.drawn_by, suite_digest=run.suite_digest
+
+def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
+    """Return rows of the trials of a run's budget, in the drawn order.
+
+    Args:
+        run: the run.
+        scores: successes of each scene: of all of its trials, or of its first, second, ... one;
+            then it has no more trials than that. None is a crash.
+        first: how many trials of the order have ended; all if None.
+    """
+    given = {stratum_of(name): values for name, values in scores.items()}
+    met = dict.fromkeys(given, 0)
+    rows: list[Row] = []
+    for scene, cell, start in drawn_order(run, sorted(given), run.suite["trials"])[:first]:
+        values, number = given[scene, cell], met[scene, cell]
+        met[scene, cell] += 1
+        if values is None or isinstance(values, float):
+            rows.append(_row(run, (scene, cell), start, values))
+        elif number < len(values):
+            rows.append(_row(run, (scene, cell), start, values[number]))
+    return rows
+
+
+@pytest.fixture
+def make_against() -> Callable[..., Against]:
+    """A bank as runs are compared with it."""
+
+    def make(bank: SavedBank, control: Control | None = None) -> Against:
+        info = BaselineInfo(name=bank.manifest.name, path="shipped.parquet", sha256="5a" * 32)
+        return Against(info=info, bank=bank, content=b"", control=control)
+
+    return make
+
+
+@pytest.fixture
+def make_control() -> Callable[..., Control]:
+    """Trials of a bank's own policy beside a candidate; arguments as for `drawn`."""
+
+    def make(run: RunInfo, bank: SavedBank, scores: Visits, first: int | None = None) -> Control:
+        own = bank.manifest.policy
+        policy = PolicyInfo(
+            name=own.name, card_digest=own.card_digest, checkpoint_digest=own.checkpoint_digest
         )
-        return [
-            _row(run, stratum, order[stratum][number], value)
-            for stratum, values in strata.items()
-            for number, value in enumerate(values)
-        ]
+        beside = run.model_copy(update={"policy": policy, "drawn_for": run.drawn_by})
+        rows = drawn(beside, scores, first)
+        return Control(run=beside, rows=tuple(replace(row, arm="baseline") for row in rows))
 
     return make
 

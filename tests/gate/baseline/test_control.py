@@ -1,0 +1,228 @@
+"""Where a machine has other bits the baseline's policy runs beside the candidate: the control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.baseline.holding.known import contradictions
+from nw_eval.gate.baseline.judge import compare
+from nw_eval.reporting.tables.baseline import baseline_table
+from nw_eval.results.bank import trajectory
+from nw_eval.suite import Gate
+from nw_eval.suite.model import Validity
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank.against import Against, Control
+    from nw_eval.results.provenance import RunInfo
+
+    Make = Callable[..., Any]
+
+SCENES = ("a", "b", "c", "d")
+GATE = Gate(max_drop=0.2)
+PERFECT = dict.fromkeys(SCENES, 1.0)
+LOW = dict.fromkeys(SCENES, [1.0, 0.5] * 30)
+
+
+@pytest.fixture
+def bank(make_run: Make, make_bank: Make) -> SavedBank:
+    """A baseline that was perfect on the machine that it was saved on."""
+    return make_bank(make_run(SCENES, 20, drawn_from=60), dict.fromkeys(SCENES, [1.0] * 60))
+
+
+@pytest.fixture
+def run(make_run: Make, bank: SavedBank, make_against: Make) -> RunInfo:
+    """A run on another class of machine, on which the baseline's policy has shown other bits."""
+    here = make_run(SCENES, 20, drawn_from=60)
+    info = make_against(bank).info.model_copy(update={"checked": "control"})
+    elsewhere = {**here.engine, "cpu": "haswell"}
+    return here.model_copy(update={"engine": elsewhere, "baseline": info})
+
+
+@pytest.fixture
+def beside(run: RunInfo, bank: SavedBank, make_against: Make, make_control: Make) -> Make:
+    """The baseline as the run is compared with it, by what its policy scores there."""
+
+    def make(scores: Any, first: int | None = None) -> Against:
+        return make_against(bank, make_control(run, bank, scores, first))
+
+    return make
+
+
+def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_would_convict_it(
+    run: RunInfo, bank: SavedBank, beside: Make, drawn_rows: Make, make_against: Make
+) -> None:
+    rows = drawn_rows(run, LOW)
+    info = make_against(bank).info.model_copy(update={"checked": "bits"})
+    by_bank = compare(rows, run.model_copy(update={"baseline": info}), make_against(bank), GATE)
+    assert (by_bank.basis, by_bank.word) == ("panel", "REGRESSED")
+    found = compare(rows, run, beside(LOW), GATE, foresee=True)
+    assert (found.basis, found.claim, found.word) == ("control", "fresh", "PASS")
+    assert (found.drop, found.control) == (0.0, 80)
+    assert not any(item.named for item in found.scenes)
+    # What the bank says of its own machine is in no number: the control's trials are.
+    for item in found.scenes:
+        assert item.baseline == item.candidate
+    assert found.baseline == pytest.approx(0.75, abs=0.1)
+    assert found.interval is not None
+    assert found.interval.low < 0.0 < found.interval.high < GATE.most_drop
+
+
+def test_a_policy_that_is_worse_than_the_control_is_regressed(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    found = compare(drawn_rows(run, dict.fromkeys(SCENES, 0.25)), run, beside(PERFECT), GATE)
+    assert (found.basis, found.word, found.mean_convicts) == ("control", "REGRESSED", True)
+    assert (found.drop, found.baseline) == (0.75, 1.0)
+    # Better than a control that drifted is no drop, however far it is from the bank.
+    low = beside(dict.fromkeys(SCENES, 0.25))
+    assert compare(drawn_rows(run, dict.fromkeys(SCENES, 0.5)), run, low, GATE).word == "PASS"
+
+
+def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_rows: Make) -> None:
+    found = compare(drawn_rows(run, PERFECT), run, beside(PERFECT), GATE)
+    assert found.reasons[-1] == (
+        "this machine or version gives other bits than the baseline's: its policy go1-act-rgb ran "
+        "beside the candidate from the same starts (80 trials), and is what it is compared with; a "
+        "baseline saved here saves these trials"
+    )
+    assert "80 trials that ran beside the candidate" in baseline_table(found).note
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(
+    run: RunInfo, beside: Make, drawn_rows: Make, data: st.DataObject
+) -> None:
+    score = st.lists(st.sampled_from([0.0, 0.5, 1.0, 1.0]), min_size=60, max_size=60)
+    rows = drawn_rows(run, {name: data.draw(score) for name in SCENES})
+    scores = {name: data.draw(score) for name in SCENES}
+    count = data.draw(st.integers(0, 80))
+    short = compare(rows, run, beside(scores, first=count), GATE)
+    both = compare(rows[:count], run, beside(scores, first=count), GATE)
+    assert replace(short, control=0) == replace(both, control=0)
+    assert short.trials <= count or short.settled
+    # It does not matter which of the two is ahead of the other.
+    ahead = compare(rows[:count], run, beside(scores), GATE)
+    assert replace(ahead, control=0, reasons=()) == replace(both, control=0, reasons=())
+    settled = compare(rows, run, beside(scores), GATE)
+    if both.settled:
+        assert (settled.word, settled.trials) == (both.word, both.trials)
+
+
+def test_without_a_control_s_trials_nothing_is_ruled(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, make_against: Make, beside: Make
+) -> None:
+    rows = drawn_rows(run, dict.fromkeys(SCENES, 0.0))
+    for against in (make_against(bank), beside(PERFECT, first=0)):
+        found = compare(rows, run, against, GATE)
+        assert (found.word, found.trials, found.drop) == ("INCONCLUSIVE", 0, None)
+        assert (found.basis, found.control) == ("control", 0)
+
+
+def test_an_error_of_either_arm_counts_worst_for_each_side(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    rows = drawn_rows(run, PERFECT)
+    scene = rows[0].scene
+
+    def first_is(score: float | None) -> dict[str, Any]:
+        return {**PERFECT, scene: [score, *[1.0] * 60]}
+
+    def of(candidate: float | None, control: float | None) -> Any:
+        mine = drawn_rows(run, first_is(candidate))
+        return compare(mine, run, beside(first_is(control)), GATE, foresee=True)
+
+    whole, lost, both = of(1.0, 1.0), of(None, 1.0), of(None, None)
+    assert whole.word == lost.word == both.word == "PASS"
+    assert whole.trials < lost.trials <= both.trials
+    # As if the candidate had failed and the control had not: for PASS only.
+    assert both.trials == of(0.0, 1.0).trials
+    assert both.interval.low < of(0.0, 1.0).interval.low
+    assert lost.drop == both.drop == 0.0
+    # A pair without a result of the candidate is no pair, and its control's is in the table alone.
+    assert sum(item.trials for item in lost.scenes) == lost.trials - 1
+
+
+def test_a_trial_that_left_the_captured_volume_is_no_pair(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    gate = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
+    far = {"capture_distance": (2.0,) * 10, "capture_angle": (0.0,) * 10}
+    rows = drawn_rows(run, PERFECT)
+    gone = [replace(rows[0], **far, capture_alpha=(1.0,) * 10), *rows[1:]]
+    left, whole = (compare(x, run, beside(PERFECT), gate) for x in (gone, rows))
+    assert (left.word, left.drop) == ("PASS", 0.0)
+    assert left.trials > whole.trials
+    assert compare(gone, run, beside(PERFECT), GATE).trials == whole.trials
+
+
+def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    gate = Gate(max_drop=0.24, tolerate=0.2)
+    rows = drawn_rows(run, {**PERFECT, "b": 0.25})
+    found = compare(rows, run, beside(PERFECT), gate, foresee=True)
+    fell = {item.scene: item for item in found.scenes}["b"]
+    assert (fell.named, fell.waypoint) == (True, 2), "of four waypoints one was reached"
+    assert fell.ends is not None
+    known, met = fell.ends
+    assert sum(known) == sum(met) == fell.trials, "its pairs, not the 60 starts of the bank"
+    # Where the control fails there too nothing regressed.
+    alike = compare(rows, run, beside({**PERFECT, "b": 0.25}), gate)
+    assert [item.scene for item in alike.scenes if item.named] == []
+    assert {item.scene: item.waypoint for item in alike.scenes}["b"] is None
+
+
+def test_a_claim_about_the_panel_alone_has_no_control(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    with pytest.raises(IncomparableError, match="gate.claim is panel"):
+        compare(
+            drawn_rows(run, PERFECT), run, beside(PERFECT),
+            GATE.model_copy(update={"claim": "panel"}),
+        )  # fmt: skip
+
+
+def test_rows_of_a_candidate_are_no_control(
+    run: RunInfo, bank: SavedBank, beside: Make, make_against: Make
+) -> None:
+    control: Control | None = beside(PERFECT).control
+    assert control is not None
+    for wrong in (
+        tuple(replace(row, arm="candidate") for row in control.rows),
+        tuple(replace(row, checkpoint_digest="cc" * 32) for row in control.rows),
+    ):
+        with pytest.raises(StoreError, match="is not of this run"):
+            compare([], run, make_against(bank, replace(control, rows=wrong)), GATE)
+
+
+def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(
+    run: RunInfo, bank: SavedBank, beside: Make
+) -> None:
+    control: Control | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
+    assert control is not None
+    assert contradictions(control.rows, bank, bank.panels[0]) == ()
+    first = control.rows[0]
+    starts = tuple(
+        replace(start, trajectory=trajectory(first))
+        if (start.scene, start.seed_index) == (first.scene, first.seed_index)
+        else start
+        for start in bank.panels[0].starts
+    )
+    told = contradictions(control.rows, bank, replace(bank.panels[0], starts=starts))
+    assert told[0] == (
+        "the bank is not what its own policy go1-act-rgb does: the same bits, other results"
+    )
+    assert told[1].startswith(f"scene {first.scene} start {first.seed_index}: success 0.5, ")
+    assert len(told) == 2
