@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +77,15 @@ def make_run() -> Callable[..., RunInfo]:
             "versions": {"mujoco": "4.0.0"},
             "engine": ENGINE,
         }
-        return RunInfo(**{**facts, **changes})
+        run = RunInfo(**{**facts, **changes})
+        if run.drawn_from is None:
+            return run
+        strata = [(scene, cell) for scene in scenes for cell in suite.perturb.cells]
+        met = Counter(scene for scene, *_ in drawn_order(run, strata, trials))
+        infos = {
+            name: info.model_copy(update={"trials": met[name]}) for name, info in run.scenes.items()
+        }
+        return run.model_copy(update={"scenes": infos})
 
     return make
 

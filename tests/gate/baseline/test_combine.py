@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -7,13 +9,13 @@ import pytest
 
 from nw_eval.errors import IncomparableError
 from nw_eval.gate import judge
-from nw_eval.gate.baseline.combine import combined, judge_run, settled
-from nw_eval.gate.baseline.holding.sentinel import watch
+from nw_eval.gate.absolute import word_of_bar
+from nw_eval.gate.baseline.combine import combined, judge_run
+from nw_eval.gate.baseline.draw import drawn_order
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.reporting import headline
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bank.against import Against
-from nw_eval.results.provenance import BaselineInfo, PolicyInfo, recheck_key
+from nw_eval.results.provenance import PolicyInfo, StopInfo, recheck_key
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -29,38 +31,36 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def against(make_run: Make, make_bank: Make) -> Comparison:
+def against(make_run: Make, make_bank: Make, make_against: Make) -> Comparison:
     run = make_run(["a"], 20, drawn_from=60)
-    return compare([], run, make_bank(run, {"a": [1.0] * 60}), Gate())
+    return compare([], run, make_against(make_bank(run, {"a": [1.0] * 60})), Gate())
 
 
 @pytest.mark.parametrize(
-    ("bar", "baseline", "word", "exit_code", "is_settled"),
+    ("bar", "baseline", "word", "exit_code"),
     [
-        ("PASS", "PASS", "PASS", 0, True),
-        ("RAN", "PASS", "PASS", 0, True),
-        ("PASS", "REGRESSED", "REGRESSED", 1, True),
-        ("RAN", "REGRESSED", "REGRESSED", 1, True),
-        ("REGRESSED", "PASS", "REGRESSED", 1, True),
-        ("REGRESSED", "INCONCLUSIVE", "REGRESSED", 1, True),
-        ("INCONCLUSIVE", "REGRESSED", "REGRESSED", 1, True),
-        ("PASS", "INCONCLUSIVE", "INCONCLUSIVE", 3, False),
-        ("RAN", "INCONCLUSIVE", "INCONCLUSIVE", 3, False),
-        ("INCONCLUSIVE", "PASS", "INCONCLUSIVE", 3, False),
-        ("INFRASTRUCTURE", "PASS", "INFRASTRUCTURE", 4, False),
-        ("INFRASTRUCTURE", "REGRESSED", "INFRASTRUCTURE", 4, True),
+        ("PASS", "PASS", "PASS", 0),
+        ("RAN", "PASS", "PASS", 0),
+        ("PASS", "REGRESSED", "REGRESSED", 1),
+        ("RAN", "REGRESSED", "REGRESSED", 1),
+        ("REGRESSED", "PASS", "REGRESSED", 1),
+        ("REGRESSED", "INCONCLUSIVE", "REGRESSED", 1),
+        ("INCONCLUSIVE", "REGRESSED", "REGRESSED", 1),
+        ("PASS", "INCONCLUSIVE", "INCONCLUSIVE", 3),
+        ("RAN", "INCONCLUSIVE", "INCONCLUSIVE", 3),
+        ("INCONCLUSIVE", "PASS", "INCONCLUSIVE", 3),
+        ("INFRASTRUCTURE", "PASS", "INFRASTRUCTURE", 4),
+        ("INFRASTRUCTURE", "REGRESSED", "INFRASTRUCTURE", 4),
     ],
 )
 def test_bar_and_baseline_must_both_pass_and_either_convicts(
-    run_scene: Make, against: Comparison, bar: str, baseline: str, word: str, exit_code: int,
-    is_settled: bool,
+    run_scene: Make, against: Comparison, bar: str, baseline: str, word: str, exit_code: int
 ) -> None:  # fmt: skip
     verdict = replace(judge(run_scene("a", [4] * 20), Gate(), {"a": 20}), verdict=bar)
     comparison = replace(against, word=baseline, reasons=("of the baseline",))
     both = combined(verdict, comparison)
     assert (both.verdict, both.exit_code, both.against) == (word, exit_code, comparison)
     assert {"of the baseline", *verdict.reasons} == set(both.reasons)
-    assert settled(verdict, comparison) is is_settled
 
 
 def test_what_decides_speaks_first(run_scene: Make, against: Comparison) -> None:
@@ -88,10 +88,10 @@ def test_the_same_policy_passes_neither_though_nothing_ran_nor_though_the_bar_fa
 def of_the_baseline_itself(make_run: Make, *, ran: float, **changes: Any) -> tuple[RunInfo, Gate]:
     """Return the run of a baseline's own policy, of which one start ran again, and its gate."""
     policy = PolicyInfo(name="go1-act-rgb", card_digest="b1" * 32, checkpoint_digest="bb" * 32)
+    stop = StopInfo(first=2, trials={"a": 1, "b": 1})
     run = make_run(
-        ["a", "b"], 20, drawn_from=60, drawn_for=recheck_key(7), stopped_after=1, policy=policy,
-        **changes,
-    )  # fmt: skip
+        ["a", "b"], 20, drawn_from=60, drawn_for=recheck_key(7), stop=stop, policy=policy, **changes
+    )
     return run, Gate(success_rate=ran)
 
 
@@ -105,13 +105,18 @@ def in_bits(rows: list[Row], bank: SavedBank) -> SavedBank:
     return replace(bank, panels=(replace(bank.panels[0], starts=starts), *bank.panels[1:]))
 
 
-def judged_by(bank: SavedBank, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
-    info = BaselineInfo(name="shipped", path="x", sha256="5a" * 32)
-    return judge_run(rows, run, gate, Against(info=info, bank=bank, content=b""))
+@pytest.fixture
+def judged_by(make_against: Make) -> Make:
+    """The verdict on rows against a bank."""
+
+    def judged(bank: SavedBank, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
+        return judge_run(rows, run, gate, make_against(bank))
+
+    return judged
 
 
 def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_is_equal(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
 ) -> None:
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
@@ -132,7 +137,11 @@ def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_i
     [{"success": 0.5}, {"outcome": "fell"}, {"waypoints_reached": 3}, {"trajectory": "f" * 16}],
 )
 def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_named(
-    make_run: Make, make_bank: Make, drawn_rows: Make, change: dict[str, Any]
+    make_run: Make,
+    make_bank: Make,
+    drawn_rows: Make,
+    judged_by: Make,
+    change: dict[str, Any],
 ) -> None:
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
@@ -154,28 +163,32 @@ def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_
 
 
 def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_taken_over(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
 ) -> None:
     run, gate = of_the_baseline_itself(make_run, ran=0.25)
     bank = make_bank(run, dict.fromkeys("ab", [1.0] * 50 + [0.5] * 10))
-    elsewhere = {**run.engine, "cpu": "haswell"}
-    here = run.model_copy(update={"engine": elsewhere, "stopped_after": 8})
-    rows = drawn_rows(here, dict.fromkeys("ab", [1.0] * 7 + [0.5]))
+    changes = {
+        "engine": {**run.engine, "cpu": "haswell"},
+        "stop": StopInfo(first=16, trials={"a": 8, "b": 8}),
+    }
+    here = run.model_copy(update=changes)
+    rows = drawn_rows(here, dict.fromkeys("ab", [1.0] * 7 + [0.5]), first=16)
     verdict = judged_by(bank, rows, here, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 16)
     assert "16 run again, with other bits, and nothing taken over" in headline(verdict, here)
     assert verdict.against is not None
     assert verdict.against.again is not None
-    assert verdict.against.again.settled is False, "eight rounds are too few to say so"
+    assert not verdict.against.again.taken_over
     # The bar is for what ran: the file's scores are of no use to a policy that fails here.
-    low = drawn_rows(here, dict.fromkeys("ab", [0.0] * 8))
-    assert judged_by(bank, low, here, gate).verdict == "INVALID"
-    low = drawn_rows(here, dict.fromkeys("ab", [0.5] * 8))
-    assert judged_by(bank, low, here, Gate(success_rate=0.9)).verdict in {"REGRESSED", "INVALID"}
+    low = drawn_rows(here, dict.fromkeys("ab", 0.0), first=16)
+    assert judged_by(bank, low, here, gate).verdict == "REGRESSED"
+    half = drawn_rows(here, dict.fromkeys("ab", 0.5), first=16)
+    open_ = judged_by(bank, half, here, Gate(success_rate=0.5))
+    assert (open_.verdict, open_.exit_code) == ("INCONCLUSIVE", 3)
 
 
 def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
 ) -> None:
     run, gate = of_the_baseline_itself(make_run, ran=0.01)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
@@ -186,15 +199,29 @@ def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine
     assert "the same bits, other results" in verdict.reasons[0]
     assert verdict.reasons[1].startswith("scene a start ")
     assert "success 0.5, the baseline's 1.0" in verdict.reasons[1]
-    # Of another candidate's baseline the sentinel finds it: its own policy ran from these starts.
-    own = [replace(row, arm="baseline") for row in rows]
-    seen = watch(own, elsewhere, forged, gate)
-    assert seen.checked is None
-    assert "the same bits, other results" in seen.moved[0]
+    # One trial is enough, among others that went other ways.
+    other = replace(rows[0], state_digest="ab" * 32)
+    assert judged_by(forged, [other, rows[1]], elsewhere, gate).verdict == "INVALID"
+    assert judged_by(forged, [other], elsewhere, gate).verdict != "INVALID"
+
+
+def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_run_invalid(
+    make_run: Make, make_bank: Make, make_against: Make
+) -> None:
+    moved = ("the bank is not what its own policy does: the same bits, other results", "scene a")
+    there = make_run(["a"], 20, drawn_from=60)
+    against = make_against(make_bank(there, {"a": [1.0] * 60}))
+    begun = against.info.model_copy(update={"moved": moved})
+    elsewhere = {**there.engine, "cpu": "haswell"}
+    run = make_run(
+        ["a"], 20, drawn_from=60, engine=elsewhere, baseline=begun, stop=StopInfo(first=0)
+    )
+    verdict = judge_run([], run, Gate(), against)
+    assert (verdict.verdict, verdict.exit_code, verdict.reasons) == ("INVALID", 5, moved)
 
 
 def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forged(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
 ) -> None:
     run, gate = of_the_baseline_itself(make_run, ran=0.9)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
@@ -215,36 +242,123 @@ def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forg
     assert judged_by(both, rows, run, gate).verdict not in {"PASS", "RAN"}
 
 
+def test_the_bar_rests_on_the_first_trials_alone_and_on_none_that_were_followed(
+    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
+) -> None:
+    run = make_run("ab", 20, drawn_from=60)
+    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    gate = Gate(success_rate=0.8)
+    places = [place for place, (scene, *_) in enumerate(order_of(run)) if scene == "b"]
+    followed = tuple(place for place in places if place >= 12)[:20]
+    judged = [*order_of(run)[:12], *(order_of(run)[place] for place in followed)]
+    count = Counter(scene for scene, *_ in judged)
+    stop = StopInfo(first=12, followed=followed, trials=dict(count))
+    run = run.model_copy(update={"stop": stop})
+    good, bad = (drawn_rows(run, dict.fromkeys("ab", score)) for score in (1.0, 0.0))
+
+    def verdict_on(first: list[Row], rest: list[Row]) -> Verdict:
+        rows = [*first[:12], *(rest[place] for place in followed)]
+        return judge_run(rows, run, gate, against)
+
+    planned = Counter(row.scene for row in good[:12])
+    passing = judge(good[:12], gate, planned, drawn=good[:12])
+    assert passing.verdict == "INCONCLUSIVE"
+    for rest in (good, bad):
+        verdict = verdict_on(good, rest)
+        assert (verdict.interval, verdict.success) == (passing.interval, passing.success)
+        # What was followed is counted scene by scene all the same.
+        assert sum(item.n for item in verdict.per_scene) == 12 + len(followed)
+    low = judge(bad[:12], gate, planned, drawn=bad[:12])
+    assert verdict_on(bad, good).interval == low.interval
+    assert verdict_on(bad, good).verdict == "REGRESSED"
+    # Without a stop all trials bear on it, scene by scene.
+    whole = run.model_copy(update={"stop": None})
+    assert judge_run(good, whole, gate, against).interval.low > passing.interval.low
+
+
+def order_of(run: RunInfo) -> list[Any]:
+    return drawn_order(run, [(name, ()) for name in run.scenes], run.suite["trials"])
+
+
+def test_informational_scenes_bear_on_no_bar_of_a_draw(
+    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
+) -> None:
+    run = make_run(["a", "toy"], 20, drawn_from=60)
+    against = make_against(make_bank(run, {"a": [1.0] * 60, "toy": [1.0] * 60}))
+    gate = Gate(success_rate=0.7, tiers={"toy": "informational"})
+    count = dict.fromkeys(["a", "toy"], 0)
+    for scene, *_ in order_of(run)[:30]:
+        count[scene] += 1
+    run = run.model_copy(update={"stop": StopInfo(first=30, trials=count)})
+    rows = drawn_rows(run, {"a": 1.0, "toy": 0.0}, first=30)
+    verdict = judge_run(rows, run, gate, against)
+    assert (verdict.success, verdict.n) == (1.0, count["a"])
+    alone = [row for row in rows if row.scene == "a"]
+    assert verdict.interval == judge(alone, gate, {"a": count["a"]}).interval
+
+
+@pytest.mark.parametrize("tiers", [{}, {"a": "critical"}, {"b": "informational"}])
+@pytest.mark.parametrize("level", [1.0, 0.75, 0.25, 0.0])
+def test_the_bar_after_each_trial_is_the_bar_of_the_verdict(
+    make_run: Make, drawn_rows: Make, tiers: dict[str, str], level: float
+) -> None:
+    run = make_run("abc", 12, drawn_from=60)
+    gate = Gate(success_rate=0.6, tiers=tiers)
+    rows = drawn_rows(run, {"a": [0.0, 0.5, 1.0] * 20, "b": level, "c": level})
+    words = set[str]()
+    for count in range(1, len(rows) + 1):
+        first = rows[:count]
+        planned = Counter(row.scene for row in first)
+        verdict = judge(first, gate, planned, drawn=first)
+        if verdict.verdict == "INFRASTRUCTURE":
+            assert "critical scene a has no result" in " ".join(verdict.reasons)
+            continue
+        words.add(verdict.verdict)
+        assert word_of_bar(first, gate, list(run.scenes)) == verdict.verdict
+    assert "INCONCLUSIVE" in words
+
+
 def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make, make_control: Make
 ) -> None:
     there = make_run(["a"], 20, drawn_from=60)
     bank = make_bank(there, {"a": [1.0] * 60})
-    begun = BaselineInfo(name="shipped", path="x", sha256="5a" * 32, checked="scores")
+    begun = make_against(bank).info.model_copy(update={"checked": "control"})
     elsewhere = {**there.engine, "cpu": "haswell"}
     run = make_run(["a"], 20, drawn_from=60, engine=elsewhere, baseline=begun)
-    rows = drawn_rows(run, {"a": [1.0] * 20})
-    same_file = Against(info=begun, bank=bank, content=b"")
-    found = judge_run(rows, run, Gate(max_drop=0.2), same_file).against
+    rows = drawn_rows(run, {"a": 1.0})
+    same_file = make_against(bank, make_control(run, bank, {"a": 1.0}))
+    found = judge_run(rows, run, Gate(max_drop=0.3), same_file).against
     assert found is not None
-    assert (found.basis, found.word) == ("sample", "PASS")
+    assert (found.basis, found.word) == ("control", "PASS")
     assert found.curve is not None
-    assert [point.drop for point in found.curve] == [0.0, 0.1, 0.2]
-    other = Against(info=begun.model_copy(update={"sha256": "5b" * 32}), bank=bank, content=b"")
-    with pytest.raises(IncomparableError, match="cpu haswell, the bank's zen 4"):
-        judge_run(rows, run, Gate(max_drop=0.2), other)
+    assert [point.drop for point in found.curve] == [0.0, 0.15, 0.3]
+    other = replace(same_file, info=begun.model_copy(update={"sha256": "5b" * 32}))
+    with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4"):
+        judge_run(rows, run, Gate(max_drop=0.3), other)
 
 
-def test_an_open_run_says_about_how_many_more_rounds_would_settle_it(
-    make_run: Make, make_bank: Make, drawn_rows: Make
+def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
+    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
 ) -> None:
     run = make_run(["a", "b"], 4, drawn_from=60)
-    bank = make_bank(run, dict.fromkeys("ab", [1.0] * 55 + [0.5] * 5))
-    against = Against(
-        info=BaselineInfo(name="shipped", path="x", sha256="5a" * 32), bank=bank, content=b""
-    )
-    verdict = judge_run(drawn_rows(run, dict.fromkeys("ab", [1.0] * 4)), run, Gate(), against)
+    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 55 + [0.5] * 5)))
+    verdict = judge_run(drawn_rows(run, dict.fromkeys("ab", 1.0)), run, Gate(), against)
     assert verdict.verdict == "INCONCLUSIVE"
-    reason = verdict.reasons[1]
-    assert reason.startswith(("an even chance that ", "chance that "))
-    assert reason.endswith("; --resume with more --trials runs them")
+    assert re.fullmatch(
+        r"\d+ more trials decide with \d+ % probability(, \d+ with \d+ %)?; --resume with more "
+        "--trials runs them",
+        verdict.reasons[1],
+    )
+
+
+def test_a_run_whose_control_has_not_begun_misses_trials_and_is_not_refused(
+    make_run: Make, make_bank: Make, make_against: Make
+) -> None:
+    there = make_run(["a"], 20, drawn_from=60)
+    against = make_against(make_bank(there, {"a": [1.0] * 60}))
+    elsewhere = {**there.engine, "cpu": "haswell"}
+    cut = make_run(["a"], 20, drawn_from=60, engine=elsewhere, baseline=against.info)
+    verdict = judge_run([], cut, Gate(), against)
+    assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
+    assert "20 trials missing" in verdict.reasons[0]

@@ -187,7 +187,7 @@ def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
 def test_a_claim_about_the_panel_alone_has_no_control(
     run: RunInfo, beside: Make, drawn_rows: Make
 ) -> None:
-    with pytest.raises(IncomparableError, match="gate.claim is panel"):
+    with pytest.raises(IncomparableError, match=r"gate\.claim is panel"):
         compare(
             drawn_rows(run, PERFECT), run, beside(PERFECT),
             GATE.model_copy(update={"claim": "panel"}),
@@ -208,7 +208,7 @@ def test_rows_of_a_candidate_are_no_control(
 
 
 def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(
-    run: RunInfo, bank: SavedBank, beside: Make
+    bank: SavedBank, beside: Make
 ) -> None:
     control: Control | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
     assert control is not None

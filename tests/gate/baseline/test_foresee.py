@@ -114,15 +114,12 @@ def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
 @pytest.mark.parametrize(
     ("passed", "words"),
     [
-        ((), "the baseline has no more starts: save a larger one"),
-        ((0.2,), "the 1 trial that the baseline has left decides with 20 % probability"),
-        ((0.0, 0.2), "all 2 trials that the baseline has left decide with 20 % probability"),
+        ((), "there is nothing more to run: save a baseline with more starts"),
+        ((0.2,), "1 more trial decides with 20 % probability"),
+        ((0.0, 0.2), "2 more trials decide with 20 % probability"),
         (
             (0.1, 0.5, 0.7),
-            (
-                "2 more trials decide with 50 % probability, all 3 trials that the baseline has "
-                "left with 70 %"
-            ),
+            "2 more trials decide with 50 % probability, 3 with 70 %",
         ),
         ((0.6, 0.8, 0.95), "1 more trial decides with 50 % probability, 3 with 90 %"),
         ((0.1, 0.95), "2 more trials decide with 90 % probability"),

@@ -9,8 +9,6 @@ import pytest
 
 from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.gate.baseline.judge import compare
-from nw_eval.results.bank.against import Against
-from nw_eval.results.provenance import BaselineInfo
 from nw_eval.suite import Gate
 from nw_eval.suite.model import Validity
 
@@ -35,13 +33,15 @@ def gone(rows: Sequence[Row], places: Sequence[int]) -> list[Row]:
 
 
 @pytest.fixture
-def meet(make_run: Make, make_bank: Make, drawn_rows: Make) -> Make:
-    """A candidate's rows in two scenes, by the successes of its rounds, beside a perfect bank."""
+def meet(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
+    """A candidate's rows in two scenes, by the successes of their trials, beside a perfect bank."""
 
-    def make(a: Sequence[float | None], b: Sequence[float | None]) -> Any:
+    def make(
+        a: Sequence[float | None] | float, b: Sequence[float | None] | float, first: int = 40
+    ) -> Any:
         run = make_run(["a", "b"], 20, drawn_from=60)
         bank = make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60})
-        return drawn_rows(run, {"a": a, "b": b}), run, bank
+        return drawn_rows(run, {"a": a, "b": b}, first), run, make_against(bank)
 
     return make
 
@@ -50,12 +50,15 @@ def meet(make_run: Make, make_bank: Make, drawn_rows: Make) -> Make:
 def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(
     meet: Make, success: float
 ) -> None:
-    crashed, run, bank = meet([1.0, None, *[1.0] * 8], [1.0] * 10)
-    known, _, _ = meet([1.0, success, *[1.0] * 8], [1.0] * 10)
+    crashed, run, against = meet([1.0, None, *[1.0] * 58], 1.0)
+    known, _, _ = meet([1.0, success, *[1.0] * 58], 1.0)
+    place = next(place for place, row in enumerate(crashed) if row.status == "error")
     lost, left = (
-        compare(rows, run, bank, gate) for rows, gate in ((crashed, BARE), (gone(known, [1]), GATE))
+        compare(rows, run, against, gate, foresee=True)
+        for rows, gate in ((crashed, BARE), (gone(known, [place]), GATE))
     )
-    assert (left.word, left.rounds, left.interval) == (lost.word, lost.rounds, lost.interval)
+    assert left.trials == 40
+    assert (left.word, left.trials, left.interval) == (lost.word, lost.trials, lost.interval)
     assert left.drop == lost.drop == 0.0
     assert [item.evidence for item in left.scenes] == [item.evidence for item in lost.scenes]
     assert [item.trials for item in left.scenes] == [item.trials for item in lost.scenes]
@@ -63,32 +66,26 @@ def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(
 
 
 def test_no_candidate_passes_or_falls_by_what_left(meet: Make) -> None:
-    rows, run, bank = meet([1.0] * 20, [1.0] * 20)
-    assert compare(rows, run, bank, GATE).word == "PASS"
-    assert compare(gone(rows, range(0, 40, 6)), run, bank, GATE).word == "INCONCLUSIVE"
-    worse, _, _ = meet([0.0] * 3 + [1.0] * 17, [0.0] * 3 + [1.0] * 17)
-    assert compare(worse, run, bank, GATE).word == "REGRESSED"
-    fog = [*range(3), *range(20, 23)]
-    assert compare(gone(worse, fog), run, bank, GATE).word == "INCONCLUSIVE"
+    rows, run, against = meet(1.0, 1.0)
+    assert compare(rows, run, against, GATE).word == "PASS"
+    assert compare(gone(rows, range(0, 40, 6)), run, against, GATE).word == "INCONCLUSIVE"
+    worse = [*meet(0.0, 0.0, 3)[0], *rows[3:]]
+    assert compare(worse, run, against, GATE).word == "REGRESSED"
+    assert compare(gone(worse, range(3)), run, against, GATE).word == "INCONCLUSIVE"
 
 
 def test_over_the_cap_not_even_a_policy_that_always_falls_is_convicted(meet: Make) -> None:
-    rows, run, bank = meet([0.0] * 20, [0.0] * 20)
-    assert compare(rows, run, bank, GATE).word == "REGRESSED"
+    rows, run, against = meet(0.0, 0.0)
+    assert compare(rows, run, against, GATE).word == "REGRESSED"
     far = gone(rows, range(9))
-    found = compare(far, run, bank, GATE)
+    found = compare(far, run, against, GATE)
     assert found.word == "INCONCLUSIVE"
     assert found.reasons[0].startswith("9 of 40 trials left the captured volume, over")
-    against = Against(info=_info(bank), bank=bank, content=b"")
     verdict = judge_run(far, run, GATE, against)
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
     assert sum("over gate.validity.at_most" in reason for reason in verdict.reasons) == 1
 
 
 def test_without_the_key_the_bank_is_met_as_ever(meet: Make) -> None:
-    rows, run, bank = meet([1.0, 0.5] * 10, [1.0] * 20)
-    assert compare(gone(rows, range(15)), run, bank, BARE) == compare(rows, run, bank, BARE)
-
-
-def _info(bank: Any) -> BaselineInfo:
-    return BaselineInfo(name=bank.manifest.name, path="shipped.parquet", sha256="ab" * 32)
+    rows, run, against = meet([1.0, 0.5] * 30, 1.0)
+    assert compare(gone(rows, range(15)), run, against, BARE) == compare(rows, run, against, BARE)

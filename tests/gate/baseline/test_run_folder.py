@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -17,7 +18,7 @@ from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.results.bank.file import write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import BaselineInfo, write_run_info
+from nw_eval.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ def bank(run: RunInfo, make_bank: Make) -> SavedBank:
     return make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60})
 
 
-def like(low: float = 1.0) -> dict[str, list[float]]:
-    return {"a": [low] * 20, "b": [1.0] * 20, "c": [0.5, 1.0] * 10, "d": [1.0] * 20}
+def like(low: float = 1.0) -> dict[str, list[float] | float]:
+    return {"a": low, "b": 1.0, "c": [0.5, 1.0] * 30, "d": 1.0}
 
 
 def gate(*words: str) -> int:
@@ -107,7 +108,7 @@ def test_a_drop_regresses_and_names_the_scene(
     out = capsys.readouterr().out
     assert "report:" not in out
     reasons = " ".join(out.partition("REGRESSED")[2].split())
-    assert "* a fell from 1.00 to 0.25, from waypoint 2 on" in reasons
+    assert "* scene a regressed: 1.00 -> 0.25, from waypoint 2 on" in reasons
     assert "80 trials ran and no bar was judged" in reasons
     # The suite's own margins give way to those that are asked for.
     judged = api.judge(folder, baseline="shipped", max_drop=0.6, tolerate=0.3)
@@ -140,7 +141,7 @@ def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alon
     )
     run = run.model_copy(update={"own_policy": False})
     keep(make_bank(run, {"a": [1.0] * 60}))
-    folder = write_run(run, drawn_rows(run, {"a": [1.0] * 20}))
+    folder = write_run(run, drawn_rows(run, {"a": 1.0}))
     for judged in (api.judge(folder), api.report(folder)):
         assert (judged.verdict.verdict, judged.verdict.against) == ("PASS", None)
         assert judged.verdict.reasons[-1] == (
@@ -158,7 +159,7 @@ def test_the_bank_that_a_suite_names_is_the_default(
 ) -> None:
     run = make_run(["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped"}})
     keep(make_bank(run, {"a": [1.0] * 60}))
-    folder = write_run(run, drawn_rows(run, {"a": [1.0] * 20}))
+    folder = write_run(run, drawn_rows(run, {"a": 1.0}))
     assert api.judge(folder).verdict.against is not None
     assert api.judge(folder, baseline="none").verdict.against is None
     # A report is of the run as it was begun: against nothing.
@@ -193,17 +194,63 @@ def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with
         api.judge(folder)
 
 
-def test_a_machine_on_which_the_baseline_has_moved_makes_a_run_invalid(
+def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(
     run: RunInfo, bank: SavedBank, drawn_rows: Make
 ) -> None:
     keep(bank)
     digest = sha256(BANK.read_bytes()).hexdigest()
-    moved = ("the bank's own policy scores worse here",)
+    moved = ("the bank is not what its own policy does: the same bits, other results",)
     info = BaselineInfo(name="shipped", path=str(BANK.resolve()), sha256=digest, moved=moved)
-    begun = run.model_copy(update={"baseline": info, "stopped_after": 0})
+    begun = run.model_copy(update={"baseline": info, "stop": StopInfo(first=0)})
     judged = api.report(write_run(begun, drawn_rows(run, {})))
     assert (judged.verdict.verdict, judged.exit_code) == ("INVALID", 5)
     assert judged.verdict.reasons == moved
+
+
+def test_a_short_run_shows_the_scenes_that_it_has_not_met(
+    make_run: Make, make_bank: Make, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [f"s{number}" for number in range(9)]
+    run = make_run(names, 20, drawn_from=60, suite={"gate": {"success_rate": 0.5}})
+    keep(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    info = BaselineInfo(
+        name="shipped", path=str(BANK.resolve()), sha256=sha256(BANK.read_bytes()).hexdigest()
+    )
+    rows = drawn_rows(run, dict.fromkeys(names, 0.0), first=2)
+    stop = StopInfo(first=2, trials=dict(Counter(row.scene for row in rows)))
+    folder = write_run(run.model_copy(update={"baseline": info, "stop": stop}), rows)
+    assert gate(folder) == 1
+    judged = api.report(folder).verdict
+    assert (judged.verdict, judged.n, judged.errors) == ("REGRESSED", 2, 0)
+    assert judged.reasons[0].startswith("mean success regressed from the baseline shipped: ")
+    assert not any("missing" in text for text in judged.reasons)
+    assert judged.against is not None
+    unmet = [item.scene for item in judged.against.scenes if item.candidate is None]
+    assert len(unmet) >= 7
+    page = Path("run/report.md").read_text(encoding="utf-8")
+    table = page.partition("## Against the baseline")[2].partition("##")[0]
+    lines = [[cell.strip() for cell in line.split("|")] for line in table.splitlines()]
+    (line,) = [cells for cells in lines if cells[1:2] == unmet[:1]]
+    assert line[2:6] == ["0", "1.000", "none", ""]
+    assert f">{unmet[0]}<" in Path("run/report.html").read_text(encoding="utf-8")
+    assert "nan" not in capsys.readouterr().out.lower()
+
+
+def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentence(
+    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep(bank)
+    folder = write_run(run, drawn_rows(run, like()))
+    written = read_run_info(Path("run/run.json"))
+    assert written.run == 2
+    write_run_info(Path("run/run.json"), written.model_copy(update={"run": 1}))
+    for words in ((folder, "--baseline", "shipped"), (folder,)):
+        assert gate(*words) == 5
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"run {run.id} was drawn round by round by an older nw-eval" in err
+        assert "run it again" in err
+        assert "Traceback" not in err
 
 
 def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
