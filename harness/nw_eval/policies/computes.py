@@ -324,7 +324,8 @@ def _pickled(data: bytes, known: dict[str, str]) -> bytes:
     steps: list[str] = []
     times: Counter[str] = Counter()
     memo: dict[int, str] = {}
-    for opcode, argument, _ in pickletools.genops(data):
+    for opcode, given, _ in pickletools.genops(data):
+        argument: Any = given
         if opcode.name in {"BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"}:
             place = len(memo) if opcode.name == "MEMOIZE" else int(argument)
             is_text = steps[-1].startswith("text ")

@@ -8,7 +8,6 @@ every start (a concurrent control), and the bank's numbers take no part in the c
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
@@ -77,9 +76,9 @@ class Beside:
         self._control: Control | None = None
 
     @property
-    def budget(self) -> int:
-        """How many trials there are to run at most."""
-        return len(self._plan.trials)
+    def order(self) -> list[int]:
+        """Places of all trials that there are to run, in order; of a part of a run, its own."""
+        return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
     def control(self) -> Control | None:
@@ -120,8 +119,6 @@ class Beside:
             )
         if own.interrupted:
             self.is_interrupted = True
-            # The run that this one is beside is to hear of it, too.
-            signal.raise_signal(signal.SIGINT)
             return
         self._control = Control(run=own, rows=control_rows(self._nested, own, self._folder))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -131,7 +132,7 @@ class Contest:
             command=self._command,
             cache=self._cache,
         )
-        beside.run(range(min(CHUNK, beside.budget)))
+        beside.run(beside.order[:CHUNK])
         if beside.is_interrupted:
             return run.model_copy(update={"interrupted": True})
         self._against = replace(self._against, control=beside.control)
@@ -174,7 +175,10 @@ class Contest:
                 lacking = [x for x in now.ahead if x not in beside.places]
                 if lacking and lacking[0] in now.ahead[: worker_count(self._workers, CHUNK)]:
                     beside.run(lacking[:CHUNK])
-                    if not beside.is_interrupted and self._setup is not None:
+                    if beside.is_interrupted:
+                        # The run that it is beside is under way, and is to hear of it too.
+                        signal.raise_signal(signal.SIGINT)
+                    elif self._setup is not None:
                         self._against = replace(self._against, control=beside.control)
                         self._setup = replace(self._setup, against=self._against)
                         continue
