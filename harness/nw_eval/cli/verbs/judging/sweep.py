@@ -16,7 +16,8 @@ class SweepAxes:
     """Run a suite at values of an axis, such as friction or payload, and name where it breaks off.
 
     Writes sweep.md, sweep.png and sweep.parquet. What the suite itself perturbs, its bar and its
-    baseline are left out. Trials that an earlier sweep had are taken over.
+    baseline are left out. Trials that an earlier sweep had are taken over. Where the trials are too
+    few to show even a fall to none, it says how many are needed.
     """
 
     suite: tyro.conf.Positional[str]

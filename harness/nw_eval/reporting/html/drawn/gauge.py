@@ -69,7 +69,8 @@ def _drop(found: Comparison) -> Gauge | None:
     ends = (found.interval.low, found.interval.high, found.max_drop, -found.tolerate, 0.0)
     room = 0.08 * (max(ends) - min(ends))
     return Gauge(
-        title=f"Drop against {found.bank}",
+        title=f"Drop against {found.bank} ({percent_sure(found.alpha_regr)} lower, "
+        f"{percent_sure(found.alpha_pass)} upper)",
         sentence=f"Mean success fell by {found.drop:z.3f}, from {found.baseline:.3f}: by at least "
         f"{found.interval.low:z.3f} ({percent_sure(found.alpha_regr)}) and at most "
         f"{found.interval.high:z.3f} ({percent_sure(found.alpha_pass)}). Up to {found.tolerate:g} "
@@ -91,7 +92,8 @@ def _success(verdict: Verdict) -> Gauge | None:
     bar = () if verdict.bar is None else (Tick(value=verdict.bar, label=f"bar {verdict.bar:g}"),)
     against = "no bar" if verdict.bar is None else f"the bar is {verdict.bar:g}"
     return Gauge(
-        title="Mean success",
+        title=f"Mean success, fresh starts ({confidence(verdict)} lower, {confidence(verdict)} "
+        "upper)",
         sentence=f"Mean success is {verdict.success:.3f}, for fresh starts from "
         f"{verdict.interval.low:.3f} to {verdict.interval.high:.3f} ({confidence(verdict)} each "
         f"side); {against}.",
