@@ -65,8 +65,8 @@ def bisect(
 ) -> BisectedSeries:
     """Find which checkpoint of a series is the first that the gate flags as worse than a good one.
 
-    Each that is asked for is judged against the bank of the good one, in rounds, as `run` does it;
-    the suite's bar is left out, since all of a series may lie on one side of it.
+    Each that is asked for is judged against the bank of the good one, trial by trial, as `run` does
+    it; the suite's bar is left out, since all of a series may lie on one side of it.
 
     Args:
         suite: a suite file or the name of a shipped one.
@@ -83,8 +83,8 @@ def bisect(
         cache: as for `run`.
         listener: hears of the progress of each run.
         progress: hears which checkpoint is judged, and its verdict.
-        changes: of `Request`: scenes, trials (the most rounds), seed, render, time_limit,
-            memory_limit...
+        changes: of `Request`: scenes, trials (the most of each scene, on average), seed, render,
+            time_limit, memory_limit...
 
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.

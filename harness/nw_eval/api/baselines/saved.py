@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
 STARTS = 60
-"""M where nobody says: three times the rounds of a gate, so that fresh starts are covered too."""
+"""M where nobody says: three times the default `gate.rounds`, so a run draws a third at most."""
 
 
 @dataclass(frozen=True, kw_only=True)

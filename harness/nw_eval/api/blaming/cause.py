@@ -162,7 +162,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
 
 
 def _plain(suite: Suite, rounds: int) -> Suite:
-    """Return a suite that judges nothing, with a trial in each scene for each round."""
+    """Return a suite that judges nothing, with so many trials of each scene."""
     from nw_eval.suite.model import Gate
 
     changes = {"gate": Gate.model_validate({}), "record": "none", "trials": rounds}

@@ -224,7 +224,7 @@ def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
 
 
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
-    """Return a suite with the seed of the panel that is met, and the rounds that may be run."""
+    """Return a suite with the seed of the panel that is met, and the trials that may run."""
     from nw_eval.gate.baseline.draw import fresh_seed
     from nw_eval.suite import override
 

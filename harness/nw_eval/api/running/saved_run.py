@@ -94,7 +94,7 @@ def continued(run: Path, request: Request) -> Plan:
 def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
     """Refuse to judge a run by other rules than it was begun with.
 
-    More rounds are no other rules: what is claimed holds at any look.
+    More trials are no other rules: what is claimed holds at any look.
 
     Raises:
         IncomparableError: a setting of the gate is another one; naming each, then and now.

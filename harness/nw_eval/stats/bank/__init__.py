@@ -9,8 +9,7 @@ from nw_eval.stats.bank.curve import (
     progress_at,
     trials_for,
 )
-from nw_eval.stats.bank.decide import SUSPECT, Ruling, decide, most_false_alarms
-from nw_eval.stats.bank.evidence import Evidence, Margins, Values, over_rounds
+from nw_eval.stats.bank.evidence import Margins
 from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.order import order_of_starts, order_of_trials
 from nw_eval.stats.bank.outlook import progress_from
@@ -18,11 +17,13 @@ from nw_eval.stats.bank.panel import Bank
 from nw_eval.stats.bank.simulate import Against
 from nw_eval.stats.bank.trials import (
     CRITICAL_TRIALS,
+    SUSPECT,
     DrawnTrials,
     Looks,
     TrialRules,
     TrialRuling,
     looks,
+    most_false_alarms,
     settle,
     settle_all,
 )
@@ -34,22 +35,17 @@ __all__ = [
     "Bank",
     "CurvePoint",
     "DrawnTrials",
-    "Evidence",
     "Looks",
     "Margins",
     "Progress",
-    "Ruling",
     "TrialRules",
     "TrialRuling",
-    "Values",
-    "decide",
     "drop_interval_after",
     "looks",
     "most_false_alarms",
     "operating_curve",
     "order_of_starts",
     "order_of_trials",
-    "over_rounds",
     "progress_at",
     "progress_from",
     "scene_drop_intervals",

@@ -13,8 +13,7 @@ from hashlib import sha256
 import numpy as np
 
 from nw_eval.stats.bank.curve import REPETITIONS, Progress, progress_of
-from nw_eval.stats.bank.decide import Truths
-from nw_eval.stats.bank.panel import Bank, Floats, Places
+from nw_eval.stats.bank.panel import Bank, Floats, Places, Truths
 from nw_eval.stats.bank.simulate import scores_of
 from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle_all
 from nw_eval.stats.courses import SceneCounts, likely_chances

@@ -2,6 +2,13 @@
 
 There are S scenes with M starts each. b_si is the baseline's success from start i of scene s, B_s
 its mean over the starts of scene s, and B the mean of all B_s; c_si is the candidate's success.
+
+The candidate is judged by c less what is known of the starts' difficulty:
+
+    z_si = c_si - g_si + B,     g_si = B_s + beta (b_si - B_s),     0 <= beta <= 1.
+
+Over the panel the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
+scene z varies less than c as far as the two policies find the same starts hard.
 """
 
 from __future__ import annotations
@@ -14,18 +21,19 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
+Truths = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bank:
-    """What must be known of the whole panel before the first round.
+    """What must be known of the whole panel before the first trial.
 
     Raises:
         ValueError: a mean is not between 0 and 1, there is no scene, or not one start.
     """
 
     means: Floats
-    """B_s, shape (S,); leading axes, if any, are panels that know nothing of each other."""
+    """B_s, shape (S,); leading axes, if any, are of gates apart."""
     starts: float = inf
     """M; infinite for a claim about fresh starts, so that no draw leaves less for the rest."""
     paired: bool = False
@@ -64,20 +72,6 @@ class Bank:
     def mean(self) -> Floats:
         """B, scenes weighted equally."""
         return self.means.mean(axis=-1, keepdims=True)
-
-    def adjusted(self, candidate: Floats, baseline: Floats, beta: float) -> Floats:
-        """Return successes of the candidate less what is known of the starts' difficulty.
-
-        z_si = c_si - g_si + B with g_si = B_s + beta (b_si - B_s). Over the panel the mean of g is
-        B, so that z has the candidate's mean whatever beta is; within a scene z varies less than c
-        as far as the two policies find the same starts hard.
-
-        Args:
-            candidate: c of one round, shape (S,).
-            baseline: b of the same starts, shape (S,).
-            beta: how much of a start's own difficulty is used, from 0 to 1.
-        """
-        return candidate - (self.means + beta * (baseline - self.means)) + self.mean
 
     def least(self, beta: float) -> Floats:
         """Return z_min = B - max_s ((1 - beta) B_s + beta), the least that z can be."""

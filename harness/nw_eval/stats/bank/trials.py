@@ -14,12 +14,16 @@ CRITICAL_TRIALS trials. From there on the order is gone through for trials of th
 how many trials a scene has may depend on anything that is known, so that E_s stays valid, and the
 evidence on the mean takes no part. Waiting makes PASS rarer, and no other error more frequent.
 
+By Ville's inequality a drop of max_drop or more passes with probability at most alpha_pass. One of
+at most `tolerate` is convicted by the mean with at most alpha_regr. If no scene dropped by more
+than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
+
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
 and from the results of those before. Workers may run ahead in the order (`TrialRuling.ahead`); what
 they find beyond the trial that settles it is not judged. So no batch has to be waited for, and the
 number of trials that are judged is the least that there can be.
 
-**Validity.** With M finite, `wealth` has the proof (N = 1, one box of S M numbers): the claim is of
+**Validity.** With M finite, `wealth` has the proof, for one box of S M numbers: the claim is of
 these starts only. With M infinite the null's mean is not moved by what was drawn. Were scenes drawn
 with replacement and starts afresh, that would be the case of M infinite in `wealth`. Pairs are
 drawn without replacement, which makes sums vary less: a product of 1 + k (y - n) / n over t draws
@@ -47,7 +51,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nw_eval.stats.bank.decide import SUSPECT, Truths
 from nw_eval.stats.bank.evidence import (
     DOWN,
     UP,
@@ -57,9 +60,12 @@ from nw_eval.stats.bank.evidence import (
     scene_losses,
     scene_nulls,
 )
-from nw_eval.stats.bank.panel import Bank, Floats, Places, check_successes
+from nw_eval.stats.bank.panel import Bank, Floats, Places, Truths, check_successes
 from nw_eval.stats.bank.wealth import along
 from nw_eval.words import Tier
+
+SUSPECT = 4.0
+"""E_s from which a scene may have fallen."""
 
 CRITICAL_TRIALS = 4
 """Trials of each critical scene, at least, before a PASS. The mean of 64 scenes may pass before
@@ -194,6 +200,9 @@ class TrialRuling:
 
 def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
     """Return the evidence after each trial.
+
+    A baseline that scores less than max_drop in every scene cannot be undercut by so much: E_pass
+    is infinite from the first trial on, and says nothing of the candidate.
 
     Args:
         bank: of the baseline, or `Bank.control`; its means have the leading axes of the trials.
@@ -385,6 +394,37 @@ def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[Trial
     return [found[gate] for gate in range(gates)]
 
 
+def most_false_alarms(
+    *,
+    bar: float | None,
+    bar_critical: bool,
+    baseline: float | None,
+    critical: int,
+    scenes: int,
+) -> float:
+    """Return how often a gate convicts wrongly at most: the sum of what its parts do.
+
+    A policy is convicted wrongly if it is above the bar, in every critical scene too, dropped by
+    `tolerate` at most, and in no critical scene by more than scene_drop. By Boole's inequality the
+    parts together err with the sum of their probabilities at most.
+
+    Args:
+        bar: 1 - confidence of the absolute bar, None without one.
+        bar_critical: whether critical scenes are judged alone by it, which share another of these.
+        baseline: alpha_regr of the gate against a baseline, None without one.
+        critical: scenes of it that convict alone. Each is named wrongly with alpha_regr / S.
+        scenes: S.
+
+    Raises:
+        ValueError: there are more critical scenes than scenes.
+    """
+    if not 0 <= critical <= scenes:
+        raise ValueError(f"{critical} critical scenes of {scenes}")
+    by_bar = 0.0 if bar is None else bar * (2 if bar_critical else 1)
+    by_baseline = 0.0 if baseline is None else baseline * (1 + critical / max(scenes, 1))
+    return min(1.0, by_bar + by_baseline)
+
+
 def above_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
     """Return z - z_min of each trial for each beta, shape (..., T): what PASS is won by."""
     return [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
@@ -396,7 +436,7 @@ def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
 
 
 def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
-    """Return z, shape (..., T): `Bank.adjusted`, of one scene a trial."""
+    """Return z of `panel`, shape (..., T)."""
     if bank.means.ndim == 1:
         means = bank.means[trials.scenes]
     else:

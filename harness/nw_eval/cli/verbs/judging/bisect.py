@@ -35,7 +35,8 @@ class BisectSeries:
     scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
     """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """The most rounds for each checkpoint; those of the suite's gate when absent."""
+    """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
+    when absent."""
     starts: int | None = None
     """Starts in each scene of a bank that is saved; 60 when absent."""
     allow_code: bool = False

@@ -58,8 +58,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
     if basis != "same" and has < needs:
         raise IncomparableError(
-            f"bank {bank.manifest.name} has {has} starts in each scene; {rounds} rounds need "
-            f"{needs}",
+            f"bank {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
             fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
             "--trials",
         )
