@@ -18,12 +18,12 @@ from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bank.against import Control
+from nw_eval.results.bank.against import ControlArm
 from nw_eval.results.provenance import read_run_info
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.engine.rounds import Standing
+    from nw_eval.engine.rounds import RunStanding
     from nw_eval.policies import Bundle
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
@@ -73,7 +73,7 @@ class Beside:
         self._plan = baseline_plan(plan, _bundle(plan, against, run))
         self.places = set[int]()
         """Of what has run."""
-        self._control: Control | None = None
+        self._control: ControlArm | None = None
 
     @property
     def order(self) -> list[int]:
@@ -81,7 +81,7 @@ class Beside:
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
-    def control(self) -> Control | None:
+    def control(self) -> ControlArm | None:
         """What has run so far; None if nothing has."""
         return self._control
 
@@ -120,7 +120,7 @@ class Beside:
         if own.interrupted:
             self.is_interrupted = True
             return
-        self._control = Control(run=own, rows=control_rows(self._nested, own, self._folder))
+        self._control = ControlArm(run=own, rows=control_rows(self._nested, own, self._folder))
 
     def looks_like_the_bank(self) -> bool | tuple[str, ...]:
         """Return whether what has run has the bits of the bank; sentences where it contradicts it.
@@ -138,11 +138,11 @@ class Beside:
             for row in rows
         )
 
-    def _next(self, ended: Mapping[int, Row]) -> Standing:
-        from nw_eval.engine.rounds import Standing
+    def _next(self, ended: Mapping[int, Row]) -> RunStanding:
+        from nw_eval.engine.rounds import RunStanding
 
         places = tuple(sorted(self.places))
-        return Standing(
+        return RunStanding(
             first=0, followed=places, ahead=tuple(place for place in places if place not in ended)
         )
 

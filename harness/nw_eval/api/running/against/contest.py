@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.api.running.plans import rechecks
 from nw_eval.engine.machine.cores import worker_count
-from nw_eval.engine.rounds import Standing
+from nw_eval.engine.rounds import RunStanding
 from nw_eval.errors import IncomparableError
 from nw_eval.gate.absolute import word_of_bar
 from nw_eval.gate.baseline.holding.basis import is_baseline
@@ -156,7 +156,7 @@ class Contest:
         known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
         return run.model_copy(update={"baseline": known})
 
-    def next(self, ended: Mapping[int, Row]) -> Standing:
+    def next(self, ended: Mapping[int, Row]) -> RunStanding:
         """Return how bar and baseline stand, and which trials come next.
 
         The bar and the mean rest on the first trials of the drawn order, all of them. The run ends
@@ -188,14 +188,14 @@ class Contest:
     def _is_controlled(self) -> bool:
         return self._setup is not None and self._setup.basis == "control"
 
-    def _standing(self, ended: Mapping[int, Row]) -> Standing:
+    def _standing(self, ended: Mapping[int, Row]) -> RunStanding:
         setup = self._setup
         assert setup is not None, "a run begins before its first trial ends"
         every, count = range(len(self._plan.trials)), _first_missing(ended)
         if self._all_rounds:
             met = setup.met(list(ended.values()))
             is_met = met.ended(every)
-            return Standing(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
+            return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
         if self._plan.is_baseline:
             return self._of_recheck(ended, setup)
         finding = setup.find(setup.met(list(ended.values())))
@@ -203,17 +203,17 @@ class Contest:
         first = _ends_at(finding, bar)
         if first is None:
             rest = {x for x in every if x not in ended} | set(finding.ahead)
-            return Standing(first=count, ahead=tuple(sorted(rest)))
+            return RunStanding(first=count, ahead=tuple(sorted(rest)))
         missing = [x for x in range(first) if x not in ended]
         passes = finding.word != "REGRESSED" and (bar is None or bar[1] != "REGRESSED")
         has_followed = passes or (finding.followed and finding.followed[-1] >= first)
-        return Standing(
+        return RunStanding(
             first=first,
             followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
             ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
         )
 
-    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> Standing:
+    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
         """Return what comes next of the bank's own policy: some starts of each scene.
 
         Where the bank has not seen the class of machine, and bits are others, the bar is still to
@@ -222,15 +222,15 @@ class Contest:
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
         if missing := tuple(x for x in range(first) if x not in ended):
-            return Standing(first=first, ahead=missing)
+            return RunStanding(first=first, ahead=missing)
         rows = [ended[x] for x in range(first)]
         again = recheck(rows, setup.run, setup.bank)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
-            return Standing(first=first)
+            return RunStanding(first=first)
         bar = self._bar_by(ended, _first_missing(ended))
         if bar is not None:
-            return Standing(first=max(first, bar[0]))
-        return Standing(first=first, ahead=tuple(x for x in every if x not in ended))
+            return RunStanding(first=max(first, bar[0]))
+        return RunStanding(first=first, ahead=tuple(x for x in every if x not in ended))
 
     def _bar_by(self, ended: Mapping[int, Row], count: int) -> tuple[int, Word] | None:
         """Return after how many of the first trials the bar is decided, and how; None if open."""
