@@ -13,7 +13,7 @@ from nw_eval.cards.card import Card
 from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.rounds import Standing, run_trials
+from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.engine.workers.in_process import InProcess
 from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.errors import PolicyError
@@ -316,9 +316,9 @@ def enough_after(first, *, followed=(), ended=0):
     def enough(rows):
         lacking = [place for place in (*range(first), *followed) if place not in rows]
         if not lacking and len(rows) >= ended:
-            return Standing(first=first, followed=followed)
+            return RunStanding(first=first, followed=followed)
         nexts = lacking if followed else range(5)
-        return Standing(first=0, ahead=tuple(place for place in nexts if place not in rows))
+        return RunStanding(first=0, ahead=tuple(place for place in nexts if place not in rows))
 
     return enough
 

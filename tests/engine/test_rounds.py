@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import pytest
 
 from nw_eval.engine.order import in_order
-from nw_eval.engine.rounds import Standing, run_trials
+from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.engine.workers.protocol import Finished
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.row import rows_digest
@@ -129,7 +129,7 @@ class Until:
             first += 1
         is_settled = fallen == self.falls
         nexts = self.followed if is_settled else range(12)
-        return Standing(
+        return RunStanding(
             first=first,
             followed=self.followed if is_settled else (),
             ahead=tuple(place for place in nexts if place not in ended),
@@ -225,7 +225,7 @@ def started(office):
 @pytest.mark.parametrize(("workers", "lot"), [(3, 1), (3, 2), (8, 3), (8, 4), (12, 5)])
 def test_judged_rows_and_the_end_do_not_depend_on_workers_or_on_who_is_faster(go, workers, lot):
     alone = go(Office(), Until(3), workers=1, name="alone")
-    assert alone.enough == Standing(first=7)
+    assert alone.enough == RunStanding(first=7)
     assert sorted(alone.by_place) == [*range(7)], "one worker runs none beyond"
     rule, office = Until(3), Office(lot=lot)
     together = go(office, rule, workers=workers)
@@ -248,7 +248,7 @@ def test_it_is_asked_before_the_first_trial_and_nobody_is_hired_in_vain(go):
     office, rule = Office(), Until(0)
     outcome = go(office, rule)
     assert rule.asked[0] == {}
-    assert (outcome.enough, outcome.rows, outcome.missing) == (Standing(first=0), (), ())
+    assert (outcome.enough, outcome.rows, outcome.missing) == (RunStanding(first=0), (), ())
     assert office.hired == []
 
 
@@ -264,7 +264,7 @@ def test_a_run_that_needs_every_trial_leaves_none_out(go):
 def test_what_still_runs_when_it_is_enough_is_dropped_and_leaves_no_log(go):
     office = Office(slow=(6, 7, 8))
     outcome = go(office, Until(2), workers=4)
-    assert outcome.enough == Standing(first=6)
+    assert outcome.enough == RunStanding(first=6)
     assert set(started(office)) == {*range(9)}
     assert set(outcome.by_place) == {*range(6)}, "the others were running"
     logs = {path.name for path in outcome.folder.path.rglob("*.mcap*")}
@@ -275,7 +275,7 @@ def test_what_still_runs_when_it_is_enough_is_dropped_and_leaves_no_log(go):
 def test_a_trial_that_ended_beyond_what_was_enough_changes_nothing_that_is_judged(go):
     ahead = go(Office({8: [CRASHED, DONE]}, quick=(6, 7, 8), slow=(0,)), Until(2), workers=5)
     assert {6, 7} <= set(ahead.by_place)
-    assert ahead.enough == Standing(first=6)
+    assert ahead.enough == RunStanding(first=6)
     assert judged(ahead) == judged(go(Office(), Until(2), workers=1, name="alone"))
 
 
@@ -283,7 +283,7 @@ def test_places_that_are_followed_run_and_those_between_them_do_not(go):
     office = Office()
     outcome = go(office, Until(2, followed=(8, 11)), workers=1)
     assert started(office) == [0, 1, 2, 3, 4, 5, 8, 11]
-    assert outcome.enough == Standing(first=6, followed=(8, 11))
+    assert outcome.enough == RunStanding(first=6, followed=(8, 11))
     assert (set(outcome.by_place), outcome.missing) == ({*range(6), 8, 11}, ())
     many = go(Office(lot=2), Until(2, followed=(8, 11)), workers=3, name="many")
     assert (many.enough, judged(many)) == (outcome.enough, judged(outcome))
@@ -296,7 +296,7 @@ def test_a_followed_place_that_a_signal_cut_off_is_missing_no_more_once_it_is_re
     office = Office()
     resumed = go(office, rule, workers=1, resume=True)
     assert started(office) == [11]
-    assert resumed.enough == Standing(first=6, followed=(8, 11))
+    assert resumed.enough == RunStanding(first=6, followed=(8, 11))
 
 
 @pytest.mark.parametrize("first", [CRASHED, FAILED])
@@ -307,7 +307,7 @@ def test_the_place_of_an_error_counts_once_it_is_settled(go, first):
     shown = [ended[1] for ended in rule.asked if 1 in ended]
     assert {(row.status, row.attempt) for row in shown} == {("ok", 2)}
     assert shown[0].outcome == ("policy_failed" if first is FAILED else "completed")
-    assert outcome.enough == Standing(first=7)
+    assert outcome.enough == RunStanding(first=7)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 8])
@@ -316,14 +316,14 @@ def test_nothing_further_starts_until_a_trial_that_ended_in_an_error_has_run_aga
     outcome = go(office, Until(3), workers=workers)
     repeated = office.started.index((1, "fresh"))
     assert set(started(office)[:repeated]) <= {*range(1 + workers)}
-    assert outcome.enough == Standing(first=7)
+    assert outcome.enough == RunStanding(first=7)
     assert office.hired[:2] == [(workers, False), (1, True)]
 
 
 def test_an_error_beyond_what_is_enough_is_not_run_again(go):
     office = Office({4: [CRASHED]}, quick=(4,), slow=(0,))
     outcome = go(office, Until(1), workers=5)
-    assert outcome.enough == Standing(first=3)
+    assert outcome.enough == RunStanding(first=3)
     assert office.hired == [(5, False)]
     assert outcome.by_place[4].status == "error"
     assert outcome.missing == ()
@@ -363,7 +363,7 @@ def test_what_a_signal_kept_from_its_second_attempt_has_it_in_a_fresh_process(go
     assert [how for place, how in office.started if place == 3] == ["fresh"]
     assert set(started(office)[: started(office).index(3)]) <= {*range(3 + workers)}
     assert (resumed.by_place[3].outcome, resumed.by_place[3].attempt) == ("policy_failed", 2)
-    assert resumed.enough == Standing(first=7)
+    assert resumed.enough == RunStanding(first=7)
 
 
 @pytest.mark.parametrize("workers", [1, 3])

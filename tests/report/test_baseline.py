@@ -60,9 +60,11 @@ FOUND = Comparison(
     bank="shipped",
     policy="go1-act-rgb",
     basis="panel",
-    claim="panel and fresh",
-    rounds=5,
-    budget=20,
+    claim="fresh",
+    trials=80,
+    budget=320,
+    mean_convicts=True,
+    false_alarm=0.07,
     starts=60,
     baseline=0.925,
     drop=0.25,
@@ -105,7 +107,7 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(pag
     first, _, second, *_ = page(FOUND).splitlines()
     assert first.startswith(
         "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (at least 0.120, at most 0.410) "
-        "in 5 of 20 rounds \u00b7 success 1.000"
+        "in 80 of 320 trials \u00b7 success 1.000"
     )
     assert second.endswith(
         "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
@@ -120,7 +122,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
 ) -> None:
     text = page(FOUND)
     assert table(text) == [
-        ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "fell",
+        ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "regressed",
          "from waypoint"],
         ["hurdles/three_low", "critical", "5", "0.950", "0.400", "0.550", "over `1000000`", "yes",
          "2"],
@@ -128,17 +130,17 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ["toy", "informational", "5", "0.500", "0.000", "0.500", "", "", ""],
     ]  # fmt: skip
     # Two scenes count: each shares half of 1 %.
-    assert "200 names it as fallen (2 scenes share an error of 1 %), and from 4 on a PASS" in text
+    assert "200: reported as regressed (2 scenes share an error of 1 %)." in text
+    assert "4: PASS is held back." in text
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "it speaks of these starts exactly, and of fresh ones in these scenes"),
-        ({"claim": "panel", "starts": 40}, "since 20 rounds would need a bank of 60"),
-        ({"claim": "fresh"}, "a sample of starts (their order was not drawn for this candidate)"),
-        ({"claim": "fresh", "basis": "sample"}, "(this class of machine gives other bits"),
-        ({"claim": "fresh", "basis": "fresh"}, "(the candidate met none of them)"),
+        ({}, "new starts in these scenes: scenes and starts were drawn at random from the"),
+        ({"claim": "panel", "starts": 40}, "the claim is of these starts only"),
+        ({"basis": "control"}, "its policy ran beside the candidate, from the same starts"),
+        ({"basis": "fresh"}, "the candidate met new starts, and the baseline's mean is of 60"),
     ],
 )  # fmt: skip
 def test_every_report_says_of_which_starts_it_speaks(
@@ -146,8 +148,11 @@ def test_every_report_says_of_which_starts_it_speaks(
 ) -> None:
     how_sure = page(replace(FOUND, **changes)).split("## How sure")[1]
     assert words in how_sure.replace("\\", "")
-    assert "a drop of 0.1 or more passes with a probability of at most 5 %" in how_sure
-    assert "1 critical scene can convict alone adds as much again" in how_sure
+    assert (
+        "A drop of 0.1 or more against the baseline passes with probability at most 5 %" in how_sure
+    )
+    assert "in no scene by more than 0.1) with probability at most 7 %" in how_sure
+    assert "The verdict is on this checkpoint, not on its training recipe" in how_sure
 
 
 def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
@@ -162,16 +167,16 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
 def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(
     page: Make,
 ) -> None:
-    again = Recheck(compared=2, ran=2, equal=True, differing=(), settled=True, taken_over=True)
+    again = Recheck(compared=2, ran=2, equal=True, differing=(), taken_over=True)
     same = replace(
-        FOUND, basis="same", word="PASS", rounds=1, drop=None, interval=None, curve=None,
+        FOUND, basis="same", word="PASS", trials=1, drop=None, interval=None, curve=None,
         again=again, reasons=("the same policy",),
     )  # fmt: skip
     text = page(same)
     over = "taken over from the baseline, 2 run again and equal"
     assert text.startswith(f"# PASS \u00b7 baseline shipped is the same policy \u00b7 {over}")
     assert "Results that did not run again are what the baseline's file says." in text
-    assert "Against the baseline a drop" not in text
+    assert "A drop of 0.1 or more" not in text
     other = replace(same, again=replace(again, equal=False, taken_over=False))
     text = page(other)
     assert "2 run again, with other bits, and nothing taken over" in text

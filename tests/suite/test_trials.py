@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import UsageError
 from nw_eval.request import Request
+from nw_eval.results.planned import wanted
+from nw_eval.results.provenance import StopInfo
 from nw_eval.suite import Trial, expand, new_suite, override
-from nw_eval.suite.trials import wanted
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,
@@ -150,21 +151,23 @@ def test_ids_are_unique_whatever_the_grid(values: list[float], trials: int) -> N
     assert len({t.id for t in expanded}) == len(expanded) == 2 * trials * len(values)
 
 
-def test_trials_that_a_bank_draws_are_those_of_their_index_in_the_round_that_draws_them() -> None:
+def test_trials_of_a_drawn_order_are_those_of_their_index_at_their_place() -> None:
     suite = new_suite({**BASE, "perturb": {"friction": (0.5, 1.0)}})
-    cells = suite.perturb.cells
-    starts = {
-        (scene.name, cell): [7 + k, 2, 40 + k]
-        for k, (scene, cell) in enumerate((s, c) for s in (ONE, TWO) for c in cells)
-    }
-    drawn = expand(suite, [ONE, TWO], starts)
-    assert [t.round for t in drawn] == [0] * 4 + [1] * 4 + [2] * 4
-    for t in drawn:
-        assert t.index == starts[t.scene, t.perturbation][t.round]
+    first, second = suite.perturb.cells
+    order = [
+        (ONE.name, second, 40),
+        (TWO.name, first, 2),
+        (ONE.name, second, 7),
+        (ONE.name, first, 7),
+    ]
+    drawn = expand(suite, [ONE, TWO], order)
+    assert [(t.scene, t.perturbation, t.index) for t in drawn] == order
+    assert [t.place for t in drawn] == [0, 1, 2, 3]
     plain = {t.id: t for t in expand(override(suite, Request(trials=50)), [ONE, TWO])}
     for t in drawn:
         same = plain[t.id]
         assert (t.identity, t.seed) == (same.identity, same.seed)
-        assert same.round == same.index
-    assert wanted(drawn, 2) == drawn[:8]
+        assert same.place is None
+    enough = StopInfo(first=1, followed=(2,))
+    assert wanted(drawn, enough) == (drawn[0], drawn[2])
     assert wanted(drawn, None) == drawn

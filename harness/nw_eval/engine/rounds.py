@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
     from nw_eval.words import Arm
 
-    Enough = Callable[[Mapping[int, Row]], "Standing"]
+    Enough = Callable[[Mapping[int, Row]], "RunStanding"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class RunStanding:
     """How a run against a baseline stands, by places in its drawn order."""
 
     first: int
@@ -46,7 +46,7 @@ class RunOutcome:
 
     rows: tuple[Row, ...]  # the latest of every trial that finished, in this run or before
     missing: tuple[str, ...]  # trials that were to be run and have no row, by id
-    enough: Standing | None  # trials that were; None = no trial of the plan was left out
+    enough: RunStanding | None  # trials that were; None = no trial of the plan was left out
     interrupted: signal.Signals | None  # which signal stopped it
     wall_seconds: float
 
@@ -132,7 +132,7 @@ def run_trials(
 
 def _ahead(
     jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
-) -> Standing | None:
+) -> RunStanding | None:
     """Run trials in their drawn order until there are enough.
 
     Workers run ahead in the order, at most one trial each beyond what is known to be judged. Which
@@ -142,9 +142,9 @@ def _ahead(
         What was enough; None if no trial was left out, or a signal came first.
     """
     by_place = {job.trial.place: job for job in jobs}
-    given = set[int]()
+    started = set[int]()
 
-    def standing() -> Standing:
+    def standing() -> RunStanding:
         ended = {
             place: row
             for place, job in by_place.items()
@@ -156,12 +156,12 @@ def _ahead(
         now = standing()
         if not now.ahead:
             return None
-        places = [place for place in now.ahead[: attempts.workers] if place not in given]
-        given.update(places)
+        places = [place for place in now.ahead[: attempts.workers] if place not in started]
+        started.update(places)
         return [by_place[place] for place in places]
 
     while interrupts.requested is None:
-        given.clear()
+        started.clear()
         if not (first := more()):
             break
         attempts.settle(first, interrupts, more)

@@ -30,7 +30,7 @@ from nw_eval.rollout.confined.access import why_off
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from nw_eval.engine.rounds import Enough, Standing
+    from nw_eval.engine.rounds import Enough, RunStanding
     from nw_eval.engine.workers.protocol import Hire
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -258,7 +258,7 @@ def _run(
     )
 
 
-def stop_of(plan: Plan, standing: Standing) -> StopInfo:
+def stop_of(plan: Plan, standing: RunStanding) -> StopInfo:
     """Return what run.json says of the trials that were enough."""
     stop = StopInfo(first=standing.first, followed=standing.followed)
     counts = Counter(trial.scene for trial in wanted(plan.trials, stop))

@@ -163,12 +163,14 @@ class _OnnxDigest:
         for node in self._inside(body, "node", "Node"):
             sources = [scope[name] if name else "" for name in _names(node, "input")]
             targets = _names(node, "output")
-            made = self._node(
+            outputs = self._node(
                 node, sources, [bool(name) for name in targets], versions, scope, depth
             )
             for number, name in enumerate(targets):
                 if name:
-                    scope[name] = made if node.text("op_type") == "Constant" else _id(made, number)
+                    scope[name] = (
+                        outputs if node.text("op_type") == "Constant" else _id(outputs, number)
+                    )
 
     def _node(
         self,
@@ -324,8 +326,8 @@ def _pickled(data: bytes, known: dict[str, str]) -> bytes:
     steps: list[str] = []
     times: Counter[str] = Counter()
     memo: dict[int, str] = {}
-    for opcode, given, _ in pickletools.genops(data):
-        argument: Any = given
+    for opcode, operand, _ in pickletools.genops(data):
+        argument: Any = operand
         if opcode.name in {"BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"}:
             place = len(memo) if opcode.name == "MEMOIZE" else int(argument)
             is_text = steps[-1].startswith("text ")

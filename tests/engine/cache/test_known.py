@@ -8,7 +8,7 @@ from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
 
 from nw_eval.engine.cache.known import KnownTrials
 from nw_eval.engine.machine import interrupts
-from nw_eval.engine.rounds import Standing, run_trials
+from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
@@ -92,7 +92,7 @@ def enough_after(count, trials):
     def enough(ended):
         first = next(place for place in range(count + 1) if place not in ended or place == count)
         nexts = () if first == count else range(trials)
-        return Standing(first=first, ahead=tuple(place for place in nexts if place not in ended))
+        return RunStanding(first=first, ahead=tuple(place for place in nexts if place not in ended))
 
     return enough
 
@@ -196,7 +196,7 @@ def test_the_longest_of_those_that_run_again_comes_first(go):
 def test_in_a_drawn_order_the_first_runs_again_and_later_ones_may(go, workers):
     go("first", trials=100)
     again = go("again", trials=100, first=90, workers=workers, seed=3)
-    assert again.enough == Standing(first=90)
+    assert again.enough == RunStanding(first=90)
     places = [int(name[-3:]) for name in again.office.started]
     assert places[0] in range(workers)
     assert len(places) == len({*places}) == again.info.reexecuted
@@ -207,7 +207,7 @@ def test_in_a_drawn_order_the_first_runs_again_and_later_ones_may(go, workers):
 def test_the_end_and_the_rows_are_those_of_a_run_without_the_cache(go, workers):
     first = go("first", trials=8, first=5)
     again = go("again", trials=8, first=5, workers=workers)
-    assert (first.enough, again.enough) == (Standing(first=5), Standing(first=5))
+    assert (first.enough, again.enough) == (RunStanding(first=5), RunStanding(first=5))
     assert judged(first, 5) == judged(again, 5)
     assert again.missing == ()
     assert len(hits(again)) == 4
@@ -226,7 +226,7 @@ def test_what_still_waits_when_it_is_enough_leaves_no_log_of_the_cache(go):
     go("first", trials=3, results={"flat-a-000": [CRASHED, DONE]})
     crash = {f"flat-a-{i:03d}": [CRASHED] for i in (1, 2)}
     again = go("again", trials=3, first=1, workers=3, results=crash)
-    assert again.enough == Standing(first=1)
+    assert again.enough == RunStanding(first=1)
     assert len(again.office.started) == 2
     assert [path for path in again.folder.cached.rglob("*") if path.is_file()] == []
 
@@ -275,7 +275,7 @@ def test_what_waited_for_a_result_that_differs_runs_before_anything_further(go, 
     go("first", trials=40)
     wrong = {f"flat-a-{i:03d}": [FELL] for i in range(40)}
     again = go("again", trials=40, first=10, workers=workers, results=wrong)
-    assert again.enough == Standing(first=10)
+    assert again.enough == RunStanding(first=10)
     assert hits(again) == []
     assert {row.outcome for row in again.rows} == {"fell"}
     assert len(again.rows) < 10 + workers
@@ -287,7 +287,7 @@ def test_an_errors_trial_holds_a_drawn_order_and_is_compared_when_it_has_run_aga
     go("first", trials=8)
     crash = {f"flat-a-{i:03d}": [CRASHED, DONE] for i in range(8)}
     again = go("again", trials=8, first=5, workers=workers, results=crash)
-    assert again.enough == Standing(first=5)
+    assert again.enough == RunStanding(first=5)
     assert again.office.started[0] == again.office.started[1], "before anything further"
     assert hits(again) == [i for i in range(5) if f"flat-a-{i:03d}" not in again.office.started]
 

@@ -8,7 +8,7 @@ import pytest
 
 from nw_eval.gate.baseline.draw import drawn_order
 from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.against import Against, Control
+from nw_eval.results.bank.against import Against, ControlArm
 from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
 from nw_eval.results.provenance import (
     BaselineInfo,
@@ -182,7 +182,7 @@ def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
 def make_against() -> Callable[..., Against]:
     """A bank as runs are compared with it."""
 
-    def make(bank: SavedBank, control: Control | None = None) -> Against:
+    def make(bank: SavedBank, control: ControlArm | None = None) -> Against:
         info = BaselineInfo(name=bank.manifest.name, path="shipped.parquet", sha256="5a" * 32)
         return Against(info=info, bank=bank, content=b"", control=control)
 
@@ -190,17 +190,17 @@ def make_against() -> Callable[..., Against]:
 
 
 @pytest.fixture
-def make_control() -> Callable[..., Control]:
+def make_control() -> Callable[..., ControlArm]:
     """Trials of a bank's own policy beside a candidate; arguments as for `drawn`."""
 
-    def make(run: RunInfo, bank: SavedBank, scores: Visits, first: int | None = None) -> Control:
+    def make(run: RunInfo, bank: SavedBank, scores: Visits, first: int | None = None) -> ControlArm:
         own = bank.manifest.policy
         policy = PolicyInfo(
             name=own.name, card_digest=own.card_digest, checkpoint_digest=own.checkpoint_digest
         )
         beside = run.model_copy(update={"policy": policy, "drawn_for": run.drawn_by})
         rows = drawn(beside, scores, first)
-        return Control(run=beside, rows=tuple(replace(row, arm="baseline") for row in rows))
+        return ControlArm(run=beside, rows=tuple(replace(row, arm="baseline") for row in rows))
 
     return make
 

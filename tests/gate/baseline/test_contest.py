@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from nw_eval.engine.plan import Plan
-    from nw_eval.engine.rounds import Standing
+    from nw_eval.engine.rounds import RunStanding
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -89,7 +89,7 @@ class Course:
         contest.begin(RunFolder(path=Path("run").resolve()), self.run)
         return contest
 
-    def by_one(self) -> Standing:
+    def by_one(self) -> RunStanding:
         """Return what one worker ends with, that runs what comes next."""
         contest = self.contest()
         ended: dict[int, Row] = {}
@@ -98,7 +98,7 @@ class Course:
         assert set(ended) == {*range(now.first), *now.followed}, "and nothing more"
         return now
 
-    def stopped(self, standing: Standing) -> tuple[list[Row], RunInfo]:
+    def stopped(self, standing: RunStanding) -> tuple[list[Row], RunInfo]:
         """Return the rows that are judged, and run.json once they have ended."""
         places = [*range(standing.first), *standing.followed]
         rows = [self.rows[place] for place in places]

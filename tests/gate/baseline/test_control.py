@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.against import Against, Control
+    from nw_eval.results.bank.against import Against, ControlArm
     from nw_eval.results.provenance import RunInfo
 
     Make = Callable[..., Any]
@@ -197,7 +197,7 @@ def test_a_claim_about_the_panel_alone_has_no_control(
 def test_rows_of_a_candidate_are_no_control(
     run: RunInfo, bank: SavedBank, beside: Make, make_against: Make
 ) -> None:
-    control: Control | None = beside(PERFECT).control
+    control: ControlArm | None = beside(PERFECT).control
     assert control is not None
     for wrong in (
         tuple(replace(row, arm="candidate") for row in control.rows),
@@ -210,7 +210,7 @@ def test_rows_of_a_candidate_are_no_control(
 def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(
     bank: SavedBank, beside: Make
 ) -> None:
-    control: Control | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
+    control: ControlArm | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
     assert control is not None
     assert contradictions(control.rows, bank, bank.panels[0]) == ()
     first = control.rows[0]

@@ -146,7 +146,8 @@ def compared() -> Comparison:
     )  # fmt: skip
     return Comparison(
         word="REGRESSED", bank="shipped", policy="go1-act-rgb", basis="panel", claim="panel",
-        rounds=5, budget=20, starts=20, baseline=0.925, drop=0.2, interval=Interval(0.12, 0.41),
+        trials=10, budget=40, starts=20, mean_convicts=True, false_alarm=0.07,
+        baseline=0.925, drop=0.2, interval=Interval(0.12, 0.41),
         max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
         scenes=(low, high), reasons=("worse than the baseline shipped",),
     )  # fmt: skip

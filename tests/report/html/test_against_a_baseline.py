@@ -24,7 +24,7 @@ def page(make_page: Make, make_row: Make, read: Make, compared: Comparison) -> A
 def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> None:
     assert page.one("h1").text == "REGRESSED"
     assert page.one("ul", class_="facts").all("li")[0].text == (
-        "baseline shipped 0.925, drop 0.200 (at least 0.120, at most 0.410) in 5 of 20 rounds"
+        "baseline shipped 0.925, drop 0.200 (at least 0.120, at most 0.410) in 10 of 40 trials"
     )
     drop = page.all("figure", class_="gauge")[0].one("svg")
     assert drop.attributes["aria-label"] == (
@@ -41,7 +41,7 @@ def test_scenes_are_shown_beside_the_baseline_what_fell_first(page: Any) -> None
     table = page.one("section", id="scenes").all("table")[0]
     header, high, low = table.cells
     assert [name for name in header if name][-8:] == [
-        "tier", "trials", "baseline", "candidate", "drop", "evidence", "fell", "from waypoint",
+        "tier", "trials", "baseline", "candidate", "drop", "evidence", "regressed", "from waypoint",
     ]  # fmt: skip
     assert high[0] == "hurdles/high"
     assert high[-6:] == ["0.950", "0.450", "0.500", "over 1000000", "yes", "2"]

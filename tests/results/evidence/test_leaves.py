@@ -9,7 +9,7 @@ import pytest
 
 from nw_eval.results.evidence import leaves
 from nw_eval.results.evidence.leaves import row_leaf, run_leaf
-from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo, StopInfo
 from nw_eval.results.row import COLUMNS, Row, from_dict, to_dict
 
 
@@ -104,7 +104,7 @@ def bank(**changes: object) -> BaselineInfo:
         {"panel": "fresh"},
         {"drawn_from": 60},
         {"drawn_for": "ab/cd"},
-        {"stopped_after": 3},
+        {"stop": StopInfo(first=3)},
         {"baseline": bank()},
         {"engine": {"mujoco": "4.0.1"}},
     ],

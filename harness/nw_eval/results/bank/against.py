@@ -10,7 +10,7 @@ from nw_eval.results.row import Row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Control:
+class ControlArm:
     """Trials of the bank's own policy that ran beside the candidate, from the same starts."""
 
     run: RunInfo
@@ -25,7 +25,7 @@ class Against:
     bank: SavedBank
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
-    control: Control | None = None
+    control: ControlArm | None = None
     """None where the bank says what its policy does on the machine of the run."""
 
     def of_run(self, info: BaselineInfo) -> Against:

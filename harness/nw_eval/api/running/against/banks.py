@@ -83,14 +83,14 @@ def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
     """
     from nw_eval.api.running.against.baseline_run import control_rows
     from nw_eval.files.inside import what_is
-    from nw_eval.results.bank.against import Control
+    from nw_eval.results.bank.against import ControlArm
     from nw_eval.results.provenance import read_run_info
 
     nested, known = folder.baseline, info.baseline
     if known is None or known.checked != "control" or what_is(nested.run_json) != "file":
         return against
     own = read_run_info(nested.run_json)
-    return replace(against, control=Control(run=own, rows=control_rows(nested, own, folder)))
+    return replace(against, control=ControlArm(run=own, rows=control_rows(nested, own, folder)))
 
 
 def judging_bank(
