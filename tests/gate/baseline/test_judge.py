@@ -538,7 +538,7 @@ def test_a_bank_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
     drawn = make_run(["a"], 20, drawn_from=20)
     few = make_against(make_bank(drawn, {"a": [1.0] * 10}))
     with pytest.raises(
-        IncomparableError, match="has 10 starts in each scene; 20 rounds need 20"
+        IncomparableError, match="has 10 starts in each scene; the run needs 20"
     ) as caught:
         compare([], drawn, few, GATE)
     assert caught.value.exit_code == 5
