@@ -183,6 +183,7 @@ READ = {
 """What reads a path, by verb and option; `place` is a folder whose scene.yaml is a pipe."""
 
 WORDS = {
+    "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
     *("licence", "held_out", "policies fetch policy", "scenes fetch scenes"),
