@@ -87,7 +87,7 @@ def judge(
     success = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
     word, reasons = _compare(bounds, scores, gate, against)
-    if holes := _holes(rows, scores, gate, left_out):
+    if holes := _holes(rows, scores, gate, left_out, is_drawn=drawn is not None):
         word, reasons = "INFRASTRUCTURE", holes
     elif bar.capped:
         word, reasons = "INCONCLUSIVE", [bar.capped]
@@ -208,9 +208,18 @@ def _unseen(scores: Sequence[SceneScore]) -> list[str]:
 
 
 def _holes(
-    rows: Sequence[Row], scores: Sequence[SceneScore], gate: Gate, left_out: Collection[str]
+    rows: Sequence[Row],
+    scores: Sequence[SceneScore],
+    gate: Gate,
+    left_out: Collection[str],
+    *,
+    is_drawn: bool,
 ) -> list[str]:
-    """Return why the run is not complete, in words; nothing if it is."""
+    """Return why the run is not complete, in words; nothing if it is.
+
+    A run that ended before its random order came to a critical scene is complete: what it was
+    REGRESSED by needs none, and a PASS waits for trials of each.
+    """
     reasons: list[str] = []
     if not any(item.planned for item in scores):
         reasons.append("no trials were planned, and nothing can pass without trials")
@@ -227,12 +236,13 @@ def _holes(
         reasons.append(f"{plural(total, 'trial')} missing ({places}); --resume runs them")
     having = [item.scene for item in scores if item.n or item.outside]
     unseen = dict.fromkeys(scene for scene in sorted(left_out) if gate.tier(scene) == "critical")
+    known = [item.scene for item in scores] if is_drawn else having
     # A run of an older nw-eval does not say which scenes of its suite it left out.
     unseen |= dict.fromkeys(
         pattern
         for pattern, tier in gate.tiers.items()
         if tier == "critical"
-        and not any(fnmatchcase(scene, pattern) for scene in (*having, *left_out))
+        and not any(fnmatchcase(scene, pattern) for scene in (*known, *left_out))
     )
     reasons += [
         f"critical scene {scene} has no result, and the suite cannot pass without it"

@@ -100,7 +100,10 @@ def _change(item: SceneDrop) -> str:
 def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
     suspect = [item.name for item in found.scenes if item.stratum in finding.waits_for]
     if suspect:
-        yield f"the mean passes; PASS is held back by {_listed(suspect)}, which may have regressed"
+        yield (
+            f"the mean passes; PASS is held back by {_listed(suspect)}: it may have regressed, or "
+            "is critical and has had too few trials"
+        )
 
 
 def _limits(found: Comparison) -> Iterable[str]:

@@ -15,13 +15,14 @@ def forecast_page(forecast: Forecast) -> str:
     from nw_eval.policies.code_digest import SCOPE
 
     suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
-    most = "at most " if forecast.baseline is not None else ""
     duration = suite.episode.duration
     which = plural(len(scenes), "scene")
     if forecast.left_out:
         all_of_them = plural(len(scenes) + len(forecast.left_out), "scene")
         which = f"{len(scenes)} of the suite's {all_of_them}"
-    count = f"{which}, {most}{scenes[0].trials} in each"
+    count = f"{which}, {scenes[0].trials} in each"
+    if forecast.baseline is not None:
+        count = f"{which}; at most so many, until the verdict is settled"
     if forecast.shard is not None:
         count = f"{forecast.shard}, of {which}"
     width = max(len(scene.name) for scene in scenes)
