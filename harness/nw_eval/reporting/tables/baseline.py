@@ -66,11 +66,15 @@ def _line(item: SceneDrop, *, tiers: bool, alone: bool) -> tuple[str, ...]:
         f"{item.baseline:.3f}",
         "none" if item.candidate is None else f"{item.candidate:.3f}",
         "" if item.drop is None else f"{item.drop:z.3f}",
-        *(("" if item.interval is None else span(item.interval),) if alone else ()),
+        *((_interval(item),) if alone else ()),
         _evidence(item) if item.counts and item.trials else "",
         "yes" if item.named else "",
         "" if item.waypoint is None else str(item.waypoint),
     )
+
+
+def _interval(item: SceneDrop) -> str:
+    return "" if item.interval is None or not item.trials else span(item.interval)
 
 
 def _left(item: SceneDrop) -> Interval | None:

@@ -31,6 +31,8 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         for task, found in groups.items()
     }
     means = {task: float(np.mean([each.mean() for each in groups[task]])) for task in tasks}
+    if not several and verdict.success is not None:
+        means = dict.fromkeys(tasks, verdict.success)
     against = verdict.against is not None
     return Table(
         title="Tasks",
@@ -46,7 +48,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
                 str(sum(len(each) for each in groups[task])),
                 f"{means[task]:.3f}",
                 *((span(bounds[task]),) if several else ()),
-                *(_drop(verdict, _scenes(rows, task)) if against else ()),
+                *(_drop(verdict, _scenes(rows, task) if several else None) if against else ()),
             )
             for task in tasks
         ),
@@ -68,8 +70,16 @@ def _groups(rows: Sequence[Row], task: str) -> list[NDArray[np.float64]]:
     return [np.array(group) for group in groups.values() if group]
 
 
-def _drop(verdict: Verdict, scenes: Sequence[str]) -> tuple[str, str]:
-    """Return what the baseline scores in some scenes, and how much less the candidate does."""
+def _drop(verdict: Verdict, scenes: Sequence[str] | None) -> tuple[str, str]:
+    """Return what the baseline scores in some scenes, and how much less the candidate does.
+
+    Args:
+        verdict: with a comparison.
+        scenes: that were met; None for all of the run, where it is the verdict's own drop.
+    """
+    if (found := verdict.against) is not None and scenes is None and found.drop is not None:
+        return f"{found.baseline:.3f}", f"{found.drop:z.3f}"
+    scenes = scenes or [item.scene for item in verdict.per_scene if item.tier != "informational"]
     items = [] if verdict.against is None else verdict.against.scenes
     items = [item for item in items if item.scene in scenes]
     drops = [item.drop for item in items if item.drop is not None]
