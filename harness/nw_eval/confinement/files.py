@@ -57,6 +57,15 @@ FILES: tuple[StrangersFile, ...] = (
         refused=_ARCHIVE,
     ),
     StrangersFile(
+        kind="any of these checkpoints, for the digest of what it computes "
+        "([gate.md](gate.md#one-candidate-many-files))",
+        read_by="readers of our own, zipfile, json, pickletools",
+        where="the main process",
+        may="give a digest",
+        refused="nothing is run or unpickled; what cannot be read, or is over the limits, counts "
+        "with its SHA-256",
+    ),
+    StrangersFile(
         kind="Python code that a card names",
         read_by="Python",
         where="an open process",
