@@ -22,6 +22,14 @@ _MOST = 16 * 2**20
 _RECHECK = "recheck/"
 
 
+_ROUNDS = "rounds/"
+
+
+def rounds_key(policy: PolicyInfo) -> str:
+    """Return the key by which a baseline's own policy meets as many starts of each scene."""
+    return f"{_ROUNDS}{policy.key}"
+
+
 def recheck_key(seed: int) -> str:
     """Return the key by which the starts that run again of a baseline's own policy are ordered.
 
@@ -224,6 +232,14 @@ class RunInfo(_Saved):
     def drawn_by(self) -> str:
         """By what the order of its starts is drawn, where a bank draws it."""
         return self.drawn_for or self.policy.key
+
+    @property
+    def goes_by_rounds(self) -> bool:
+        """Whether its policy is the baseline's own, and all its trials run: of each scene as many.
+
+        Nothing is compared then, so that no random order is needed.
+        """
+        return self.drawn_for is not None and self.drawn_for.startswith(_ROUNDS)
 
     @property
     def is_recheck(self) -> bool:

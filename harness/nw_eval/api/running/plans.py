@@ -190,12 +190,24 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     """
     from nw_eval.api.verifying.sample import draw
     from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.engine.provenance import policy_info
     from nw_eval.gate.baseline.draw import draw_rounds
-    from nw_eval.results.provenance import recheck_key
+    from nw_eval.results.provenance import recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
     assert plan.against is not None, "the policy of a bank has one"
-    count = rechecks(plan.request)
+    count, starts = rechecks(plan.request), plan.against.bank.manifest.starts
+    strata = _strata(plan.suite, plan.scenes)
+    if all_rounds and plan.shard is None:
+        key = rounds_key(policy_info(plan.bundle))
+        order = draw_rounds(
+            strata, starts, plan.suite.trials, candidate=key, suite_digest=plan.suite.digest
+        )
+        plan = replace(
+            plan,
+            trials=expand(plan.suite, plan.scenes, order),
+            drawn=DrawnOrder(starts=starts, candidate=key),
+        )
     if all_rounds:
         groups: dict[tuple[object, ...], list[str]] = {}
         for trial in plan.trials:
@@ -205,9 +217,8 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         return replace(plan, is_baseline=False, again=again)
     suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
     check_rounds(plan.against, suite.trials, suite.name)
-    starts, key = plan.against.bank.manifest.starts, recheck_key(seed)
+    key = recheck_key(seed)
     drawn = DrawnOrder(starts=starts, candidate=key)
-    strata = _strata(suite, plan.scenes)
     order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
     trials = expand(suite, plan.scenes, order)
     again = frozenset(trial.id for trial in trials[: count * len(strata)])

@@ -57,7 +57,7 @@ def continued(run: Path, request: Request) -> Plan:
             f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
             fix="start a new run without --resume",
         )
-    if info.drawn_for is not None and not info.is_recheck:
+    if info.drawn_for is not None and not (info.is_recheck or info.goes_by_rounds):
         raise IncomparableError(
             f"cannot resume {run}: it meets the starts of another run, as `nw-eval blame` chose",
             fix="ask `nw-eval blame --cause` again; what has run is taken from the cache",
@@ -122,7 +122,9 @@ def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
         return plan
     if info.is_recheck and info.drawn_for is not None:
         return rechecked(plan, int(info.drawn_for.rpartition("/")[2]))
-    if has_begun(folder.journal) and read_journal(folder.journal).rows:  # With --all-rounds.
+    if info.goes_by_rounds:
+        return rechecked(plan, 0, all_rounds=True)
+    if has_begun(folder.journal) and read_journal(folder.journal).rows:  # A part of a run.
         return replace(plan, is_baseline=False)
     return plan
 

@@ -35,7 +35,7 @@ def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[Dr
             fix="run it again",
         )
     order = {"candidate": run.drawn_by, "suite_digest": run.suite_digest}
-    if run.is_recheck and run.drawn_from is not None:
+    if (run.is_recheck or run.goes_by_rounds) and run.drawn_from is not None:
         return draw_rounds(strata, run.drawn_from, rounds, **order)
     if run.drawn_from is None and run.panel == "fresh" and run.baseline is not None:
         return draw_fresh(strata, rounds, **order)
