@@ -26,8 +26,11 @@ _ROUNDS = "rounds/"
 
 
 def rounds_key(policy: PolicyInfo) -> str:
-    """Return the key by which a baseline's own policy meets as many starts of each scene."""
-    return f"{_ROUNDS}{policy.key}"
+    """Return the key by which a baseline's own policy meets as many starts of each scene.
+
+    It follows from its files: they are what says that it is the baseline's own.
+    """
+    return f"{_ROUNDS}{policy.checkpoint_digest}/{policy.card_digest}"
 
 
 def recheck_key(seed: int) -> str:
@@ -231,7 +234,7 @@ class RunInfo(_Saved):
     @property
     def drawn_by(self) -> str:
         """By what the order of its starts is drawn, where a bank draws it."""
-        return self.drawn_for or self.policy.key
+        return (self.drawn_for or self.policy.key).removeprefix(_ROUNDS)
 
     @property
     def goes_by_rounds(self) -> bool:

@@ -196,12 +196,17 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.suite import expand, override
 
     assert plan.against is not None, "the policy of a bank has one"
-    count, starts = rechecks(plan.request), plan.against.bank.manifest.starts
+    count, against = rechecks(plan.request), plan.against
+    starts = against.bank.manifest.starts
     strata = _strata(plan.suite, plan.scenes)
     if all_rounds and plan.shard is None:
         key = rounds_key(policy_info(plan.bundle))
         order = draw_rounds(
-            strata, starts, plan.suite.trials, candidate=key, suite_digest=plan.suite.digest
+            strata,
+            starts,
+            plan.suite.trials,
+            candidate=key.removeprefix("rounds/"),
+            suite_digest=plan.suite.digest,
         )
         plan = replace(
             plan,
@@ -216,7 +221,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         again = frozenset(name for names in drawn_names for name in names)
         return replace(plan, is_baseline=False, again=again)
     suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
-    check_rounds(plan.against, suite.trials, suite.name)
+    check_rounds(against, suite.trials, suite.name)
     key = recheck_key(seed)
     drawn = DrawnOrder(starts=starts, candidate=key)
     order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
