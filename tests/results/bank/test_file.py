@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
 import random
+import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +60,33 @@ def test_a_bank_comes_back_equal_with_panels_perturbations_and_note(
     bank = make_bank(machines=MACHINES, cells=cells, note="before the new gait")
     write_bank(tmp_path / "shipped.parquet", bank)
     assert read_bank(tmp_path / "shipped.parquet") == bank
+
+
+def test_a_bank_is_read_while_another_thread_changes_the_environment(saved: Path) -> None:
+    """A library that is imported meanwhile does: a child that shared it failed with EFAULT."""
+    done = threading.Event()
+
+    def change() -> None:
+        count = 0
+        while not done.is_set():
+            os.putenv(f"NW_EVAL_TEST_{count % 500}", "y" * (count % 300))
+            count += 1
+            if count % 500 == 0:
+                for number in range(500):
+                    os.unsetenv(f"NW_EVAL_TEST_{number}")
+
+    threads = [threading.Thread(target=change) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        banks = [read_bank(saved) for _ in range(6)]
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
+        for number in range(500):
+            os.unsetenv(f"NW_EVAL_TEST_{number}")
+    assert all(bank == reread(saved) for bank in banks)
 
 
 def test_equal_banks_give_equal_bytes_whatever_order_their_manifest_was_made_in(

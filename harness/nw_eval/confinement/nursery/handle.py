@@ -16,7 +16,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.confinement.environment import child_environment
+from nw_eval.confinement.environment import environment_of_child
 from nw_eval.confinement.family import interrupts_blocked
 from nw_eval.confinement.nursery.process import Circumstances, Wish, serve
 
@@ -50,13 +50,14 @@ class Nursery:
         start = f"from {serve.__module__} import begin; "
         start = f"from nw_eval.files.lifeline import hold; hold({life.fileno()}); {start}"
         start = f"import sys; sys.path[:] = {sys.path!r}; {start}"
-        with theirs, life, child_environment(), interrupts_blocked():
+        with theirs, life, interrupts_blocked():
             self._process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
                 [sys.executable, "-P", "-c", f"{start}begin({theirs.fileno()}, {life.fileno()})"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(), life.fileno()),
+                env=environment_of_child(),
             )
 
     def __del__(self) -> None:

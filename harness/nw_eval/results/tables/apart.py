@@ -17,6 +17,7 @@ from tempfile import TemporaryFile
 from typing import Any
 
 from nw_eval.clean import clean
+from nw_eval.confinement.environment import inherited
 from nw_eval.errors import StoreError
 
 _SECONDS = 60.0
@@ -48,6 +49,7 @@ def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
                 stdout=written,
                 stderr=subprocess.DEVNULL,
                 timeout=_SECONDS,
+                env=inherited(),  # A thread may call this.
                 check=False,
             )
         except subprocess.TimeoutExpired:
