@@ -118,7 +118,7 @@ from nw_eval.gate.ledger.report import LedgerReport
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.hub.fetched import Fetched
-from nw_eval.onboarding.probe.rows import ProbeReport
+from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.request import Request
 from nw_eval.results.bank import SavedBank

@@ -335,7 +335,7 @@ def _open_bundle(folder, file):
 
 
 def _inspect(folder):
-    from nw_eval.onboarding.reading.facts import inspect_checkpoint
+    from nw_eval.onboarding.checkpoint import inspect_checkpoint
 
     (path,) = folder.iterdir()
     return inspect_checkpoint(path)

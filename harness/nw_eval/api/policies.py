@@ -12,7 +12,7 @@ from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
     from nw_eval.cards.file.listing import ListedPolicy
-    from nw_eval.onboarding.probe.rows import ProbeReport
+    from nw_eval.onboarding.probe.report import ProbeReport
     from nw_eval.onboarding.probe.summary import CardSummary
 
 
@@ -93,8 +93,7 @@ def check_policy(
         SceneError: there is no such scene.
     """
     from nw_eval.catalogue import brought, parse_reference
-    from nw_eval.onboarding.probe.report import probe_policy
-    from nw_eval.onboarding.probe.rows import FLAT
+    from nw_eval.onboarding.probe.report import FLAT, probe_policy
     from nw_eval.policies import load_bundle
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
@@ -125,8 +124,7 @@ def init_policy(
     from nw_eval.cards.file.load import CARD_FILE
     from nw_eval.files.cache import atomic_path, followed
     from nw_eval.files.inside import what_is
-    from nw_eval.onboarding.drafting.draft import draft_of
-    from nw_eval.onboarding.reading.beside import files_beside
+    from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 

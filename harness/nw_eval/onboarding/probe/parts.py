@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.cards.terms import AnyTerm, Constant, term_size
-from nw_eval.onboarding.variants.written import settings
+from nw_eval.onboarding.notation import settings
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors import ObservationSpec
 from nw_eval.sensors.body.proprio import Proprio

@@ -9,7 +9,7 @@ from nw_eval.cli.text.table import aligned
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.onboarding.probe.rows import (
+    from nw_eval.onboarding.probe.report import (
         ProbedCommand,
         ProbedJoint,
         ProbedOutput,

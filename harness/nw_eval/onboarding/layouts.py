@@ -1,13 +1,15 @@
-"""Published layouts of one frame of the body's numbers, and what their trainings say of motors.
+"""Published layouts of what policies see, and what their trainings say of motors.
 
-From the training code itself, read as data: leggedrobotics/legged_gym, OpenRobotLab/HIMLoco and
-fan-ziqi/rl_sar, Genesis-Embodied-AI/Genesis (examples/locomotion), fan-ziqi/robot_lab,
-unitreerobotics/unitree_rl_lab, isaac-sim/IsaacLab (velocity tasks), google-deepmind/
-mujoco_playground (Go1 joystick).
+Frames of the body's numbers are from the training code itself, read as data:
+leggedrobotics/legged_gym, OpenRobotLab/HIMLoco and fan-ziqi/rl_sar, Genesis-Embodied-AI/Genesis
+(examples/locomotion), fan-ziqi/robot_lab, unitreerobotics/unitree_rl_lab, isaac-sim/IsaacLab
+(velocity tasks), google-deepmind/mujoco_playground (Go1 joystick).
 """
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,7 +17,6 @@ from nw_eval.cards.observations.heights import GridOrder
 
 Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
 """Simulators whose users export alike."""
-
 _LEGS = ("FL", "FR", "RL", "RR")
 _KINDS = ("hip", "thigh", "calf")
 LEG_BY_LEG = tuple(f"{leg}_{kind}" for leg in _LEGS for kind in _KINDS)
@@ -24,7 +25,6 @@ TYPE_BY_TYPE = tuple(f"{leg}_{kind}" for kind in _KINDS for leg in _LEGS)
 """The same in Isaac Lab: hips of all legs first."""
 RIGHT_FIRST = tuple(f"{leg}_{kind}" for leg in ("FR", "FL", "RR", "RL") for kind in _KINDS)
 """As Unitree's motors are counted."""
-
 _STRAIGHT_HIPS = "{hip: 0, thigh: 0.8, calf: -1.5}"
 _CLIPPED = "{term: last_output, clipped: true}"
 _LIN_VEL = "{term: lin_vel, scale: 2.0}"
@@ -93,7 +93,6 @@ _LAB = Frame(
     size=48,
     terms=("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
 )
-
 FRAMES: tuple[Frame, ...] = (
     Frame(
         name="parkour53",
@@ -197,3 +196,81 @@ def frames_of(size: int) -> tuple[tuple[Frame, int], ...]:
     fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
     fits = [fit for fit in fits if 1 <= fit[1] <= 20]
     return tuple(sorted(fits, key=lambda fit: (fit[1], fit[1] != fit[0].steps)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanGuess:
+    """A grid of heights, and who measures it so."""
+
+    source: str
+    x: int
+    """Points ahead."""
+    y: int
+    """Points to the left."""
+
+    @property
+    def size(self) -> int:
+        """Points of the grid."""
+        return self.x * self.y
+
+
+ISAAC_LAB = "Isaac Lab"
+PARKOUR = ScanGuess(source="extreme-parkour", x=12, y=11)
+SCANS: tuple[ScanGuess, ...] = (
+    ScanGuess(source=ISAAC_LAB, x=17, y=11),
+    PARKOUR,
+    ScanGuess(source=ISAAC_LAB, x=21, y=11),
+)
+TERM_OF: dict[str, tuple[str, int]] = {
+    "base_lin_vel": ("lin_vel", 3),
+    "base_ang_vel": ("ang_vel", 3),
+    "projected_gravity": ("gravity", 3),
+    "velocity_commands": ("command", 3),
+    "velocity_command": ("command", 3),
+    "commands": ("command", 3),
+    "command": ("command", 3),
+    "twist": ("command", 3),
+    "joint_pos": ("joint_pos", 12),
+    "joint_pos_rel": ("joint_pos", 12),
+    "dof_pos": ("joint_pos", 12),
+    "joint_vel": ("joint_vel", 12),
+    "joint_vel_rel": ("joint_vel", 12),
+    "dof_vel": ("joint_vel", 12),
+    "actions": ("last_output", 12),
+    "action": ("last_output", 12),
+    "last_action": ("last_output", 12),
+    "last_actions": ("last_output", 12),
+    "prev_actions": ("last_output", 12),
+}
+"""Names that mjlab and Isaac Lab give to observation terms, with our term and its size."""
+
+_SCAN = re.compile(r"scan|height_?map|elevation|^(measured_|terrain_)?heights$", re.IGNORECASE)
+_NO_SCAN = re.compile(r"foot|feet|lidar|laser", re.IGNORECASE)
+
+
+def is_scan(name: str) -> bool:
+    """Return whether an input or a term of this name holds heights of the ground."""
+    return bool(_SCAN.search(name)) and not _NO_SCAN.search(name)
+
+
+def scan_of(size: int) -> ScanGuess | None:
+    """Return the known grid of `size` points, or one of similar sides; None where there is none."""
+    for scan in SCANS:
+        if scan.size == size:
+            return scan
+    sides = [(size // y, y) for y in range(1, 501) if size % y == 0 and 1 <= size // y <= 500]
+    if not sides:
+        return None
+    x, y = min(sides, key=lambda xy: abs(math.log(xy[0] / xy[1] / 1.5)))
+    return ScanGuess(source="a guess", x=x, y=y)
+
+
+def frames_before_a_scan(size: int) -> tuple[tuple[tuple[Frame, int], ...], ScanGuess | None]:
+    """Return known frames that make `size` numbers together with a known grid after them.
+
+    Frames of those who measure the grid come first.
+    """
+    for scan in SCANS:
+        if frames := frames_of(size - scan.size):
+            return tuple(sorted(frames, key=lambda fit: scan.source not in fit[0].source)), scan
+    return (), None
