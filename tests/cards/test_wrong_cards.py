@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from nw_eval import api
 from nw_eval.cards import Card, load_card
 from nw_eval.cards.joints import joint_values
-from nw_eval.cli.text.parts.probe import probe_page
+from nw_eval.cli.verbs.policies import probe_page
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.notation import changed_lines, flow, per_joint
 from nw_eval.onboarding.probe.hypotheses import turned_cards

@@ -48,7 +48,7 @@ ELSEWHERE = {
     "rollout/replaying/film/encoder.py": "runs confined, in a scratch folder",
     "api/blaming/exchange.py": "writes into a temporary folder",
     "api/running/evidence/kept.py": "marks a file of the cache as used",
-    "cli/terminal/streams.py": "opens the null device in place of a closed stream",
+    "cli/process.py": "opens the null device in place of a closed stream",
     "confinement/family.py": "opens the null device",
     "engine/machine/output.py": "appends to what `open_own` opened",
     "splat/files/spz.py": "is given the temporary path by `write_splat`",
