@@ -37,7 +37,7 @@ ELSEWHERE = {
     "learn/student/data/trajectory.py": "writes a part file in its own data folder and renames it",
     "machine_code/mark.py": "marks a folder of the cache",
     "policies/onnx/fold.py": "runs confined, in a scratch folder, and may not set rights",
-    "pytest_plugin/lock.py": "holds a lock, and writes nothing",
+    "pytest_plugin/runs.py": "holds a lock, and writes nothing",
     "reporting/github/runner.py": "appends to a file of GitHub's runner",
     "reporting/trackers/mlflow.py": "writes into a temporary folder",
     "results/journal/journal.py": "appends, under a lock, to what `open_own` opened",

@@ -1,17 +1,25 @@
-"""What a failing test shows: the verdict, the table and the replay command, the reason first."""
+"""What a session of pytest shows of suites.
+
+A failing test shows the verdict, the table and the replay command, the reason first; a JUnit test
+case has properties besides; and each suite has a line at the end of the session, wherever its tests
+ran.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from io import StringIO
 from typing import TYPE_CHECKING
+
+import pytest
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
     from nw_eval.reporting.scene_states import SceneState
     from nw_eval.reporting.tables import Table
     from nw_eval.results.row import Row
+
 
 _WIDTH = 10_000
 """Columns: a sentence stays on its line, whose first one stands in summaries and in JUnit."""
@@ -62,3 +70,52 @@ def _text(judged: RunReport, tables: Sequence[Table], rows: Sequence[Row]) -> st
         line = f"report: {judged.typed_page}{both}"
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
+
+
+_Properties = list[tuple[str, object]]
+
+
+def verdict_properties(judged: RunReport) -> _Properties:
+    """Return those of the verdict: its figures, where they come from, and where the page is."""
+    from nw_eval.reporting.headline import headline
+    from nw_eval.reporting.junit.properties import run_properties
+
+    return [
+        *run_properties(judged.info, judged.verdict).items(),
+        ("headline", headline(judged.verdict, judged.info)),
+        ("report", str(judged.typed_page or judged.typed_folder)),
+    ]
+
+
+def scene_properties(judged: RunReport, state: SceneState) -> _Properties:
+    """Return those of a scene: its figures, and those of the run that they come from."""
+    from nw_eval.reporting.junit.properties import scene_properties as of_scene
+    from nw_eval.reporting.tables.trials import worst_trials
+
+    rows = [row for row in judged.rows if row.scene == state.scene]
+    return [
+        *of_scene(state, rows, worst_trials(rows)).items(),
+        ("run", judged.info.id),
+        ("report", str(judged.typed_page or judged.typed_folder)),
+    ]
+
+
+def write_last_lines(
+    terminal: pytest.TerminalReporter, verdicts: Iterable[pytest.TestReport]
+) -> None:
+    """Write each suite's verdict and where its page is.
+
+    Args:
+        terminal: where to.
+        verdicts: reports of verdicts' tests, and of whatever else is called like them.
+    """
+    lines: dict[str, str] = {}
+    for report in verdicts:
+        properties = dict(report.user_properties)
+        if "headline" in properties:
+            suite = report.nodeid.removesuffix("::verdict")
+            lines[suite] = f"{properties['headline']} · report: {properties['report']}"
+    if lines and terminal.config.get_verbosity() >= 0:
+        terminal.write_sep("-", "nw-eval")
+        for suite, line in sorted(lines.items()):
+            terminal.write_line(f"{suite}: {line}")
