@@ -40,7 +40,7 @@ from nw_eval.policies.remote.client import RemoteOptions
 from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.sensors import check_card
-from nw_eval.sensors.ground.heights import grid
+from nw_eval.sensors.heights import grid
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()

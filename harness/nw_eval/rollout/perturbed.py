@@ -26,7 +26,7 @@ from nw_eval.errors import UsageError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.mounting import remounted
 from nw_eval.rollout.episode.pushes import Pushes
-from nw_eval.sensors.place import CLEAR, Air
+from nw_eval.sensors.sensor import CLEAR, Air
 from nw_eval.sim import Actuators
 from nw_eval.suite.perturb import NEUTRAL
 

@@ -23,6 +23,6 @@ BuiltInObservation = (
     | LidarObservation
     | DirectionObservation
 )
-"""What measures each of them stands in `sensors.pipeline`."""
+"""What measures each of them stands in `sensors.build`."""
 
 BUILT_IN_SENSORS = names_of(BuiltInObservation, "sensor")

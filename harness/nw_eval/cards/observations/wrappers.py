@@ -160,7 +160,7 @@ BuiltInWrapper = (
     | Channels
     | Flatten
 )
-"""The table of built-in wrappers; what makes each of them stands in `sensors.wrappers.make`."""
+"""The table of built-in wrappers; what makes each of them stands in `sensors.wrappers`."""
 
 BUILT_IN_WRAPPERS = names_of(BuiltInWrapper, "wrapper")
 

@@ -14,9 +14,9 @@ from nw_eval.cards.terms import AnyTerm, Constant, term_size
 from nw_eval.onboarding.notation import settings
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors import ObservationSpec
-from nw_eval.sensors.body.proprio import Proprio
-from nw_eval.sensors.body.terms import fixed_values
-from nw_eval.sensors.wrappers.wrapper import Shot
+from nw_eval.sensors.proprio import Proprio
+from nw_eval.sensors.sensor import Shot
+from nw_eval.sensors.terms import fixed_values
 
 
 @dataclass(frozen=True, kw_only=True)

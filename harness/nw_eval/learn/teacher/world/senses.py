@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations.heights import ScandotsObservation
 from nw_eval.learn.teacher.world.body import Bodies, Robots
 from nw_eval.learn.teacher.world.heights import read_scandots
-from nw_eval.sensors.ground.heights import grid
+from nw_eval.sensors.heights import grid
 
 Array = NDArray[np.float64]
 
