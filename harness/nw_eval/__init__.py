@@ -112,7 +112,7 @@ _ROOMS = MappingProxyType(
             "write_site",
         ),
         "cards.card": ("Card",),
-        "cards.file.listing": ("ListedPolicy",),
+        "cards.load": ("ListedPolicy",),
         "engine.forecast": ("Forecast",),
         "engine.plan": ("Plan",),
         "errors": (

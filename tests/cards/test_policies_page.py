@@ -22,10 +22,15 @@ from onnx import TensorProto, helper, numpy_helper
 from nw_eval.cards import Card, load_card
 from nw_eval.cards.checkpoint import ADAPTERS
 from nw_eval.cards.control import Control
-from nw_eval.cards.observations import BUILT_IN_SENSORS, BaseObservation, ProprioObservation
-from nw_eval.cards.observations.cameras import SplatRgbObservation
-from nw_eval.cards.observations.heights import HeightmapObservation, ScandotsObservation
-from nw_eval.cards.observations.proprio import History
+from nw_eval.cards.observations import (
+    BUILT_IN_SENSORS,
+    BaseObservation,
+    HeightmapObservation,
+    History,
+    ProprioObservation,
+    ScandotsObservation,
+    SplatRgbObservation,
+)
 from nw_eval.cards.terms import (
     Acceleration,
     AnyTerm,

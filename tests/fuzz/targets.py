@@ -351,7 +351,7 @@ def _tensors(folder):
 
 
 def _card(folder):
-    from nw_eval.cards.file.load import load_card
+    from nw_eval.cards.load import load_card
     from nw_eval.robots import get_robot
     from nw_eval.sensors import check_card
 

@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from nw_eval.cards.observations.heights import GridOrder
+from nw_eval.cards.observations import GridOrder
 
 Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
 """Simulators whose users export alike."""

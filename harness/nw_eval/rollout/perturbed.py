@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Card
-from nw_eval.cards.observations import AnyObservation
-from nw_eval.cards.observations.cameras import (
+from nw_eval.cards.observations import (
+    AnyObservation,
     DepthObservation,
     SemanticsObservation,
     SplatRgbObservation,
 )
-from nw_eval.cards.observations.wrappers import Noise
+from nw_eval.cards.wrappers import Noise
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.mounting import remounted

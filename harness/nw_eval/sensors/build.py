@@ -19,15 +19,18 @@ from numpy.typing import NDArray
 from nw_eval.arrays import pack, read_only, unpack
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.cards.observations import AnyObservation, PluginObservation, ProprioObservation
-from nw_eval.cards.observations.cameras import (
+from nw_eval.cards.observations import (
+    AnyObservation,
     DepthObservation,
+    DirectionObservation,
+    HeightmapObservation,
+    LidarObservation,
+    PluginObservation,
+    ProprioObservation,
+    ScandotsObservation,
     SemanticsObservation,
     SplatRgbObservation,
 )
-from nw_eval.cards.observations.direction import DirectionObservation
-from nw_eval.cards.observations.heights import HeightmapObservation, ScandotsObservation
-from nw_eval.cards.observations.lidar import LidarObservation
 from nw_eval.memory import Arrays
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec

@@ -12,7 +12,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.heights import (
+from nw_eval.cards.observations import (
     Axis,
     GridOrder,
     HeightmapObservation,

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations import PluginObservation
-from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS, distribution, installed, is_code
-from nw_eval.cards.observations.wrappers import PluginWrap
+from nw_eval.cards.plugins import SENSORS, WRAPPERS, distribution, installed, is_code
+from nw_eval.cards.wrappers import PluginWrap
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.files.importable import importable
 from nw_eval.memory import Arrays

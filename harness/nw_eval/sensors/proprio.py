@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 from nw_eval.arrays import read_only
 from nw_eval.cards.command import Command
 from nw_eval.cards.joint_control import JointControl
-from nw_eval.cards.observations import History, ProprioObservation, selected_indices
-from nw_eval.cards.observations.direction import DirectionObservation
+from nw_eval.cards.observations import (
+    DirectionObservation,
+    History,
+    ProprioObservation,
+    selected_indices,
+)
 from nw_eval.cards.terms import AnyTerm, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.memory import Arrays

@@ -8,8 +8,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.cameras import DepthObservation, SemanticsObservation
-from nw_eval.cards.observations.lidar import LidarObservation
+from nw_eval.cards.observations import DepthObservation, LidarObservation, SemanticsObservation
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.drawing.cones import TrailCones

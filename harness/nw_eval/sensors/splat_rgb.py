@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.cameras import SplatRgbObservation
+from nw_eval.cards.observations import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
 from nw_eval.scenes.captures import Nearness

@@ -14,7 +14,7 @@ from typing import Literal, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import wrappers
+from nw_eval.cards import wrappers
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.memory import Arrays
 from nw_eval.sensors.plugins import foreign_wrapper

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from nw_eval import api
-from nw_eval.cards.file.load import load_card
+from nw_eval.cards.load import load_card
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.onboarding.draft import write_card_draft

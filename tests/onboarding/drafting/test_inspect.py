@@ -12,7 +12,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from nw_eval.cards.file.load import load_card
+from nw_eval.cards.load import load_card
 from nw_eval.cards.terms import term_size
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.checkpoint import inspect_checkpoint

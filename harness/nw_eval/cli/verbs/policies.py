@@ -16,7 +16,7 @@ from nw_eval.cli.terminal.lines import aligned
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.cards.file.listing import ListedPolicy
+    from nw_eval.cards.load import ListedPolicy
     from nw_eval.onboarding.probe.report import (
         ProbedCommand,
         ProbedJoint,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.cards.file.load import card_of
+from nw_eval.cards.load import card_of
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.learn.program.config import load_config
 from nw_eval.learn.program.curve import Curve

@@ -6,7 +6,7 @@ import re
 from hashlib import sha256
 from pathlib import Path
 
-from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.cards.load import CARD_FILE
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.program.folder import TrainFolder, read_state
 from nw_eval.learn.teacher.ppo.networks import Actor

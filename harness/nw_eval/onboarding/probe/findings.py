@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.cards import Card
 from nw_eval.cards.inputs import resolve_inputs
 from nw_eval.cards.joints import short_name
-from nw_eval.cards.observations import ProprioObservation
-from nw_eval.cards.observations.cameras import SplatRgbObservation
+from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.onboarding.probe.following import Followed, stands_still
 from nw_eval.onboarding.probe.parts import Part
 from nw_eval.onboarding.probe.recording import STUMBLES, Recording

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.heights import ScandotsObservation
+from nw_eval.cards.observations import ScandotsObservation
 from nw_eval.learn.teacher.world.body import Bodies, Robots
 from nw_eval.learn.teacher.world.heights import read_scandots
 from nw_eval.sensors.heights import grid

@@ -1,18 +1,20 @@
-"""Cards as files: read, validated, and checked against the robot, every fault with its place."""
+"""Cards as files: read, validated, and checked against the robot; which there are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from pydantic import ValidationError
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.file.inputs import input_problems
-from nw_eval.cards.file.joints import joint_problems
+from nw_eval.cards.problems import input_problems, joint_problems
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
+from nw_eval.files.json_schema import json_schema_of
+from nw_eval.files.shipped import available, shipped
 from nw_eval.files.yaml_file import (
     Location,
     YamlFile,
@@ -105,3 +107,57 @@ def _locations(value: Any, above: Location) -> Iterator[Location]:
         items = enumerate(cast("Sequence[Any]", value))
     for key, item in items:
         yield from _locations(item, (*above, key))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedPolicy:
+    """A policy that can be asked for by name, as far as its card can be read."""
+
+    name: str
+    card: Path
+    robot: str = ""
+    adapter: str = ""
+    title: str = ""
+    networks: tuple[str, ...] = ()
+    """What feeds the checkpoint, by name."""
+    missing: str | None = None
+    """Where people get the weights that are not here; empty if the card does not say; None if all
+    of them are here."""
+    problem: str | None = None
+    """The first of what is wrong with the card; then nothing else of it is known."""
+
+
+def list_cards(search: Path | None = None) -> tuple[ListedPolicy, ...]:
+    """Return the shipped bundles, those of the project, and the example cards, by name.
+
+    Args:
+        search: the project folder, by default the working directory.
+    """
+    cards = {name: folder / CARD_FILE for name, folder in available("policies", search).items()}
+    examples = shipped("policies") / "examples"
+    cards |= {f"examples/{path.parent.name}": path for path in examples.glob(f"*/{CARD_FILE}")}
+    return tuple(_listed(name, path) for name, path in sorted(cards.items()))
+
+
+def _listed(name: str, path: Path) -> ListedPolicy:
+    try:
+        card = load_card(path)
+    except PolicyError as error:
+        return ListedPolicy(name=name, card=path, problem=str(error).splitlines()[0])
+    named = [network.checkpoint for network in card.networks.values()]
+    weights = named if card.checkpoint is None else [card.checkpoint, *named]
+    absent = [file for file in weights if not (path.parent / file.file).is_file()]
+    return ListedPolicy(
+        name=name,
+        card=path,
+        robot=card.robot,
+        adapter=card.adapter,
+        title=card.title,
+        networks=tuple(card.networks),
+        missing=(absent[0].source or "") if absent else None,
+    )
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a policy card."""
+    return json_schema_of(Card)

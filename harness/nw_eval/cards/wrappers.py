@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from nw_eval.cards.model import CardModel, Limits
-from nw_eval.cards.observations.named_union import NamedBy, names_of
-from nw_eval.cards.observations.plugins import WRAPPERS, known_or_raise
+from nw_eval.cards.plugins import WRAPPERS, NamedBy, known_or_raise, names_of
 
 Pixels = Annotated[int, Field(ge=0, le=4096)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
