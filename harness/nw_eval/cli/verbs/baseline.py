@@ -354,9 +354,9 @@ def change_page(change: BankChange) -> str:
     """Return what differs between two banks: fields, then scenes, then whose doing it is."""
     fields = [*change.fields, *change.machine]
     scenes = [
-        _CHANGES,
-        *(_scene_change(each) for each in change.scenes),
-        _mean_change(change),
+        _HEADING,
+        *(_scene(each) for each in change.scenes),
+        _mean(change),
     ]
     parts = [field_lines(fields), aligned(scenes, right={1, 2, 3}), [whose_doing(change)]]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
@@ -424,7 +424,7 @@ def _verified(verified: VerifiedBaseline) -> Iterator[str]:
     )
 
 
-_CHANGES = (
+_HEADING = (
     "scene",
     "then",
     "now",
@@ -434,7 +434,7 @@ _CHANGES = (
 )
 
 
-def _scene_change(change: SceneChange) -> tuple[str, ...]:
+def _scene(change: SceneChange) -> tuple[str, ...]:
     words = stratum_words((change.scene, change.perturbation))
     if change.then is None or change.now is None:
         then, now = (_number(value) for value in (change.then, change.now))
@@ -449,7 +449,7 @@ def _scene_change(change: SceneChange) -> tuple[str, ...]:
     )
 
 
-def _mean_change(change: BankChange) -> tuple[str, ...]:
+def _mean(change: BankChange) -> tuple[str, ...]:
     from nw_eval.results.bank.changes import bank_mean
 
     then, now = bank_mean(change.then), bank_mean(change.now)
