@@ -91,40 +91,20 @@ class Sensor(Memory[bytes], Protocol):
     the sensor's own rate and returns the last one between.
     """
 
-    @property
-    def name(self) -> str:
-        """The observation's name on the card."""
-        ...
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of what `read` returns."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of what `read` returns."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """What the numbers are, for logs: "m", "rgb", or "mixed"."""
-        ...
-
-    @property
-    def rate(self) -> int:
-        """Samples per second, Hz."""
-        ...
-
-    @property
-    def is_image(self) -> bool:
-        """Whether this is a rendered image, which costs far more than numbers do."""
-        ...
-
-    @property
-    def fresh(self) -> bool:
-        """Whether the last `read` returned another sample than the one before it."""
-        ...
+    name: str
+    """The observation's name on the card."""
+    shape: tuple[int, ...]
+    """Shape of what `read` returns."""
+    dtype: np.dtype[Any]
+    """Type of what `read` returns."""
+    unit: str
+    """What the numbers are, for logs: "m", "rgb", or "mixed"."""
+    rate: int
+    """Samples per second, Hz."""
+    is_image: bool
+    """Whether this is a rendered image, which costs far more than numbers do."""
+    fresh: bool
+    """Whether the last `read` returned another sample than the one before it."""
 
     @property
     def coverage(self) -> float | None:

@@ -20,6 +20,7 @@ from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec
 
 Array = NDArray[np.float64]
+
 _OFTEN = 0.2  # Share of control steps from which on a limit is a fault, not a moment.
 _MOVES = 0.05  # rad; a target that moves less tells nothing of how its joint follows.
 _LARGE = 30.0  # No scaled observation of a policy that learned is larger for long.
@@ -136,6 +137,26 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
 
 
+def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
+    """Return which networks do not react to their inputs."""
+    findings: list[ProbeFinding] = []
+    for name, output in network_outputs(card):
+        values = recording.fed[output]
+        if len(values) > 1 and (values == values[:1]).all():
+            text = f"network `{name}`: `{output}` is the same at every step: "
+            findings.append(
+                ProbeFinding(kind="fault", text=f"{text}it does not react to its inputs")
+            )
+    return findings
+
+
+def network_outputs(card: Card) -> Iterator[tuple[str, str]]:
+    """Yield every output of a network after the name of the network."""
+    for name, network in card.networks.items():
+        for output in network.given_as(name):
+            yield name, output
+
+
 def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[ProbeFinding]:
     """Return what is odd about the actions and what the motors made of them."""
     findings: list[ProbeFinding] = []
@@ -232,23 +253,3 @@ def _share_at(part: Part, recording: Recording) -> float:
     values = whole.reshape(len(whole), -1)[:, part.indices]
     low, high = part.limits
     return float(((values <= low) | (values >= high)).mean())
-
-
-def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
-    """Return which networks do not react to their inputs."""
-    findings: list[ProbeFinding] = []
-    for name, output in network_outputs(card):
-        values = recording.fed[output]
-        if len(values) > 1 and (values == values[:1]).all():
-            text = f"network `{name}`: `{output}` is the same at every step: "
-            findings.append(
-                ProbeFinding(kind="fault", text=f"{text}it does not react to its inputs")
-            )
-    return findings
-
-
-def network_outputs(card: Card) -> Iterator[tuple[str, str]]:
-    """Yield every output of a network after the name of the network."""
-    for name, network in card.networks.items():
-        for output in network.given_as(name):
-            yield name, output
