@@ -50,7 +50,7 @@ def test_anything_between_is_inconclusive_and_gives_the_chance_that_more_would_d
     verdict = judge(run_scene("a", poor) + run_scene("b", good), BAR, {"a": 10, "b": 10})
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
     told = verdict.reasons[1]
-    assert told.startswith("chance that 20 trials in each scene (now 10) decide: ")
+    assert told.startswith("20 trials in each scene (now 10) decide the bar with ")
     assert told.endswith("; --resume with more --trials adds them")
     twice, four_times = (int(share) for share in re.findall(r"(\d+) %", told))
     assert 20 < twice < four_times < 95

@@ -15,6 +15,8 @@ from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.baseline.comparison import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
+from nw_eval.reporting.console import draw
+from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.stats import Interval
 from nw_eval.stats.bank import CurvePoint
 from nw_eval.suite import Gate
@@ -106,8 +108,8 @@ def table(text: str) -> list[list[str]]:
 def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(page: Make) -> None:
     first, _, second, *_ = page(FOUND).splitlines()
     assert first.startswith(
-        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (at least 0.120, at most 0.410) "
-        "in 80 of 320 trials \u00b7 success 1.000"
+        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (99 % lower bound 0.120, 95 % "
+        "upper bound 0.410) in 80 of 320 trials \u00b7 success 1.000"
     )
     assert second.endswith(
         "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
@@ -219,11 +221,27 @@ def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(page
     scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in FOUND.scenes)
     text = page(replace(FOUND, scenes=scenes))
     header, *lines = table(text)
-    assert header[6] == (
-        "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes"
-    )
+    assert header[6] == "99 % lower, 95 % upper"
+    note = "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes."
+    assert text.count(note) == 1
     assert {line[6] for line in lines} == {"-0.10 to 0.30"}
     (of_scenes,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
     assert " to " not in of_scenes
     strict = page(replace(FOUND, scenes=scenes, alpha_regr=0.005, alpha_pass=0.1))
-    assert "(99.5 % lower, 90 % upper)" in table(strict)[0][6]
+    assert table(strict)[0][6] == "99.5 % lower, 90 % upper"
+
+
+def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(page: Make) -> None:
+    unmet = replace(
+        TOY, scene="unmet", tier="supporting", baseline=None, candidate=None, trials=0, interval=None
+    )
+    text = page(replace(FOUND, basis="control", scenes=(FELL, unmet)))
+    line = next(line for line in table(text) if line[0] == "unmet")
+    assert line == ["unmet", "supporting", "0", "none", "none", "", "", "", ""]
+
+
+def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns() -> None:
+    named = replace(FELL, scene="hurdles/three_grassy_courtyard", tier="supporting")
+    stream = StringIO()
+    draw(Console(file=stream, width=120), baseline_table(replace(FOUND, scenes=(named, FELL))))
+    assert re.search(r"three_grassy_courtyard +supporting +5 ", stream.getvalue())

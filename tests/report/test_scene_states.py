@@ -138,7 +138,9 @@ def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(make_row: Any)
     for word in ("REGRESSED", "INCONCLUSIVE"):
         found = results(make_row, word, named="bad")
         assert [found["good"][0], found["bad"][0]] == ["skipped", "failed"]
-        assert found["bad"][1].startswith("fell from 1.00 to 0.00; success 0.000, completed 0 of 2")
+        assert found["bad"][1].startswith(
+            "regressed from 1.00 to 0.00; success 0.000, completed 0 of 2"
+        )
     passed = results(make_row, "PASS", named="bad")
     assert [passed["good"][0], passed["bad"][0]] == ["passed", "skipped"]
     assert passed["bad"][1].endswith("; the verdict is PASS, and does not rest on this scene alone")

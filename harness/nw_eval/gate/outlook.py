@@ -65,8 +65,8 @@ def advice(
         )
     )
     return (
-        f"chance that {2 * each} trials in each scene (now {each}) decide: {twice}, that "
-        f"{4 * each} do: {four_times}; --resume with more --trials adds them"
+        f"{2 * each} trials in each scene (now {each}) decide the bar with {twice} probability, "
+        f"{4 * each} with {four_times}; --resume with more --trials adds them"
     )
 
 

@@ -24,8 +24,12 @@ def page(make_page: Make, make_row: Make, read: Make, compared: Comparison) -> A
 def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> None:
     assert page.one("h1").text == "REGRESSED"
     assert page.one("ul", class_="facts").all("li")[0].text == (
-        "baseline shipped 0.925, drop 0.200 (at least 0.120, at most 0.410) in 10 of 40 trials"
+        "baseline shipped 0.925, drop 0.200 in 10 of 40 trials"
     )
+    # The gauge has the interval, and says in its header how sure its ends are.
+    words = page.one("header").text
+    assert [words.count(end) for end in ("0.120", "0.410")] == [1, 1]
+    assert page.all("figcaption")[0].text == "Drop against shipped (99 % lower, 95 % upper): 0.200"
     drop = page.all("figure", class_="gauge")[0].one("svg")
     assert drop.attributes["aria-label"] == (
         "Mean success fell by 0.200, from 0.925: by at least 0.120 (99 %) and at most 0.410 (95 %)."

@@ -7,7 +7,9 @@ from collections.abc import Iterable, Sequence
 from nw_eval.gate.baseline.comparison import Comparison, SceneDrop, percent_sure
 from nw_eval.gate.baseline.finding import Finding
 from nw_eval.plural import plural
+from nw_eval.stats.bank import CRITICAL_TRIALS, SUSPECT
 
+_NONE_LEFT = "this run has no trial of these scenes left"
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
@@ -47,6 +49,8 @@ def _mean(found: Comparison) -> str:
     at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
     if found.word == "PASS":
         worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
+        if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
+            worst = f"less than {found.max_drop:g} worse"
         return (
             f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
             f"{found.max_drop:g} is excluded"
@@ -98,12 +102,20 @@ def _change(item: SceneDrop) -> str:
 
 
 def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
-    suspect = [item.name for item in found.scenes if item.stratum in finding.waits_for]
+    waited = [item for item in found.scenes if item.stratum in finding.waits_for]
+    suspect = [item.name for item in waited if item.evidence >= SUSPECT]
+    critical = [item.name for item in waited if item.evidence < SUSPECT]
     if suspect:
+        which = "it" if len(suspect) == 1 else "they"
+        held = f"the mean passes; PASS is held back by {_listed(suspect)}"
+        yield f"{held}: {which} may have regressed"
+    if critical:
         yield (
-            f"the mean passes; PASS is held back by {_listed(suspect)}: it may have regressed, or "
-            "is critical and has had too few trials"
+            f"the mean passes; PASS is held back by {_listed(critical)}: a critical scene needs "
+            f"{CRITICAL_TRIALS} trials"
         )
+    if waited and not finding.ahead:
+        yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
 
 
 def _limits(found: Comparison) -> Iterable[str]:
