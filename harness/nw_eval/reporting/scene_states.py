@@ -135,7 +135,7 @@ def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> 
     """Return what speaks against a scene by itself: beyond doubt, or its own interval."""
     faults = [_fell(item) for item in drops if item.named]
     if score.condemned:
-        faults.append(f"critical, and certainly below the bar {verdict.bar:g} by itself")
+        faults.append(f"critical, and below the bar {verdict.bar:g} by its upper bound")
     elif score.weak:
         faults.append(f"below the bar {verdict.bar:g} by itself")
     return faults

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -66,4 +67,14 @@ def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: A
     high, low = section.one("table", class_="heat").cells[1:]
     assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 partsbaseline 5 %"]
     assert low[0] == "hurdles/low"
+    assert "the baseline all starts of the baseline." in section.text
     assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]
+
+
+def test_beside_a_control_the_course_is_of_its_trials(
+    make_page: Make, make_row: Make, read: Make, compared: Comparison
+) -> None:
+    rows = [make_row("hurdles/low", index, 4) for index in range(5)]
+    page = read(make_page(rows, against=replace(compared, basis="control")))
+    words = page.one("section", id="course").text
+    assert "the baseline those of its policy that ran beside the candidate." in words

@@ -147,6 +147,8 @@ class Comparison:
     alpha_regr: float
     scenes: tuple[SceneDrop, ...]
     reasons: tuple[str, ...]
+    more: str | None = None
+    """About how many more trials would settle it, where that was simulated."""
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
     control: int = 0

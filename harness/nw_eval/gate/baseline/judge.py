@@ -202,10 +202,11 @@ def compare(
     if foresee and basis != "same":
         simulated = foresight(comparison, setup.met(rows, further=True), setup.judged, panel, gate)
     more = None if capped else simulated and simulated.more
-    reasons = in_words(comparison, finding, more)
+    reasons = in_words(comparison, finding)
     return replace(
         comparison,
         reasons=(capped, *reasons) if capped else reasons,
+        more=more,
         curve=simulated.curve if simulated else None,
     )
 

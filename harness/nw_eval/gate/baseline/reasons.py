@@ -13,13 +13,12 @@ _NONE_LEFT = "this run has no trial of these scenes left"
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
-def in_words(found: Comparison, finding: Finding, more: str | None) -> tuple[str, ...]:
+def in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
     """Return why a comparison says what it says, and of what it speaks: the main reason first.
 
     Args:
         found: the comparison.
         finding: what it rests on.
-        more: about how many more trials would settle it, where that was simulated.
     """
     if found.basis == "same":
         again = found.again
@@ -33,7 +32,6 @@ def in_words(found: Comparison, finding: Finding, more: str | None) -> tuple[str
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
         *_largest(found),
         *_waiting(found, finding),
-        *((more,) if more else ()),
         *_limits(found),
     )
 
@@ -60,7 +58,11 @@ def _mean(found: Comparison) -> str:
     )
     if found.mean_convicts:
         return f"mean success regressed from {name}: {span} worse {in_trials}"
-    drop = f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}, {span}"
+    change = f"dropped by {found.drop:z.3f} from {name}"
+    if found.drop < 0.0:
+        change = f"rose by {-found.drop:.3f} from {name}"
+        span = f"which leaves a drop of {span}"
+    drop = f"mean success {change} {in_trials}, {span}"
     if drops.high < found.max_drop:
         return f"{drop}: a drop of {found.max_drop:g} is excluded"
     return (
@@ -131,6 +133,12 @@ def _limits(found: Comparison) -> Iterable[str]:
             f"{found.policy} ran beside the candidate from the same starts "
             f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
             "saved here saves these trials"
+        )
+    unmet = [item.name for item in found.scenes if item.counts and not item.trials]
+    if found.word == "PASS" and unmet:
+        yield (
+            f"PASS is on the mean: no trial met {_listed(unmet)}; "
+            f"a critical scene is met by {CRITICAL_TRIALS} before a PASS (gate.tiers)"
         )
     if found.left_aside:
         left_aside = plural(found.left_aside, "scene")

@@ -37,7 +37,12 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
-        numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
+        numbers=frozenset(
+            {
+                *("trials", "baseline", "candidate", "drop", "evidence", "from waypoint"),
+                *(() if found is None else (_alone(found),)),
+            }
+        ),
         note="" if found is None else _note(found),
         marked="baseline",
         bars=tuple(

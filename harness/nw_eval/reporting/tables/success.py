@@ -60,7 +60,7 @@ def scenes_table(verdict: Verdict) -> Table:
             )
             for item, own in zip(scores, shown, strict=True)
         ),
-        numbers=frozenset({"trials", _LEFT, "success"}),
+        numbers=frozenset({"trials", _LEFT, "success", alone}),
         foot=_of_splits(scores),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
         "that reached all."
@@ -159,7 +159,7 @@ def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
             *((header,) if len(cells) > 1 else ()),
         ),
         rows=tuple(lines),
-        numbers=frozenset({"trials", "success"}),
+        numbers=frozenset({"trials", "success", header}),
         note=uncorrected("cell", header) if len(cells) > 1 else "",
     )
 

@@ -60,7 +60,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
             )
             for task in tasks
         ),
-        numbers=frozenset({"scenes", "trials", "success", "baseline", "drop"}),
+        numbers=frozenset({"scenes", "trials", "success", "baseline", "drop", header}),
         note=uncorrected("task", header) if several else "",
         bars=tuple(Bar(value=means[task], interval=bounds[task]) for task in tasks),
     )
