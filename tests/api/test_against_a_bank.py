@@ -162,10 +162,10 @@ def test_trials_are_those_of_a_plain_run_in_a_drawn_order_and_end_with_the_one_t
     assert judged.verdict.verdict == "PASS"
     found = judged.verdict.against
     assert (found.basis, found.claim, found.trials, found.budget) == ("panel", "fresh", count, 8)
-    assert f"enough after {count} trials: {8 - count} of 8 trials need not run" in ears.lines
+    assert f"decided after {count} trials: {8 - count} of 8 trials need not run" in ears.lines
     assert api.report("run").verdict == judged.verdict
     page = Path("run/report.md").read_text()
-    assert f"{count} were enough, and {8 - count} of 8 need not run" in page
+    assert f"{count} of at most 8 were judged" in page
     assert "it is known" not in page, "a part of the panel was drawn"
     assert len(api.read_rows("run")) == count
 

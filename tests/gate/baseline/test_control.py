@@ -87,6 +87,21 @@ def test_a_policy_that_is_worse_than_the_control_is_regressed(
     assert compare(drawn_rows(run, dict.fromkeys(SCENES, 0.5)), run, low, GATE).word == "PASS"
 
 
+def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_the_pairs(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    scores = {name: 0.25 * (k + 1) for k, name in enumerate(SCENES)}
+    rows = drawn_rows(run, dict.fromkeys(SCENES, 0.25))[:2]
+    found = compare(rows, run, beside(scores), GATE, foresee=True)
+    met = [item for item in found.scenes if item.trials]
+    assert 0 < len(met) < len(SCENES)
+    for item in found.scenes:
+        assert item.baseline == (scores[item.scene] if item.trials else None)
+    pairs = [scores[row.scene] for row in rows]
+    assert found.baseline == sum(pairs) / 2
+    assert found.drop == pytest.approx(found.baseline - 0.25)
+
+
 def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_rows: Make) -> None:
     found = compare(drawn_rows(run, PERFECT), run, beside(PERFECT), GATE)
     assert found.reasons[-1] == (

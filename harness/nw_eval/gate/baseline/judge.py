@@ -178,7 +178,7 @@ def compare(
         trials=len(finding.used),
         budget=len(met.places(setup.judged)),
         starts=setup.bank.manifest.starts,
-        baseline=_mean([item.baseline for item in scenes if item.counts]),
+        baseline=_level(finding, panel, setup.judged),
         drop=finding.drop,
         interval=finding.interval,
         mean_convicts=finding.mean_convicts,
@@ -204,10 +204,11 @@ def compare(
     if foresee and basis != "same":
         simulated = foresight(comparison, setup.met(rows, further=True), setup.judged, panel, gate)
     more = None if capped else simulated and simulated.more
-    reasons = in_words(comparison, finding, more)
+    reasons = in_words(comparison, finding)
     return replace(
         comparison,
         reasons=(capped, *reasons) if capped else reasons,
+        more=more,
         curve=simulated.curve if simulated else None,
     )
 
@@ -227,12 +228,16 @@ def _scene(
 ) -> SceneDrop:
     scores = met.scores(stratum, used)
     known = scores[~np.isnan(scores)]
-    beside = [score(row) or 0.0 for row in met.beside(stratum, used)]
+    if met.control is None:
+        baseline = float(scores_of(panel, stratum).mean())
+    else:
+        beside = [score(row) or 0.0 for row in met.beside(stratum, used)]
+        baseline = float(np.mean(beside)) if beside else None
     return SceneDrop(
         scene=stratum[0],
         perturbation=stratum[1],
         tier=gate.tier(stratum[0]),
-        baseline=_mean(beside) if beside else float(scores_of(panel, stratum).mean()),
+        baseline=baseline,
         candidate=float(known.mean()) if known.size else None,
         trials=known.size,
         evidence=finding.evidence.get(stratum, 1.0),
@@ -243,5 +248,8 @@ def _scene(
     )
 
 
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values))
+def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
+    """Return the baseline's mean success: the control's, where one was compared with."""
+    if finding.control is not None:
+        return finding.control
+    return float(np.mean([scores_of(panel, stratum).mean() for stratum in judged]))

@@ -95,9 +95,8 @@ def _scenes(run: RunInfo) -> str:
 
 
 def _saved(run: RunInfo) -> str:
-    """Return how many trials need not run, where a part of them was enough."""
+    """Return how many trials of the budget were judged, where not all were."""
     if run.stop is None:
         return ""
     most = sum(scene.trials for scene in run.scenes.values())
-    enough = sum(run.planned.values())
-    return f": {enough} were enough, and {most - enough} of {most} need not run"
+    return f": {sum(run.planned.values())} of at most {most} were judged"

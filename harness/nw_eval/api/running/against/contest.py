@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.gate.baseline.finding import Finding
     from nw_eval.gate.baseline.judge import ComparisonSetup
     from nw_eval.gate.verdict import Word
+    from nw_eval.results.bank import Stratum
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -207,6 +208,7 @@ class Contest:
             first=first,
             followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
             ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+            waits_for=_names(finding.waits_for) if passes else (),
         )
 
     def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
@@ -246,6 +248,11 @@ class Contest:
         if self._against.bank.panel_of(machine_of(run)) is not None:
             return True
         return is_baseline(run.policy, self._against.bank)
+
+
+def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
+    """Return the scenes of strata, each once."""
+    return tuple(dict.fromkeys(scene for scene, _ in strata))
 
 
 def _first_missing(ended: Mapping[int, Row]) -> int:

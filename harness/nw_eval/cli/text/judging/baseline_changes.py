@@ -1,4 +1,4 @@
-"""What differs between banks, or between a bank and what it would be here, in lines."""
+"""What differs between baselines, or between a baseline and what it would be here, in lines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FLIPPED = 8  # indexes of starts that a cell names
 
 
 def change_page(change: BankChange) -> str:
-    """Return what differs between two banks: fields, then scenes, then whose doing it is."""
+    """Return what differs between two baselines: fields, then scenes, then whose doing it is."""
     fields = [*change.fields, *change.machine]
     scenes = [_HEADING, *(_scene(each) for each in change.scenes), _mean(change)]
     parts = [field_lines(fields), aligned(scenes, right={1, 2, 3}), [whose_doing(change)]]
@@ -55,12 +55,12 @@ def whose_doing(change: BankChange) -> str:
 
 
 def saved_page(saved: SavedBaseline) -> str:
-    """Return what became of a bank that was to be saved."""
+    """Return what became of a baseline that was to be saved."""
     return "\n".join(_saved(saved))
 
 
 def checked_page(checked: CheckedBaseline) -> str:
-    """Return whether a bank holds here, with a line for each field that does not match."""
+    """Return whether a baseline holds here, with a line for each field that does not match."""
     return "\n".join(_checked(checked))
 
 

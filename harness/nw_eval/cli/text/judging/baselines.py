@@ -19,7 +19,7 @@ _NOTE = 60  # characters of a note in a table
 
 
 def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
-    """Return a line for each bank: name, policy, starts, mean, when, machines, note."""
+    """Return a line for each baseline: name, policy, starts, mean, when, machines, note."""
     if not baselines:
         return "no baselines: neither shipped, nor in reports/baselines"
     heading = ("bank", "policy", "starts", "mean", "saved", "machines", "note")
@@ -36,7 +36,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
 
 
 def baseline_page(shown: ShownBaseline) -> str:
-    """Return all that a bank says of itself, and its scenes as a table."""
+    """Return all that a baseline says of itself, and its scenes as a table."""
     return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.bank)), right={1})])
 
 
