@@ -53,7 +53,7 @@ ELSEWHERE = {
     "engine/machine/output.py": "appends to what `open_own` opened",
     "splat/files/spz.py": "is given the temporary path by `write_splat`",
     "splat/files/gsplat_pt.py": "is given the temporary path by `write_splat`",
-    "splat/files/threedgs_ply.py": "is given the temporary path by `write_splat`",
+    "splat/files/ply.py": "is given the temporary path by `write_splat`",
     "twin/calibrate/calibrate.py": "works in a temporary folder",
     "twin/calibrate/develop.py": "works in a temporary folder",
     "twin/calibrate/photographs.py": "works in a temporary folder",
