@@ -144,7 +144,7 @@ _ROOMS = MappingProxyType(
         "rollout.replaying.takeover.report": ("TakeoverReport",),
         "scenes.figures": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
-        "splat.describe": ("SplatFigures",),
+        "splat.gaussians": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
         "viewing.recording.written": ("WrittenRecording",),
     }

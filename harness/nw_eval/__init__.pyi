@@ -129,7 +129,7 @@ from nw_eval.rollout.replaying.report import ReplayReport
 from nw_eval.rollout.replaying.takeover.report import TakeoverReport
 from nw_eval.scenes.figures import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
-from nw_eval.splat.describe import SplatFigures
+from nw_eval.splat.gaussians import SplatFigures
 from nw_eval.stats.agreement.agree import Agreement
 from nw_eval.viewing.recording.written import WrittenRecording
 

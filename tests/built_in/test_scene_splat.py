@@ -14,7 +14,7 @@ from nw_eval.built_in.places.outdoors import scenery as outdoors
 from nw_eval.built_in.splat import BuiltInSplat
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import SH0
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import digest, open_store

@@ -180,14 +180,14 @@ class FileSplat:
 
     @cached_property
     def _key(self) -> str:
-        from nw_eval.splat.compiled import digest_of_files
+        from nw_eval.splat.files import digest_of_files
 
         found = digest_of_files(self.path)
         return found if self.rasterize_mode is None else f"{found}:{self.rasterize_mode}"
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store in the cache."""
-        from nw_eval.splat.compiled import compiled_store
+        from nw_eval.splat.files import compiled_store
 
         if progress is not None:
             progress("read", 0.0)

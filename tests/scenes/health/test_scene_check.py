@@ -26,7 +26,8 @@ class Splat:
         self._path, self._means, self._error = folder / "a.nwsplat", means, error
 
     def store(self, _progress=None):
-        from nw_eval.splat import Gaussians, compile_store
+        from nw_eval.splat.gaussians import Gaussians
+        from nw_eval.splat.store import compile_store
 
         if self._error:
             raise SceneError(self._error)

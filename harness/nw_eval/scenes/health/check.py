@@ -221,8 +221,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
 
 def _means(scene: Scene) -> Values:
     """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame."""
-    from nw_eval.splat.layout import GEOMETRY, GROUP
-    from nw_eval.splat.store import open_store
+    from nw_eval.splat.store import GEOMETRY, GROUP, open_store
 
     layout = open_store(scene.splat_store()).layout
     centers = layout.geometry.reshape(-1, GEOMETRY, GROUP)[:, :3].transpose(0, 2, 1)

@@ -9,8 +9,7 @@ import numpy as np
 from nw_eval.errors import NwEvalError
 from nw_eval.rollout.library import Library
 from nw_eval.splat.files import read_splat
-from nw_eval.splat.files.quantise import sigmoid, unit_quats
-from nw_eval.splat.gaussians import SH0
+from nw_eval.splat.gaussians import SH0, sigmoid, unit_quats
 from nw_eval.splat.transform import transformed
 from nw_eval.viewing.recording.sdk import rerun_sdk
 
