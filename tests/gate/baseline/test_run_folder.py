@@ -256,7 +256,6 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentenc
 @pytest.mark.parametrize("rounds", [3, 20])
 def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a_sentence(
     rounds: int,
-    run: RunInfo,
     bank: SavedBank,
     make_run: Make,
     run_rows: Make,

@@ -73,10 +73,11 @@ class ComparisonSetup:
             rounds = budget_of(self.run)
             most = max(rounds, min(_FURTHER * rounds, self.bank.manifest.starts))
             order = drawn_order(self.run, self.strata, most)
-        control = None
+        control, left = None, frozenset[str]()
         if self.basis == "control" and self.against.control is not None:
             beside = self.against.control
             control = by_place(beside.rows, beside.run, order, "baseline")
+            left = that_left(beside.rows, self.gate)
         elif self.basis == "control":
             control = [None] * len(order)
         return Met(
@@ -84,6 +85,7 @@ class ComparisonSetup:
             rows=by_place(rows, self.run, order),
             control=control,
             left=that_left(rows, self.gate),
+            control_left=left,
         )
 
     def find(self, met: Met, *, alone: bool = False) -> Finding:
