@@ -147,8 +147,7 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
     manifest = checked.bank.manifest
-    policy = manifest.policy.card or manifest.policy.name
-    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(policy)}"
+    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(checked.policy)}"
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"
     if checked.changes:

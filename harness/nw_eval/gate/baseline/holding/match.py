@@ -39,10 +39,15 @@ def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
         bank: the bank.
         options: what the command is to say besides, in place of --renew.
     """
-    suite = bank.manifest.suite
-    if run.request is not None and run.request.suite is not None:
-        suite = str(run.request.suite)
-    policy = bank.manifest.policy.card or bank.manifest.policy.name
+    suite, policy = bank.manifest.suite, bank.manifest.policy.typed
+    if run.request is not None:
+        suite = str(run.request.suite or suite)
+        policy = run.request.baseline_policy or policy
+    return saving(bank, suite, policy, *options)
+
+
+def saving(bank: SavedBank, suite: str, policy: str, *options: str) -> str:
+    """Return the command that makes a bank anew for a suite, from a policy as it can be typed."""
     own = bank.manifest.name
     name = [] if own == bank.manifest.policy.name else ["--name", own]
     words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
