@@ -192,7 +192,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
     from nw_eval.gate.baseline.draw import draw_rounds
-    from nw_eval.results.provenance import recheck_key, rounds_key
+    from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
     assert plan.against is not None, "the policy of a bank has one"
@@ -205,7 +205,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
             strata,
             starts,
             plan.suite.trials,
-            candidate=key.removeprefix("rounds/"),
+            candidate=candidate_in(key),
             suite_digest=plan.suite.digest,
         )
         plan = replace(
