@@ -4,6 +4,9 @@ They are a run of their own, `baseline/` in the folder of the candidate's: the b
 the starts that the candidate meets, in its order. The first of them show whether bits are the
 bank's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
 every start (a concurrent control), and the bank's numbers take no part in the comparison.
+
+A part of a run looks at the first trials of the whole run, so that all parts find the same without
+hearing of each other, and what the run would have found. Its control runs from its own starts.
 """
 
 from __future__ import annotations
@@ -77,7 +80,7 @@ class Beside:
 
     @property
     def order(self) -> list[int]:
-        """Places of all trials that there are to run, in order; of a part of a run, its own."""
+        """Places of all trials that there are to run, in order; of a part, those of its run."""
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
