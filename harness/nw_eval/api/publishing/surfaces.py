@@ -1,6 +1,6 @@
 """Where a judged run is shown besides its report: JUnit, GitHub's runner, a comment, trackers.
 
-None of them is worth a verdict. Whatever keeps one from being written is a warning, and changes no
+Reporting never changes the verdict. Whatever keeps one from being written is a warning, and changes no
 exit code.
 """
 
