@@ -245,9 +245,9 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
     (project / "cut" / "bank" / "shipped.parquet").unlink()
     gone = api.report(project / "cut")
     assert gone.exit_code == 5
-    assert "bank shipped" in gone.verdict.reasons[0]
+    assert "baseline shipped" in gone.verdict.reasons[0]
     assert gone.verdict.reasons[1] == "the bar alone: PASS"
-    with pytest.raises(IncomparableError, match="bank shipped, and neither its copy"):
+    with pytest.raises(IncomparableError, match="baseline shipped, and neither its copy"):
         api.run(None, resume=project / "cut", in_process=True)
 
 
@@ -455,7 +455,7 @@ def test_a_bank_that_does_not_hold_is_refused_before_anything_is_run():
         )
     )
     with pytest.raises(
-        IncomparableError, match=r"its seed is 6.*its mujoco is 4\.\S+, the bank's 3"
+        IncomparableError, match=r"its seed is 6.*its mujoco is 4\.\S+, the baseline's 3"
     ):
         against(seed=6)
     assert not Path("run").exists()

@@ -210,7 +210,7 @@ def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_
     # Here it is MuJoCo 4.0.0 still.
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert shown.splitlines()[:2] == [
-        "INVALID: bank stand does not hold here",
+        "INVALID: baseline stand does not hold here",
         "simulator mujoco  4.9.9 -> 4.0.0",
     ]
     assert "renew it with `nw-eval baseline save quick.yaml --policy stand --renew`" in shown

@@ -113,6 +113,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({"claim": "panel", "starts": 40}, "the claim is of these starts only"),
         ({"basis": "control"}, "its policy ran beside the candidate, from the same starts"),
         ({"basis": "fresh"}, "the candidate met new starts, and the baseline's mean is of 60"),
+        ({}, "it need not be the baseline's mean less the drop"),
     ],
 )  # fmt: skip
 def test_every_report_says_of_which_starts_it_speaks(

@@ -345,7 +345,7 @@ def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
     assert found.curve is not None
     assert [point.drop for point in found.curve] == [0.0, 0.15, 0.3]
     other = replace(same_file, info=begun.model_copy(update={"sha256": "5b" * 32}))
-    with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4"):
+    with pytest.raises(IncomparableError, match=r"cpu haswell, the baseline's zen 4"):
         judge_run(rows, run, Gate(max_drop=0.3), other)
 
 

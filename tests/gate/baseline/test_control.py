@@ -281,7 +281,7 @@ def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_n
     )
     told = contradictions(control.rows, bank, replace(bank.panels[0], starts=starts))
     assert told[0] == (
-        "the bank is not what its own policy go1-act-rgb does: the same bits, other results"
+        "the baseline is not what its own policy go1-act-rgb does: the same bits, other results"
     )
     assert told[1].startswith(f"scene {first.scene} start {first.seed_index}: success 0.5, ")
     assert len(told) == 2

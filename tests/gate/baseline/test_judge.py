@@ -612,7 +612,7 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
     elsewhere = {**here.engine, "cpu": "haswell"}
     run = make_run(["a"], 40, engine=elsewhere, baseline=against.info, **WAYS)
     rows = drawn_rows(run, {"a": 1.0})
-    with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4.*runs some first"):
+    with pytest.raises(IncomparableError, match=r"haswell, the baseline's zen 4.*runs some first"):
         compare(rows, run, against, GATE)
 
     def checked(what: str, by: str = against.info.sha256) -> RunInfo:
@@ -624,7 +624,7 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
     assert alike == compare(rows, here, against, GATE)
     # What was found out is of that file alone; and "scores in line" convinces nobody any more.
     for other in (checked("bits", by="5b" * 32), checked("scores")):
-        with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4"):
+        with pytest.raises(IncomparableError, match=r"cpu haswell, the baseline's zen 4"):
             compare(rows, other, against, GATE)
 
 

@@ -294,7 +294,7 @@ def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
     assert gate(folder, "--baseline", "shipped") == 5
     out, err = capsys.readouterr()
     assert out == ""
-    assert "its mujoco is 4.0.0, the bank's 9.9" in err
+    assert "its mujoco is 4.0.0, the baseline's 9.9" in err
     assert "nw-eval baseline save hurdles --policy go1-act-rgb --renew" in err
     assert gate(folder, "--baseline", "other") == 2
     assert gate("nowhere", "--baseline", "shipped") == 2

@@ -63,7 +63,8 @@ def provenance_table(run: RunInfo) -> Table:
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
         "code": run.code.digest[:12],
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
-        "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
+        "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}, "
+        f"Python {run.machine.python}",
         "rows": run.rows_digest[:12],
         "Merkle root": run.merkle_root,
     }

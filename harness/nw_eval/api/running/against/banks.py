@@ -68,8 +68,8 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
             against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
             return _beside(against, folder, info)
     raise IncomparableError(
-        f"run {info.id} is compared with bank {info.baseline.name}, and neither its copy of it nor "
-        f"{info.baseline.path} is there as it was",
+        f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
+        f"nor {info.baseline.path} is there as it was",
         fix="restore the file",
     )
 
@@ -141,7 +141,7 @@ def resumed_bank(
         return wanted
     now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
     raise IncomparableError(
-        f"run {info.id} was begun against bank {kept.info.name} ({kept.info.sha256[:8]}), not "
+        f"run {info.id} was begun against baseline {kept.info.name} ({kept.info.sha256[:8]}), not "
         f"{now}",
         fix="start a new run without --resume",
     )
@@ -160,8 +160,8 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
         policy = request.baseline_policy or against.bank.manifest.policy.typed
         words = (str(request.suite or suite.name), policy, "--starts", str(rounds))
         raise IncomparableError(
-            f"bank {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of each "
-            "draw more",
+            f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
+            "each draw more",
             fix=f"--trials {starts}, or more starts: `{saving(against.bank, *words)}`",
         )
 

@@ -176,7 +176,7 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
 
 
 def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
-    """Return the bank's policy: where the request says, or the bank.
+    """Return the baseline's policy: where the request says, or the bank.
 
     Raises:
         IncomparableError: it is not there, cannot be used, or is another one.
@@ -204,11 +204,11 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
             return bundle
         fault = (
             f"{reference} is another one: checkpoint {ours[0][:8]} and card {ours[1][:8]}, the "
-            f"bank's {theirs[0][:8]} and {theirs[1][:8]}"
+            f"baseline's {theirs[0][:8]} and {theirs[1][:8]}"
         )
     raise IncomparableError(
-        f"bank {against.info.name} has not seen this class of machine, and its policy {own.name} "
-        f"cannot be run on it: {fault}",
+        f"baseline {against.info.name} has not seen this class of machine, and its policy "
+        f"{own.name} cannot be run on it: {fault}",
         fix="say where it lies with --baseline-policy PATH, or save a panel here: "
         f"`{renewing(run, against.bank)}`",
     )

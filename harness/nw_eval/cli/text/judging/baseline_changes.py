@@ -151,11 +151,11 @@ def _checked(checked: CheckedBaseline) -> Iterator[str]:
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"
     if checked.changes:
-        yield f"INVALID: bank {clean(manifest.name)} does not hold here"
+        yield f"INVALID: baseline {clean(manifest.name)} does not hold here"
         yield from field_lines(checked.changes)
         yield f"renew it with `{clean(save)} --renew`"
         return
-    yield f"bank {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
+    yield f"baseline {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
         ", policy" if checked.unchecked is None else ""
     )
     if checked.unchecked is not None:

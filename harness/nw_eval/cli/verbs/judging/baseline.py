@@ -94,7 +94,7 @@ class List:
 class Show:
     """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
     """The suite's name, where several have a baseline of that name."""
@@ -103,7 +103,7 @@ class Show:
         from nw_eval import api
         from nw_eval.cli.text.judging.baselines import baseline_page
 
-        print(baseline_page(api.show_baseline(self.bank, suite=self.suite)))
+        print(baseline_page(api.show_baseline(self.baseline, suite=self.suite)))
         return 0
 
 
@@ -114,7 +114,7 @@ class Check:
     Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
     """The suite's file, where its name does not find it."""
@@ -132,7 +132,7 @@ class Check:
         from nw_eval.cli.text.judging.baseline_changes import checked_page
 
         checked = api.check_baseline(
-            self.bank,
+            self.baseline,
             suite=self.suite,
             policy=self.policy,
             checkpoint=self.checkpoint,
@@ -151,7 +151,7 @@ class Verify:
     trial comes to no result. Nothing is written into the project.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
     """Share of all its starts, at least one; 10% when absent."""
@@ -181,7 +181,7 @@ class Verify:
 
         with RunProgress() as progress:
             verified = api.verify_baseline(
-                self.bank,
+                self.baseline,
                 share=self.share,
                 trials=self.trials,
                 seed=self.seed,
