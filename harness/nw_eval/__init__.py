@@ -142,7 +142,7 @@ _ROOMS = MappingProxyType(
         "rollout.replaying.blame.report": ("BlameReport",),
         "rollout.replaying.report": ("ReplayReport",),
         "rollout.replaying.takeover.report": ("TakeoverReport",),
-        "scenes.figures": ("SceneFigures",),
+        "scenes.overview": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
         "splat.gaussians": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Scene
-from nw_eval.scenes.terrain.solids import Triangles
+from nw_eval.scenes.scene import Scene, Triangles
 from nw_eval.sim.binding import mujoco
 from nw_eval.sim.geometry import add_geometry
 from nw_eval.survey.samples import TrailSamples, trail_samples

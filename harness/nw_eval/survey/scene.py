@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.robots import get_robot
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene
 from nw_eval.survey.feet import DroppedFeet, drop_feet

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.robots import RobotSpec
-from nw_eval.scenes.captures import Nearness
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Scene
+from nw_eval.scenes.scene import Nearness, Scene
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.render import Renderer, open_renderer
 from nw_eval.splat.store import open_store

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
-    from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.scenes.finding import SceneFinding
     from nw_eval.suite import Draft
     from nw_eval.words import Collision
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.scenes.finding import SceneFinding
 
 
 def run(

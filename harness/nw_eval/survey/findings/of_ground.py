@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.scenes.health.finding import Code, SceneFinding, Severity
+from nw_eval.scenes.finding import Code, SceneFinding, Severity
 from nw_eval.survey.feet import SUNK, DroppedFeet
 from nw_eval.survey.ground import TOLERANCE, Flaw, GroundFlaw, SurveyedGround
 from nw_eval.words import Task

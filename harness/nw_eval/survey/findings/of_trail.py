@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from nw_eval.plural import plural
 from nw_eval.robots import get_robot
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Scene
-from nw_eval.scenes.terrain.solids import HeightField
+from nw_eval.scenes.scene import HeightField, Scene
 from nw_eval.sim.trail import REACH_RADIUS
 from nw_eval.survey.stance import stance_of
 from nw_eval.words import Robot

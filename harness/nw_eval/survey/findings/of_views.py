@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.scenes.health.finding import SceneFinding, Severity
+from nw_eval.scenes.finding import SceneFinding, Severity
 from nw_eval.survey.disagreement import Disagreement
 from nw_eval.survey.views import NEAR, SurveyedView, SurveyedViews
 

@@ -10,7 +10,7 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene
-    from nw_eval.scenes.figures import SceneFigures
+    from nw_eval.scenes.overview import SceneFigures
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:

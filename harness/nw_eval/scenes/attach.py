@@ -1,6 +1,7 @@
 """Puts terrain into a MuJoCo specification.
 
-The only module of this package that knows MuJoCo; `nw_eval.sim.geometry` calls it.
+Beside `narrowphase`, the only module of this package that knows MuJoCo; `nw_eval.sim.geometry` calls
+it.
 """
 
 from __future__ import annotations
@@ -11,9 +12,8 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
-from nw_eval.scenes.terrain.narrowphase.carrier import CARRIER_BASE
-from nw_eval.scenes.terrain.narrowphase.install import use_own_collisions
-from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
+from nw_eval.scenes.narrowphase.install import CARRIER_BASE, use_own_collisions
+from nw_eval.scenes.scene import HeightField, Primitive, Triangles
 
 # Its classes live in compiled modules without type information.
 mujoco: Any = _mujoco

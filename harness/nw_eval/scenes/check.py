@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Box, Scene
-from nw_eval.scenes.terrain.solids import HeightField
+from nw_eval.scenes.scene import Box, HeightField, Scene
 
 Values = NDArray[np.float64]
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.scenes.grid import TerrainOptions, trail_heights
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.terrain.grid import trail_heights
-from nw_eval.scenes.terrain.options import TerrainOptions
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,9 +1,18 @@
-"""Distances to triangles."""
+"""Distances to triangles, and the contacts of a sphere with them.
+
+A contact is a row of numbers: written, thinned out, and handed to MuJoCo. Outside, every place of
+the surface that is nearest among its neighbours, and nearer than the radius, is a contact of a
+sphere: one on a plane or a bump, two in a corner, also where triangles of one plane meet. Inside,
+however deep, it is the one place where the way out is shortest. Nothing is thin, so nothing is
+trapped and nothing tunnels.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import Any
+
+import numpy as np
 
 from nw_eval.machine_code.jit import inlined, kernel
 
@@ -12,6 +21,15 @@ CORNERS = 9
 
 _SAME = 1e-9  # metres below which a point is on the surface
 _MEETS = 1e-8  # metres within which triangles meet in a point
+
+CONTACT = 7
+"""Numbers of a contact: distance (negative: how deep), x, y, z of the surface, outward normal."""
+
+_MOST_OF_SPHERE = 6
+# Contacts whose normals are nearer than 15 degrees push alike; the deeper one is kept.
+_ALIKE = 0.966
+_TOUCHES = 1e-8  # metres within which a point is on a triangle
+_ABOVE = 1e-6  # share of a length that counts as above a plane
 
 
 @kernel
@@ -152,3 +170,132 @@ def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
         scale = 1.0 / length if length > 0.0 else 0.0
         nx, ny, nz = nx * scale, ny * scale, nz * scale
     return side * best, qx, qy, qz, nx, ny, nz
+
+
+@kernel
+def write_contact(
+    contact: Any, depth: Any, x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any
+) -> None:
+    """Write one contact, (CONTACT,)."""
+    contact[0] = depth
+    contact[1], contact[2], contact[3] = x, y, z
+    contact[4], contact[5], contact[6] = nx, ny, nz
+
+
+@kernel
+def fewest(contacts: Any, most: Any) -> Any:
+    """Keep the contacts that carry: the deepest, then always the one farthest from those kept.
+
+    Args:
+        contacts: (N, CONTACT) of one shape.
+        most: how many to keep.
+    """
+    if len(contacts) <= most:
+        return contacts
+    kept = np.empty((most, contacts.shape[1]))
+    distance = np.full(len(contacts), math.inf)
+    chosen = 0
+    for index in range(len(contacts)):
+        if contacts[index, 0] < contacts[chosen, 0]:
+            chosen = index
+    for number in range(most):
+        kept[number] = contacts[chosen]
+        x, y, z = contacts[chosen, 1], contacts[chosen, 2], contacts[chosen, 3]
+        farthest = 0
+        for index in range(len(contacts)):
+            dx = contacts[index, 1] - x
+            dy = contacts[index, 2] - y
+            dz = contacts[index, 3] - z
+            distance[index] = min(distance[index], dx * dx + dy * dy + dz * dz)
+            if distance[index] > distance[farthest]:
+                farthest = index
+        chosen = farthest
+    return kept
+
+
+@kernel
+def write_records(contacts: Any, origin: Any, frame: Any, records: Any) -> Any:
+    """Write contacts as MuJoCo's records, in the world; return how many."""
+    for index in range(len(contacts)):
+        c, record = contacts[index], records[index]
+        record[0] = c[0]
+        for row in range(3):
+            x, y, z = frame[row, 0], frame[row, 1], frame[row, 2]
+            normal = x * c[4] + y * c[5] + z * c[6]
+            # Midway between the two surfaces.
+            place = origin[row] + x * c[1] + y * c[2] + z * c[3]
+            record[1 + row] = place + 0.5 * c[0] * normal
+            record[4 + row] = normal
+            record[7 + row] = 0.0
+    return len(contacts)
+
+
+@kernel
+def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin: Any) -> Any:
+    """Return the contacts of a sphere, (N, CONTACT).
+
+    Args:
+        triangles: (T, CORNERS) all within radius and margin of the centre, and as far around it
+            as it may be under the surface; metres.
+        x: of the centre, metres.
+        y: likewise.
+        z: likewise.
+        radius: metres.
+        margin: distance below which there is a contact, metres.
+    """
+    contacts = np.empty((_MOST_OF_SPHERE, CONTACT))
+    away, qx, qy, qz, nx, ny, nz = signed_distance(triangles, x, y, z)
+    if not away < radius + margin:
+        return contacts[:0]
+    write_contact(contacts[0], away - radius, qx, qy, qz, nx, ny, nz)
+    count = 1
+    if away <= _TOUCHES:
+        return contacts[:1]
+    for index in range(len(triangles)):
+        if is_far(triangles[index], x, y, z, radius + margin):
+            continue
+        qx, qy, qz = nearest_on_triangle(triangles[index], x, y, z)
+        away = math.sqrt((x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2)
+        if away >= radius + margin:
+            continue
+        nx, ny, nz = (x - qx) / away, (y - qy) / away, (z - qz) / away
+        alike = _alike(contacts[:count], nx, ny, nz)
+        if alike < count and away - radius >= contacts[alike, 0]:
+            continue
+        if not _nearest_around(triangles, index, qx, qy, qz, nx, ny, nz):
+            continue
+        if alike < _MOST_OF_SPHERE:
+            write_contact(contacts[alike], away - radius, qx, qy, qz, nx, ny, nz)
+            count = max(count, alike + 1)
+    return contacts[:count]
+
+
+@kernel
+def _alike(contacts: Any, nx: Any, ny: Any, nz: Any) -> Any:
+    """Return the number of the first contact that pushes alike, or how many there are."""
+    for index in range(len(contacts)):
+        c = contacts[index]
+        if c[4] * nx + c[5] * ny + c[6] * nz > _ALIKE:
+            return index
+    return len(contacts)
+
+
+@kernel
+def _nearest_around(
+    triangles: Any, index: Any, x: Any, y: Any, z: Any, nx: Any, ny: Any, nz: Any
+) -> Any:
+    """Tell whether no triangle that meets a point goes on from there towards the normal's side."""
+    for other in range(len(triangles)):
+        t = triangles[other]
+        if is_far(t, x, y, z, _TOUCHES):
+            continue
+        if other != index:
+            ox, oy, oz = nearest_on_triangle(t, x, y, z)
+            if abs(ox - x) + abs(oy - y) + abs(oz - z) > _TOUCHES:
+                continue
+        for corner in range(3):
+            vx, vy, vz = t[3 * corner] - x, t[3 * corner + 1] - y, t[3 * corner + 2] - z
+            length = math.sqrt(vx * vx + vy * vy + vz * vz)
+            if vx * nx + vy * ny + vz * nz > _ABOVE * length + _TOUCHES:
+                return False
+    return True

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.terrain.features.plates import Plate, fit_plane
-from nw_eval.scenes.terrain.grid import Grid, shifted
-from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.surface import Surface
+from nw_eval.scenes.grid import Grid, TerrainOptions, shifted
+from nw_eval.scenes.plates import Plate, fit_plane
+from nw_eval.scenes.surface import Surface
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]

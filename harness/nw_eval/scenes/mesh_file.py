@@ -24,10 +24,10 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh, rotation_matrix
-from nw_eval.scenes.terrain.polygons import PolygonError, triangulated
+from nw_eval.scenes.polygons import PolygonError, triangulated
 
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 
