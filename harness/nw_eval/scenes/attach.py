@@ -1,7 +1,7 @@
 """Puts terrain into a MuJoCo specification.
 
-Beside `narrowphase`, the only module of this package that knows MuJoCo; `nw_eval.sim.geometry` calls
-it.
+Beside `narrowphase`, the only module of this package that knows MuJoCo. `nw_eval.sim.geometry`
+calls it.
 """
 
 from __future__ import annotations

@@ -103,7 +103,6 @@ def use_own_collisions() -> Any:
     """
     # Numba loads with it; looking at scenes needs neither.
     from nw_eval.scenes.narrowphase.collide import collision_function
-    from nw_eval.scenes.narrowphase.install import _pointers
 
     function = collision_function(*_pointers())
     table = _table()
