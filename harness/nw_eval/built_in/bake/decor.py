@@ -4,10 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.built_in.paint.noise import Array, fractal, hashed, noise
-from nw_eval.built_in.paint.patterns import band, frame, pulse, step
-from nw_eval.built_in.paint.spots import Coat, Colour, Spots, blend, linear, tint
-from nw_eval.built_in.paint.timber import car_paint
+from nw_eval.built_in.bake.spots import (
+    Array,
+    Coat,
+    Colour,
+    Spots,
+    band,
+    blend,
+    fractal,
+    frame,
+    hashed,
+    linear,
+    noise,
+    pulse,
+    step,
+    tint,
+)
+from nw_eval.built_in.bake.timber import car_paint
 
 _BOOKS = np.array(
     [

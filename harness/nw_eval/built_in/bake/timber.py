@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.built_in.paint.noise import Array, fractal, hashed, noise
-from nw_eval.built_in.paint.patterns import band, pulse
-from nw_eval.built_in.paint.spots import Coat, Colour, Spots, blend, grain, linear, rim, tint
+from nw_eval.built_in.bake.spots import (
+    Array,
+    Coat,
+    Colour,
+    Spots,
+    band,
+    blend,
+    fractal,
+    grain,
+    hashed,
+    linear,
+    noise,
+    pulse,
+    rim,
+    tint,
+)
 
 
 def _fibres(u: Array, v: Array, seed: Array | int, blur: Array, stretch: float = 0.06) -> Array:

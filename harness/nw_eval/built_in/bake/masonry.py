@@ -4,9 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.built_in.paint.noise import Array, fractal, hashed
-from nw_eval.built_in.paint.patterns import band, pulse, tiles
-from nw_eval.built_in.paint.spots import Coat, Colour, Spots, blend, grain, linear, tint
+from nw_eval.built_in.bake.spots import (
+    Array,
+    Coat,
+    Colour,
+    Spots,
+    band,
+    blend,
+    fractal,
+    grain,
+    hashed,
+    linear,
+    pulse,
+    tiles,
+    tint,
+)
 
 
 def _damp(spots: Spots) -> Array:

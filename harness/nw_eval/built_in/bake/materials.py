@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from nw_eval.built_in.paint import decor, floors, masonry, openings, timber
-from nw_eval.built_in.paint.spots import Coat, Colour, Material, Spots, linear
+from nw_eval.built_in.bake import decor, floors, masonry, openings, timber
+from nw_eval.built_in.bake.spots import Coat, Colour, Material, Spots, linear
 
 _CAR_COLOURS = {
     "silver": "#9aa0a6",

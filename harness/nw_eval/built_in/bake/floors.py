@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.built_in.paint.noise import fractal, hashed, noise
-from nw_eval.built_in.paint.patterns import band, pulse, step, tiles
-from nw_eval.built_in.paint.spots import Coat, Colour, Spots, blend, grain, linear, tint
+from nw_eval.built_in.bake.spots import (
+    Coat,
+    Colour,
+    Spots,
+    band,
+    blend,
+    fractal,
+    grain,
+    hashed,
+    linear,
+    noise,
+    pulse,
+    step,
+    tiles,
+    tint,
+)
 
 _MOSS = linear("#5d6638")
 _DIRT = linear("#4a4238")

@@ -1,9 +1,10 @@
-"""Further looks of a built-in scene: `gaps/two_stones_park~3` is its course in another's place.
+"""All built-in scenes, and further looks of each.
 
-Sixteen places a task are few to learn to see from: a network comes to know them by their floors.
-A variant has the obstacles and the trail of its scene to the last bit, but place, light and
-materials of others of the same task, so that what it looks like says nothing of where to step.
-Variants of training scenes are made of training scenes alone.
+`gaps/two_stones_park~3` is a variant: the course of a scene in another's place. Sixteen places a
+task are few to learn to see from: a network comes to know them by their floors. A variant has the
+obstacles and the trail of its scene to the last bit, but place, light and materials of others of
+the same task, so that what it looks like says nothing of where to step. Variants of training scenes
+are made of training scenes alone.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ from typing import Any
 import numpy as np
 
 from nw_eval.built_in.entry import Course, Entry
+from nw_eval.built_in.gaps import GAPS
+from nw_eval.built_in.hurdles import HURDLES
+from nw_eval.built_in.ramps import RAMPS
 from nw_eval.built_in.splits import split_of
+from nw_eval.built_in.stairs import STAIRS
+
+ENTRIES: tuple[Entry, ...] = (*HURDLES, *GAPS, *RAMPS, *STAIRS)
 
 MOST = 99
 """Largest number of a variant."""

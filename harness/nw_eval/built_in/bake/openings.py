@@ -4,9 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.built_in.paint.noise import Array, fractal, hashed
-from nw_eval.built_in.paint.patterns import band, frame, pulse, step
-from nw_eval.built_in.paint.spots import Coat, Colour, Spots, blend, linear, tint
+from nw_eval.built_in.bake.spots import (
+    Array,
+    Coat,
+    Colour,
+    Spots,
+    band,
+    blend,
+    fractal,
+    frame,
+    hashed,
+    linear,
+    pulse,
+    step,
+    tint,
+)
 
 _FRAME = 0.055
 

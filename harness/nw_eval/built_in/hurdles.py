@@ -1,21 +1,79 @@
-"""Hurdles: fixed-height bars, blocks and benches, and one place with nothing in the way."""
+"""Hurdles: bars, blocks and benches across the trail; and one place with nothing in the way."""
 
 from __future__ import annotations
 
-from nw_eval.built_in.courses.hurdles import Hurdles
+from dataclasses import dataclass
+
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.indoors.corridor import Corridor
-from nw_eval.built_in.places.indoors.room import Room
-from nw_eval.built_in.places.indoors.warehouse import Warehouse
-from nw_eval.built_in.places.indoors.workshop import Workshop
-from nw_eval.built_in.places.outdoors.alley import Alley
-from nw_eval.built_in.places.outdoors.car_park import CarPark
-from nw_eval.built_in.places.outdoors.cloister import Cloister
-from nw_eval.built_in.places.outdoors.courtyard import Courtyard
-from nw_eval.built_in.places.outdoors.garden import Garden
-from nw_eval.built_in.places.outdoors.park import Park
-from nw_eval.built_in.places.outdoors.plaza import Plaza
-from nw_eval.built_in.places.outdoors.yard import Yard
+from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
+from nw_eval.built_in.places.halls import Warehouse, Workshop
+from nw_eval.built_in.places.rooms import Corridor, Room
+from nw_eval.built_in.places.streets import Alley, CarPark, Plaza, Yard
+from nw_eval.scenes.scene import Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hurdles:
+    """Solid bars that lie across the trail, a waypoint on top of each and one after the last.
+
+    Attributes:
+        heights: of the bars in metres, nearest first; none makes a flat trail.
+        gaps: metres from the spawn to the first bar's middle, then from middle to middle.
+        length: of each bar along the trail, metres.
+        width: of each bar across the trail, metres.
+        shift: of each bar's middle to the left, metres; missing ones are 0.
+        material: of the bars' sides.
+        top: of their tops, where that differs.
+        finish: metres from the last bar's middle (or the spawn) to the last waypoint.
+    """
+
+    heights: tuple[float, ...]
+    gaps: tuple[float, ...]
+    length: float = 0.35
+    width: float = 1.6
+    shift: tuple[float, ...] = ()
+    material: str = "plywood"
+    top: str | None = None
+    finish: float = 1.6
+
+    @property
+    def floor(self) -> float:
+        """Height of the ground, metres."""
+        return 0.0
+
+    def middles(self) -> tuple[float, ...]:
+        """Return the bars' middles along x, metres."""
+        return tuple(sum(self.gaps[: index + 1]) for index in range(len(self.heights)))
+
+    def trail(self) -> tuple[Vector, ...]:
+        """Return the waypoints: on top of each bar, then on the floor after the last."""
+        middles = self.middles()
+        tops = tuple(
+            (x, self._shift(index), height)
+            for index, (x, height) in enumerate(zip(middles, self.heights, strict=True))
+        )
+        last = middles[-1] if middles else 0.0
+        return (*tops, (last + self.finish, 0.0, 0.0))
+
+    def build(self, builder: PlaceBuilder) -> None:
+        """Build the bars."""
+        for index, (x, height) in enumerate(zip(self.middles(), self.heights, strict=True)):
+            y = self._shift(index)
+            builder.box(
+                (x - self.length / 2, x + self.length / 2),
+                (y - self.width / 2, y + self.width / 2),
+                (0.0, height),
+                self.material,
+                top=self.top,
+                kind="obstacle",
+                fine=0.6,
+                texture=(3.7 * index, 0.0),
+            )
+
+    def _shift(self, index: int) -> float:
+        return self.shift[index] if index < len(self.shift) else 0.0
+
 
 HURDLES: tuple[Entry, ...] = (
     Entry(
