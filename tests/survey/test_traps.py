@@ -17,7 +17,7 @@ from nw_eval.scenes import Plane, Scene
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.terrain import build_terrain
-from nw_eval.survey.feet import drop_feet
+from nw_eval.survey.ground import drop_feet
 from nw_eval.survey.ground import survey_ground
 shape = corridor()
 mesh = TriangleMesh(vertices=np.array(shape.vertices), faces=np.array(shape.faces, dtype=np.int32),

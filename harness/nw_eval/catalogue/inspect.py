@@ -14,7 +14,7 @@ from nw_eval.scenes.folder import inspect_folder
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
 from nw_eval.scenes.scene import Scene
 from nw_eval.survey import Survey, survey_scene
-from nw_eval.survey.findings.of_trail import trail_findings
+from nw_eval.survey.trail import trail_findings
 from nw_eval.words import Robot
 
 

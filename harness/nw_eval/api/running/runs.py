@@ -190,7 +190,7 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     The built-in ones are right.
     """
     from nw_eval.catalogue import is_built_in
-    from nw_eval.survey.findings.of_trail import trail_findings
+    from nw_eval.survey.trail import trail_findings
 
     for place in plan.found:
         if not is_built_in(place.reference):
