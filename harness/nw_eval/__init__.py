@@ -146,7 +146,7 @@ _ROOMS = MappingProxyType(
         "sensors.gallery": ("SeenCard",),
         "splat.gaussians": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
-        "viewing.recording.written": ("WrittenRecording",),
+        "viewing.recording.write": ("WrittenRecording",),
     }
 )
 """Where each public name is at home."""

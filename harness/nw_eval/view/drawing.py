@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.mesh import CONE_HEIGHT, cone_mesh
 from nw_eval.view.shapes import triangles_of
 from nw_eval.view.trace import Trace, parting
-from nw_eval.viewing.browser.splat_points import SplatPoints
+from nw_eval.viewing.browser import SplatPoints
 
 COLOURS = ((25, 115, 240), (232, 89, 12), (43, 138, 62), (134, 65, 196))
 """Of the ways that the trials walked, the first being the one that is looked at."""

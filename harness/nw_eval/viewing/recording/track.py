@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.viewing.recording.sdk import APPLICATION, rerun_sdk
+from nw_eval.errors import PrerequisiteError
 
 TIME = "sim_time"
 """The timeline: simulated seconds since the trial's start."""
 
 Times = Sequence[int]
 """Nanoseconds of simulated time."""
+
+APPLICATION = "nw-eval"
+"""The application of recordings and layouts; Rerun keeps one layout for each."""
+
+_FIX = "pip install 'nw-eval[rerun]'"
 
 
 class Track:
@@ -84,3 +90,20 @@ class Track:
             raise OSError("Rerun could not write all of it") from lost
         finally:
             self._stream.disconnect()
+
+
+def rerun_sdk() -> Any:
+    """Return the package `rerun`, with its blueprints.
+
+    Raises:
+        PrerequisiteError: it is missing, too old, or another package of that name.
+    """
+    try:
+        sdk: Any = import_module("rerun")
+        import_module("rerun.blueprint")
+    except ImportError as error:
+        raise PrerequisiteError(f"Rerun's files need the package {error.name}", fix=_FIX) from error
+    if not hasattr(sdk, "GaussianSplats3D"):
+        found = getattr(sdk, "__version__", "another package")
+        raise PrerequisiteError(f"Rerun's files need rerun-sdk 0.41, not {found}", fix=_FIX)
+    return sdk

@@ -1,4 +1,4 @@
-"""Who may speak to the page: browsers of this machine that show the page itself.
+"""Pages in a browser by viser: who may speak to them, and what they draw splats by.
 
 Listening at the loopback address alone does not keep other web pages out: any page in a browser of
 this machine may open a websocket to it. Browsers say which page that is (`Origin`), and under which
@@ -13,14 +13,25 @@ import asyncio
 import http
 import logging
 import re
+import socket
 import sys
 import warnings
 from collections.abc import Awaitable, Callable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from importlib import import_module
+from io import StringIO
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nw_eval.clean import clean
+from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.splat.gaussians import SH0, Gaussians
+
+HOST = "127.0.0.1"
+"""The page listens at this machine's own address only."""
 
 _HERE = re.compile(r"(localhost|127\.0\.0\.1)(:\d+)?")
 
@@ -30,6 +41,97 @@ Handler = Callable[[Any], Awaitable[None]]
 """Of websockets: what is done with a connection until it ends."""
 Opened = Callable[[str], None]
 """Is called with the path and query of every request of the page itself, and returns at once."""
+
+MOST = 200_000
+"""More take a browser without a graphics card longer than a second a picture."""
+
+
+def check_server(port: int) -> None:
+    """Check that a server can be started, before anything is done for it.
+
+    Args:
+        port: 0 = one that is free.
+
+    Raises:
+        PrerequisiteError: viser is not installed.
+        UsageError: nothing can listen at the port.
+    """
+    _viser()
+    try:
+        _bind(port)
+    except (OSError, OverflowError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error).rstrip(".")
+        raise UsageError(
+            f"cannot listen at {HOST}, port {port}: {reason}", fix="choose another --port, or 0"
+        ) from None
+
+
+def free_port(wanted: int) -> int:
+    """Return a port if nothing listens there, and otherwise 0: any that is free."""
+    try:
+        _bind(wanted)
+    except OSError:
+        return 0
+    return wanted
+
+
+def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
+    """Return a running `viser.ViserServer` that prints nothing, shares nothing, and is guarded.
+
+    Args:
+        port: 0 = one that is free.
+        label: what the browser's tab is called.
+        opened: is called when somebody opens the page.
+
+    Raises:
+        PrerequisiteError: viser is not installed, does not start, or cannot be guarded.
+        UsageError: it cannot listen there.
+    """
+    check_server(port)  # viser would try a thousand other ports.
+    viser = _viser()
+    library_tells_in_lines()
+    # It draws a box round its address, whatever it is told.
+    with servers_are_guarded(opened) as guarded, redirect_stdout(StringIO()):
+        try:
+            server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
+        except (OSError, RuntimeError, AssertionError) as error:
+            raise PrerequisiteError(
+                f"viser does not start: {error}", fix="pip install --upgrade nw-eval[view]"
+            ) from error
+    if not guarded:
+        stop(server)
+        raise PrerequisiteError(
+            f"viser {viser.__version__} starts its server in a way that is not known here, and "
+            "other web pages could not be kept out",
+            fix="pip install 'viser==1.1.1'",
+        )
+    if port not in {0, server.get_port()}:  # Somebody was faster.
+        stop(server)
+        raise UsageError(f"port {port} is in use", fix="choose another --port, or 0")
+    # Sharing would send the place to a server of viser's makers.
+    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    return server
+
+
+def _bind(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((HOST, port))
+
+
+def stop(server: Any) -> None:
+    """Stop a server; viser would say so on standard output."""
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+def _viser() -> Any:
+    try:
+        return import_module("viser")
+    except ImportError as error:
+        raise PrerequisiteError(
+            f"the page needs the package viser: {error}", fix="pip install nw-eval[view]"
+        ) from error
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str]) -> str | None:
@@ -176,3 +278,69 @@ def servers_are_guarded(opened: Opened | None = None) -> Generator[list[Answer]]
         yield found
     finally:
         server.serve = serve
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SplatPoints:
+    """N Gaussians in one frame.
+
+    Attributes:
+        centers: (N, 3) float32.
+        covariances: (N, 3, 3) float32.
+        rgbs: (N, 3) float32, 0 to 1, without what depends on the direction.
+        opacities: (N, 1) float32, 0 to 1.
+    """
+
+    centers: NDArray[np.float32]
+    covariances: NDArray[np.float32]
+    rgbs: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+
+    def take(self, selection: NDArray[np.bool_]) -> SplatPoints:
+        """Return the Gaussians at a mask (N,)."""
+        return SplatPoints(
+            centers=self.centers[selection],
+            covariances=self.covariances[selection],
+            rgbs=self.rgbs[selection],
+            opacities=self.opacities[selection],
+        )
+
+
+def splat_points(
+    gaussians: Gaussians, T_world_splat: NDArray[np.float64], *, most: int = MOST
+) -> SplatPoints:
+    """Return the Gaussians that are seen most, in the world.
+
+    Args:
+        gaussians: in the splat's frame.
+        T_world_splat: (4, 4) similarity.
+        most: how many are kept: those of the largest opacity times area.
+    """
+    opacity = 1 / (1 + np.exp(-np.clip(gaussians.opacity_logits.astype(np.float64), -60, 60)))
+    deviations = np.exp(np.clip(gaussians.log_scales.astype(np.float64), -60, 20))
+    ordered = np.sort(deviations, axis=1)
+    weight = opacity * ordered[:, 1] * ordered[:, 2]
+    whole = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weight)
+    whole &= np.isfinite(gaussians.quats).all(axis=1) & (np.abs(gaussians.quats).sum(axis=1) > 0)
+    order = np.argsort(np.where(whole, -weight, np.inf), kind="stable")
+    kept = np.sort(order[: min(most, int(whole.sum()))])
+    axes = T_world_splat[:3, :3] @ _rotations(gaussians.quats[kept].astype(np.float64))
+    means = gaussians.means[kept].astype(np.float64)
+    spread = axes * deviations[kept][:, None, :]
+    return SplatPoints(
+        centers=(means @ T_world_splat[:3, :3].T + T_world_splat[:3, 3]).astype(np.float32),
+        covariances=(spread @ spread.transpose(0, 2, 1)).astype(np.float32),
+        rgbs=np.clip(0.5 + SH0 * gaussians.sh[kept, 0], 0, 1).astype(np.float32),
+        opacities=opacity[kept, None].astype(np.float32),
+    )
+
+
+def _rotations(quats: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations (N, 3, 3) of quaternions (N, 4) w x y z of any length but 0."""
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
