@@ -146,7 +146,7 @@ _ROOMS = MappingProxyType(
         "sensors.gallery": ("SeenCard",),
         "splat.gaussians": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
-        "viewing.recording.write": ("WrittenRecording",),
+        "viewing.recording.track": ("WrittenRecording",),
     }
 )
 """Where each public name is at home."""

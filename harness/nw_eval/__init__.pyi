@@ -131,7 +131,7 @@ from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.gaussians import SplatFigures
 from nw_eval.stats.agreement.agree import Agreement
-from nw_eval.viewing.recording.write import WrittenRecording
+from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nw_eval.rollout.replaying.report import ReplayReport
     from nw_eval.rollout.replaying.takeover.report import TakeoverReport
-    from nw_eval.viewing.recording.write import WrittenRecording
+    from nw_eval.viewing.recording.track import WrittenRecording
 
 
 def replay(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,9 @@ from numpy.typing import NDArray
 from nw_eval.scenes.grid import Grid
 from nw_eval.scenes.mesh import FaceKind
 from nw_eval.scenes.scene import Box, Friction
-from nw_eval.scenes.surface import Columns, Surface
+
+if TYPE_CHECKING:  # Embree loads with it.
+    from nw_eval.scenes.surface import Columns, Surface
 
 Values = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]

@@ -1,8 +1,9 @@
-"""One recording in the making: entities with what stays, what changes, and numbers over time."""
+"""One recording in the making: entities with what stays, what changes, and numbers over time; and what is said of a written one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Self
@@ -107,3 +108,15 @@ def rerun_sdk() -> Any:
         found = getattr(sdk, "__version__", "another package")
         raise PrerequisiteError(f"Rerun's files need rerun-sdk 0.41, not {found}", fix=_FIX)
     return sdk
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenRecording:
+    """A recording of Rerun that was written."""
+
+    file: Path
+    bytes: int
+    gaussians: int
+    """Of the place's splat; 0 = it is not in the recording."""
+    no_splat: str
+    """Why it is not; empty if it is."""

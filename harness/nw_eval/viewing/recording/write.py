@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +30,7 @@ from nw_eval.viewing.recording.content import (
     write_place,
     write_series,
 )
-from nw_eval.viewing.recording.track import TIME, Track, rerun_sdk
+from nw_eval.viewing.recording.track import TIME, Track, WrittenRecording, rerun_sdk
 from nw_eval.viewing.shown import shown_in_log
 
 if TYPE_CHECKING:
@@ -154,15 +153,3 @@ def write_layout(log: Path, out: Path) -> Path:
     with atomic_path(followed(out)) as temporary:
         save_layout(shown, temporary)
     return out
-
-
-@dataclass(frozen=True, kw_only=True)
-class WrittenRecording:
-    """A recording of Rerun that was written."""
-
-    file: Path
-    bytes: int
-    gaussians: int
-    """Of the place's splat; 0 = it is not in the recording."""
-    no_splat: str
-    """Why it is not; empty if it is."""
