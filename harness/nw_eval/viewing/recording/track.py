@@ -1,4 +1,4 @@
-"""One recording in the making: entities with what stays, what changes, and numbers over time; and what is said of a written one."""
+"""One recording of Rerun: entities with what stays, what changes, and numbers over time."""
 
 from __future__ import annotations
 
