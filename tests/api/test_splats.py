@@ -12,7 +12,7 @@ from nw_eval.built_in.splits import EVALUATION
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import cache_dir
-from nw_eval.scenes.circuit import circuit
+from nw_eval.scenes.overview import circuit
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.files import read_splat

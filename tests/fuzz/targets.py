@@ -428,7 +428,7 @@ def _published_seeds(folder):
 
 
 def _read_mesh(folder):
-    from nw_eval.scenes.terrain.mesh_file import read_mesh
+    from nw_eval.scenes.mesh_file import read_mesh
 
     (path,) = folder.iterdir()
     read_mesh(path)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nw_eval.scenes.cone import cone_mesh
+from nw_eval.scenes.mesh import cone_mesh
 from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.overlay import draw, ray_directions
 from nw_eval.splat.camera import Camera, Pixels, look_at

@@ -89,7 +89,7 @@ def splat_render(
         StoreError: the picture cannot be written.
     """
     from nw_eval import catalogue
-    from nw_eval.scenes.circuit import circuit
+    from nw_eval.scenes.overview import circuit
     from nw_eval.splat import portrait
 
     suffix = out.suffix.lower()

@@ -9,8 +9,8 @@ from nw_eval.catalogue import get_scene, names
 from nw_eval.catalogue.inspect import inspect_scene
 from nw_eval.errors import SceneError
 from nw_eval.scenes import Box, Plane, Scene, Spawn
-from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import has_errors
+from nw_eval.scenes.check import check_scene
+from nw_eval.scenes.finding import has_errors
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

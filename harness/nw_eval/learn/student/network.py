@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor, nn
 
-from nw_eval.built_in.variants import parted
+from nw_eval.built_in.entries import parted
 from nw_eval.cards.file.load import CARD_FILE
 from nw_eval.catalogue import is_meant, names
 from nw_eval.errors import PrerequisiteError

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.built_in.courses.gaps import Gaps
-from nw_eval.built_in.courses.hurdles import Hurdles
-from nw_eval.built_in.courses.ramps import Boards, Humps
-from nw_eval.built_in.courses.stairs import Stairs
 from nw_eval.built_in.entry import Course, Entry
+from nw_eval.built_in.gaps import Gaps
+from nw_eval.built_in.hurdles import Hurdles
 from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.ramps import Boards, Humps
+from nw_eval.built_in.stairs import Stairs
 from nw_eval.learn.teacher.config import Ground
 from nw_eval.scenes.scene import Scene, Vector
 from nw_eval.words import Task

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations.cameras import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.cameras.splat_image import Arrange, average_blocks
 from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
