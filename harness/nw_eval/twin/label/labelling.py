@@ -23,7 +23,7 @@ from nw_eval.twin.label.folder.opening import OpenedPlace, open_place
 from nw_eval.twin.label.folder.published import publish_pair
 from nw_eval.twin.label.folder.saving import save_label
 from nw_eval.twin.label.placement import Placement
-from nw_eval.twin.place.write import Route
+from nw_eval.twin.place import Route
 from nw_eval.twin.trail import propose_trail
 
 

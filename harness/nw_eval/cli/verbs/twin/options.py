@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from nw_eval.words import Robot
 
 if TYPE_CHECKING:
-    from nw_eval.twin.building import BuildSettings
+    from nw_eval.twin.building.build import BuildSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +84,8 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     """
     from nw_eval.results.machine import usable_cores
     from nw_eval.twin.align import AlignOptions
-    from nw_eval.twin.appearance import AppearanceOptions
-    from nw_eval.twin.building import BuildSettings
+    from nw_eval.twin.building.appearance import AppearanceOptions
+    from nw_eval.twin.building.build import BuildSettings
     from nw_eval.twin.calibrate import CalibrateOptions
     from nw_eval.twin.reconstruct import ReconstructOptions
 

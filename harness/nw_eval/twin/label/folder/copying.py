@@ -17,9 +17,8 @@ from nw_eval.scenes.name import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.suite.ready import write_ready_suite
-from nw_eval.twin.align.apply import similarity_entry
-from nw_eval.twin.place.entries import rounded, write_collision
-from nw_eval.twin.place.write import COLLISION, SPLAT, SUITE, write_yaml
+from nw_eval.twin.moved import similarity_entry
+from nw_eval.twin.place import COLLISION, SPLAT, SUITE, rounded, write_collision, write_yaml
 from nw_eval.words import Robot
 
 _BOXES = "collision.yaml"

@@ -22,7 +22,7 @@ from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.twin.label.folder.scene_xml import scene_xml
 from nw_eval.twin.label.placement import mapped, shift, turn
-from nw_eval.twin.place.write import Route
+from nw_eval.twin.place import Route
 from nw_eval.words import ROBOTS
 
 _NAME_OF_TASK = {"hurdles": "hurdle", "gaps": "gaps", "ramps": "ramp", "stairs": "stairs"}

@@ -24,8 +24,7 @@ from nw_eval.splat.transform import quaternions
 from nw_eval.twin.label.folder.opening import OpenedPlace
 from nw_eval.twin.label.folder.scene_text import SceneText
 from nw_eval.twin.label.placement import mapped
-from nw_eval.twin.place.entries import write_collision
-from nw_eval.twin.place.write import Route
+from nw_eval.twin.place import Route, write_collision
 
 _OURS = re.compile(r"collision-[0-9a-f]{12}\.ply|captures-[0-9a-f]{12}\.json")
 """Moved or cropped meshes, and moved cameras. Those that a build wrote stay as they are: a crop can

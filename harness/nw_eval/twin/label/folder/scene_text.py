@@ -14,10 +14,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from nw_eval.errors import SceneError
-from nw_eval.twin.align.apply import similarity_entry
 from nw_eval.twin.label.placement import Placement
-from nw_eval.twin.place.entries import rounded
-from nw_eval.twin.place.write import Route
+from nw_eval.twin.moved import similarity_entry
+from nw_eval.twin.place import Route, rounded
 
 
 class SceneText:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from nw_eval.scenes.health.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.twin.align.apply import moved_points
 from nw_eval.twin.capture import Capture
+from nw_eval.twin.moved import moved_points
 from nw_eval.twin.reconstruct import read_depth
 from nw_eval.twin.reconstruct.packages import package
 
