@@ -1,25 +1,30 @@
-"""From a source to a capture, in five steps: find, take in, compare, map, develop."""
+"""From a source to a capture, in five steps: find, take in, compare, map, develop.
+
+Which photographs are compared is chosen here, and why some could not be placed is said here, in
+words that help whoever took them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.develop import develop
+from nw_eval.twin.calibrate.features import Matches, match
+from nw_eval.twin.calibrate.footage import Footage
+from nw_eval.twin.calibrate.mapping import map_cameras, triangulate
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import UNREADABLE, Photograph, are_numbered, take_in
 from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut, by_reason
 from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.calibrate.solving.features import Matches, match
-from nw_eval.twin.calibrate.solving.mapping import map_cameras, triangulate
-from nw_eval.twin.calibrate.solving.pairs import pairs_of
-from nw_eval.twin.calibrate.solving.reasons import why_not
-from nw_eval.twin.calibrate.sources import Footage, find_source
+from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.capture import write_capture
 
 _LEAST = 3
@@ -32,6 +37,22 @@ _FIX = (
     "photograph again: hold still, go on so that each picture shares two thirds with the one "
     "before, and keep something with texture in view"
 )
+
+_OVERLAP = 10
+"""Neighbours on one side that each is compared with."""
+_LOOP = 60
+"""Photographs of a sequence, evenly spread, that are all compared with each other: what closes
+loops. A shorter sequence is compared wholly."""
+
+BLURRED, PLAIN = "blurred", "no texture"
+APART, UNFIT = "too far from the others", "does not fit the others"
+_FEW_FEATURES = 150
+_FEW_MATCHES = 30
+"""COLMAP's own least number of points by which a camera is placed."""
+_BLURRED = 0.3
+"""Of the sharpness of the others, their contrast allowed for."""
+_SHAKEN = 0.02
+"""Sharpness in squares of the contrast: what has edges at all has more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,3 +298,65 @@ def _report(
         reprojection_error=float(errors.mean()) if len(errors) else None,
         seed=options.seed,
     )
+
+
+def pairs_of(count: int, *, in_sequence: bool) -> list[tuple[int, int]]:
+    """Return pairs (i, j), i < j, sorted.
+
+    Args:
+        count: of photographs.
+        in_sequence: whether neighbours in number are neighbours in space: then each is compared
+            with the next ten and those 16, 32, ... further, and sixty of all with each other.
+    """
+    if not in_sequence or count <= _LOOP:
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    steps = [*range(1, _OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]
+    spread = range(0, count, -(-count // _LOOP))
+    found = {(i, i + step) for i in range(count) for step in steps if i + step < count}
+    found |= {(i, j) for i in spread for j in spread if i < j}
+    return sorted(found)
+
+
+def why_not(
+    photographs: Sequence[Photograph], placed: Iterable[str], matches: Matches
+) -> list[LeftOut]:
+    """Return each photograph that is not among the placed, with the likeliest reason.
+
+    Blurred: far less fine detail than the others, though not less contrast; or few features, and
+    none of what there is has an edge. No texture: few features. Too far: few matches with any that
+    is placed, or with any at all if none is.
+    """
+    known = set(placed)
+    files = {one.file for one in photographs if one.name in known}
+    files = files or {one.file for one in photographs}
+    left = [one for one in photographs if one.name not in known]
+    good = [one for one in photographs if one.name in known] or photographs
+    sharp = float(np.median([one.sharpness for one in good]))
+    contrast = float(np.median([one.contrast for one in good]))
+    most = {one.file: _most(one.file, files, matches) for one in left}
+    return [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
+
+
+def _most(file: str, others: set[str], matches: Matches) -> int:
+    found = [
+        count
+        for pair, count in matches.inliers.items()
+        if file in pair and (pair[0] if pair[1] == file else pair[1]) in others
+    ]
+    return max(found, default=0)
+
+
+def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: Matches) -> LeftOut:
+    share = one.sharpness / max(sharp, 1e-9)
+    features = matches.features.get(one.file, 0)
+    if share < _BLURRED and one.contrast > 0.4 * contrast:
+        reason, detail = BLURRED, f"{share:.0%} of the others' sharpness"
+    elif features < _FEW_FEATURES and one.sharpness < _SHAKEN * one.contrast**2:
+        reason, detail = BLURRED, f"{features} features, none of its edges is sharp"
+    elif features < _FEW_FEATURES:
+        reason, detail = PLAIN, f"{features} features"
+    elif most < _FEW_MATCHES:
+        reason, detail = APART, f"at most {most} matches with one of them"
+    else:
+        reason, detail = UNFIT, f"{most} matches with one of them, yet no place for it"
+    return LeftOut(name=one.name, reason=reason, detail=detail)

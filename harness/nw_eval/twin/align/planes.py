@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.twin.align.gravity.horizon import gram
-
 Values = NDArray[np.float64]
 
 _VOTERS = 4000
@@ -123,6 +121,11 @@ def fit_plane(
         share=float(prior[np.abs(off) <= tolerance].sum() / prior.sum()),
         sigma=math.sqrt(scatter / max(count, 1)),
     )
+
+
+def gram(vectors: Values, weights: Values) -> Values:
+    """Return the weighted sum of v v' over (N, 3) vectors; the same for any number of threads."""
+    return np.einsum("n,ni,nj->ij", weights, vectors, vectors)
 
 
 def _settled(points: Values, plane: FittedPlane, tolerance: float) -> FittedPlane:

@@ -1,22 +1,25 @@
-"""How long a unit of a capture is: every cue that there is, the most trusted first."""
+"""How long a unit of a capture is: every cue that there is, the most trusted first.
+
+Lengths and heights that somebody measured lie between points in space, or points picked in shots.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import PrerequisiteError, UsageError
+from nw_eval.errors import PrerequisiteError, UsageError, nearest
 from nw_eval.plural import plural
-from nw_eval.twin.align.alignment import MOST_DIFFERENCE, ScaleCue
-from nw_eval.twin.align.options import AlignOptions
-from nw_eval.twin.align.scale.lengths import units_of
-from nw_eval.twin.align.scale.positions import PositionFit
-from nw_eval.twin.align.scale.tags import PlacedTag, find_tags, place_tags
+from nw_eval.scenes.scene import Vector
+from nw_eval.twin.align.alignment import MOST_DIFFERENCE, AlignOptions, KnownLength, Pixel, ScaleCue
+from nw_eval.twin.align.positions import PositionFit
+from nw_eval.twin.align.tags import PlacedTag, find_tags, place_tags
+from nw_eval.twin.align.triangulate import triangulate
 from nw_eval.twin.capture import Capture
 
 Values = NDArray[np.float64]
@@ -27,6 +30,9 @@ _GIVE = (
     "lay a printed tag36h11 tag into view and give its edge (tag_edge), or give camera_height, a "
     "known height or length, the shots' positions, or say that the poses are metric"
 )
+
+_TOLERANCE = 8.0
+"""Pixels that a picked point may be off: hands are less exact than detectors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,3 +217,45 @@ def _nothing(capture: Capture, folder: Path, options: AlignOptions, warnings: li
 
 def _listed(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers))
+
+
+def units_of(length: KnownLength, capture: Capture, up: Values) -> float:
+    """Return how many of the capture's units a known length has.
+
+    Args:
+        length: with its two points.
+        capture: in whose frame, or in whose shots, they are.
+        up: (3,) unit vector, for heights.
+
+    Raises:
+        UsageError: a shot is not there, picks do not meet in a point, or the points coincide.
+    """
+    way = _point(length.second, capture) - _point(length.first, capture)
+    units = abs(float(way @ up)) if length.vertical else float(np.linalg.norm(way))
+    if units < 1e-9 * max(1.0, float(np.abs(capture.points).max(initial=0.0))):
+        raise UsageError(
+            f"the two points of a length of {length.metres:g} m coincide",
+            fix="pick two points apart" + (" in height" if length.vertical else ""),
+        )
+    return units
+
+
+def _point(where: Vector | Mapping[str, Pixel], capture: Capture) -> Values:
+    if not isinstance(where, Mapping):
+        return np.asarray(where, dtype=np.float64)
+    shots = {shot.name: shot for shot in capture.shots}
+    for name in where:
+        if name not in shots:
+            raise UsageError(
+                f"a point was picked in {name!r}, which is no shot of the capture",
+                fix=nearest(name, shots),
+            )
+    cameras = [shots[name].camera for name in where]
+    pixels = np.array(list(where.values()), dtype=np.float64).reshape(-1, 1, 2)
+    found = triangulate(cameras, pixels, tolerance=_TOLERANCE)
+    if found is None:
+        raise UsageError(
+            f"the picks in {', '.join(where) or 'no shot'} do not meet in a point",
+            fix="pick the same point in two shots or more, from places well apart",
+        )
+    return found.points[0]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nw_eval.errors import SceneError
+from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package
 from nw_eval.twin.calibrate.photographs import Found, sharpness_of
-from nw_eval.twin.calibrate.sources.footage import Footage
 
 VIDEOS = frozenset(
     (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp")

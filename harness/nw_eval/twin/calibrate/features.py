@@ -28,6 +28,8 @@ were."""
 _AT_ONCE = 6
 """Photographs between two looks at the clock."""
 
+Groups = list[tuple[Lens | None, list[Photograph]]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
@@ -91,9 +93,6 @@ def match(
                 f"COLMAP could not compare the photographs: {error}",
                 fix="look at the photographs; fewer or smaller ones need less memory",
             ) from None
-
-
-Groups = list[tuple[Lens | None, list[Photograph]]]
 
 
 def _groups(photographs: Sequence[Photograph], lenses: Sequence[Lens | None]) -> Groups:

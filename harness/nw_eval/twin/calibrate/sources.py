@@ -7,14 +7,12 @@ from pathlib import Path
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import what_is
 from nw_eval.files.pictures import open_picture
+from nw_eval.twin.calibrate.colmap import colmap_in
+from nw_eval.twin.calibrate.exports import FILE, nerfstudio_in, polycam_in
+from nw_eval.twin.calibrate.footage import Footage, photographs_in
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import DAMAGE
-from nw_eval.twin.calibrate.sources.colmap import colmap_in
-from nw_eval.twin.calibrate.sources.folder import photographs_in
-from nw_eval.twin.calibrate.sources.footage import Footage
-from nw_eval.twin.calibrate.sources.nerfstudio import FILE, nerfstudio_in
-from nw_eval.twin.calibrate.sources.polycam import polycam_in
-from nw_eval.twin.calibrate.sources.video import VIDEOS, frames_of
+from nw_eval.twin.calibrate.video import VIDEOS, frames_of
 
 _FIX = (
     "give a folder of photographs, a video, or a folder of COLMAP, nerfstudio (transforms.json) "

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError
 from nw_eval.plural import plural
-from nw_eval.twin.align.options import TagFamily
-from nw_eval.twin.align.scale.triangulate import triangulate
+from nw_eval.twin.align.alignment import TagFamily
+from nw_eval.twin.align.triangulate import triangulate
 from nw_eval.twin.capture import Capture, read_picture
 
 Values = NDArray[np.float64]

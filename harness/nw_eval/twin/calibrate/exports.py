@@ -1,6 +1,11 @@
-"""nerfstudio's and Instant-NGP's transforms.json: photographs with cameras in OpenGL axes.
+"""Photographs with cameras in OpenGL axes, in JSON: nerfstudio's and Polycam's exports.
 
+nerfstudio and Instant-NGP write transforms.json:
 https://docs.nerf.studio/quickstart/data_conventions.html
+
+Polycam's raw export is `keyframes/images` and one JSON of a camera beside each. `t_00` to `t_23`
+are the rows of T_world_camera in ARKit's axes: y of the world up, metres; x of the camera right,
+y up, z back. As nerfstudio's importer reads them, without its change of axes.
 """
 
 from __future__ import annotations
@@ -17,9 +22,9 @@ from numpy.typing import NDArray
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
+from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, number, read_json
 from nw_eval.twin.calibrate.photographs import SUFFIXES, Found
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
-from nw_eval.twin.calibrate.sources.footage import Footage, found_in, in_order, number, read_json
 
 SizeOf = Callable[[Path], tuple[int, int] | None]
 FILE = "transforms.json"
@@ -31,6 +36,9 @@ _KINDS = _FISHEYES | {
     "OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL",
 }  # fmt: skip
 _FIX = "export transforms.json again"
+
+_CAMERAS_OF = (("corrected_images", "corrected_cameras"), ("images", "cameras"))
+"""Polycam corrects poses when it closes loops; those come first."""
 
 
 def nerfstudio_in(folder: Path, size_of: SizeOf) -> Footage | None:
@@ -187,3 +195,50 @@ def _model(
     if k1 or k2 or p1 or p2:
         return "OPENCV", (k1, k2, p1, p2)
     return "PINHOLE", ()
+
+
+def polycam_in(folder: Path) -> Footage | None:
+    """Return the cameras and photographs of an export of Polycam; None if it is none.
+
+    Raises:
+        SceneError: a camera's file is damaged.
+    """
+    for place in (folder / "keyframes", folder):
+        for images, cameras in _CAMERAS_OF:
+            if (place / cameras).is_dir() and (place / images).is_dir():
+                return _read(place / images, place / cameras)
+    return None
+
+
+def _read(images: Path, cameras: Path) -> Footage:
+    files: list[Found] = []
+    placed: list[Placed] = []
+    pictures = sorted(p.name for p in images.iterdir() if p.suffix.lower() in SUFFIXES)
+    for name in pictures:
+        path = found_in(cameras, f"{Path(name).stem}.json").path
+        if path is None or not path.is_file():
+            fault = f"{cameras.name} has no {Path(name).stem}.json"
+            files.append(Found(name=name, path=None, fault=fault))
+            continue
+        files.append(found_in(images, name))
+        placed.append(_placed(name, read_json(path)))
+    if not placed:
+        raise SceneError(
+            f"no photograph in {images} has its camera in {cameras}", fix="export again"
+        )
+    return Footage(kind="polycam", files=in_order(files), cameras=Solution(placed=tuple(placed)))
+
+
+def _placed(name: str, values: dict[str, Any]) -> Placed:
+    def value(key: str) -> float:
+        return number(values.get(key), f"{key} of {name}")
+
+    T = np.eye(4)
+    T[:3] = [[value(f"t_{row}{column}") for column in range(4)] for row in range(3)]
+    lens = Lens(
+        model="PINHOLE",
+        width=round(value("width")),
+        height=round(value("height")),
+        params=tuple(value(key) for key in ("fx", "fy", "cx", "cy")),
+    )
+    return Placed(name=name, lens=lens, T_world_camera=rigid(T @ OPENGL, name))
