@@ -10,9 +10,8 @@ from splat_rooms import cloud, eye_camera, psnr, room
 
 from nw_eval.errors import UsageError
 from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store
-from nw_eval.twin.gaussians.raster.images import Images
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.raster.threads import Threads
+from nw_eval.twin.gaussians.images import Images
+from nw_eval.twin.gaussians.rasteriser import Rasteriser, Threads
 
 
 def _camera(width=97, height=61, *, scale=1.0):

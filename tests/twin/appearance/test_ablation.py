@@ -15,7 +15,7 @@ from nw_eval.twin.building.ablation import ARMS, TrainedArm, ablate, table_text
 from nw_eval.twin.building.appearance import AppearanceOptions, AppearanceReport, split_photos
 from nw_eval.twin.building.folder import BuildFolder
 from nw_eval.twin.capture import read_capture
-from nw_eval.twin.gaussians.evaluate import ViewFigures
+from nw_eval.twin.gaussians.loss import ViewFigures
 
 
 def outcome(arm, psnrs, low=None):

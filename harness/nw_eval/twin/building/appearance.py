@@ -25,15 +25,13 @@ from nw_eval.files.pictures import open_picture
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, read_picture
-from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
 from nw_eval.twin.gaussians.config import Strategy, TrainConfig
-from nw_eval.twin.gaussians.evaluate import ViewFigures, view_figures
-from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.kernels.nearby import NEIGHBOURS
-from nw_eval.twin.gaussians.nearest import distances
-from nw_eval.twin.gaussians.photo import Photo
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.trainer import Trainer
+from nw_eval.twin.gaussians.images import Photo
+from nw_eval.twin.gaussians.initial import distances, gaussians_at
+from nw_eval.twin.gaussians.kernels.rows import NEIGHBOURS
+from nw_eval.twin.gaussians.loss import ViewFigures, view_figures
+from nw_eval.twin.gaussians.rasteriser import Rasteriser
+from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
 from nw_eval.twin.reconstruct import read_depth
 
 SPLAT, REPORT = "splat.ply", "report.json"

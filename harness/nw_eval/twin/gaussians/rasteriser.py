@@ -9,7 +9,9 @@ sums are taken window by window: the bits do not depend on the number of threads
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,19 +22,31 @@ from nw_eval.splat.cameras.camera import Camera
 from nw_eval.splat.cameras.pixels import Pixels
 from nw_eval.splat.cameras.presets import PresetName, get_preset
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS, blend, clear
 from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.shapes import CHANNELS, PIXELS
 from nw_eval.splat.kernels.sort import HISTOGRAM, sort_nearer
 from nw_eval.splat.kernels.view import view_vector
-from nw_eval.twin.gaussians.kernels.blend_back import G_U, GRADIENT
+from nw_eval.twin.gaussians.images import F32, Gradients, Images
+from nw_eval.twin.gaussians.kernels.blend import (
+    G_U,
+    GRADIENT,
+    PLANES,
+    blend_back,
+    gather,
+    lay_planes,
+    resolve,
+    scatter,
+)
 from nw_eval.twin.gaussians.kernels.project import project
 from nw_eval.twin.gaussians.kernels.project_back import project_back
-from nw_eval.twin.gaussians.raster.images import F32, Gradients, Images
-from nw_eval.twin.gaussians.raster.threads import Threads
-from nw_eval.twin.gaussians.raster.window import Window
 
 WINDOW = 80
 """Columns of a window, a multiple of the renderer's 8-pixel blocks: four at 320 pixels share out
 well over two threads. A splat in two windows is walked twice."""
+
+_BLOCK = 4096
+"""Gaussians that one job handles."""
 
 
 class Rasteriser:
@@ -173,3 +187,129 @@ def _arrays(gaussians: Gaussians) -> Any:
     """Return the arrays as the kernels take them."""
     g = gaussians
     return g.means, g.log_scales, g.quats, g.opacity_logits, g.sh
+
+
+class Window:
+    """Columns left..right-1 of a camera's image.
+
+    Args:
+        camera: of the whole image.
+        left: first column, a multiple of 8.
+        right: behind the last one.
+        most_alpha: alpha is clamped to it.
+    """
+
+    def __init__(self, camera: Camera, left: int, right: int, most_alpha: float) -> None:
+        self._place = (left, right, camera.height)
+        self._view = view_vector(camera, Pixels(), (left, right, 0, camera.height))
+        self._columns, self._rows = _centres(left, right), _centres(0, camera.height)
+        self._most_alpha = np.float32(most_alpha)
+        self._stride = right - left + SLACK_COLUMNS
+        self._size = (camera.height + SLACK_ROWS) * self._stride
+        self._records = self._gradient = np.empty(0, dtype=np.float32)
+        self._owners = np.empty(0, dtype=np.int64)
+        self._count = 0
+
+    def draw(
+        self, records: F32, ordered: NDArray[np.int64], shown: int, background: F32, images: Images
+    ) -> None:
+        """Blend what touches the window into the images.
+
+        Args:
+            records: of the whole frame.
+            ordered: keys of those shown, nearest first.
+            shown: how many.
+            background: (3,) colour behind everything.
+            images: of the whole frame; the window's part is written.
+        """
+        left, right, height = self._place
+        width = right - left
+        self._records = np.empty((shown + 8) * RECORD, dtype=np.float32)
+        self._owners = np.empty(shown, dtype=np.int64)
+        self._count = gather(records, ordered, shown, left, right, self._records, self._owners)
+        light = np.empty(self._size, dtype=np.float32)
+        paint = np.empty(self._size * CHANNELS, dtype=np.float32)
+        blocks = (width + 7) // 8 + 1
+        live = np.empty(blocks * ((height + 7) // 8 + 1), dtype=np.int64)
+        clear(light, paint, self._stride, width, height, live, blocks)
+        blend(
+            self._records,
+            np.arange(self._count, dtype=np.int64),
+            self._count,
+            self._columns,
+            self._rows,
+            light,
+            paint,
+            self._stride,
+            live,
+            blocks,
+            self._view,
+            self._most_alpha,
+            CURVE,
+        )
+        resolve(light, paint, self._place, background, images.arrays())
+
+    def walk(self, upstream: Images, images: Images) -> None:
+        """Take the gradient with respect to the records that `draw` blended.
+
+        Args:
+            upstream: gradient with respect to the images, of the whole frame.
+            images: as drawn, of the whole frame.
+        """
+        planes = np.empty(self._size * PLANES, dtype=np.float32)
+        lay_planes(planes, self._stride, self._place, upstream.arrays(), images.arrays())
+        self._gradient = np.empty(self._count * GRADIENT, dtype=np.float32)
+        blend_back(
+            self._records,
+            self._count,
+            (self._columns, self._rows),
+            self._place[0],
+            planes,
+            self._stride,
+            self._most_alpha,
+            CURVE,
+            self._gradient,
+        )
+
+    def add_to(self, screen: NDArray[Any]) -> None:
+        """Add the gradients of `walk` to the rows (N, GRADIENT) of those whom they belong to."""
+        scatter(self._gradient, self._owners, self._count, screen.reshape(-1), GRADIENT)
+
+
+def _centres(first: int, end: int) -> F32:
+    """Pixel-centre coordinates with the slack that vector loads touch."""
+    return np.concatenate([np.arange(first, end) + 0.5, np.zeros(PIXELS)]).astype(np.float32)
+
+
+class Threads:
+    """Runs jobs that write to places of their own.
+
+    Args:
+        threads: how many at once.
+
+    Raises:
+        UsageError: fewer than one.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        if threads < 1:
+            raise UsageError(f"threads is {threads}", fix="give 1 or more")
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def run(self, jobs: list[Callable[[], None]]) -> None:
+        """Run all jobs, in any order, and return when all are done."""
+        if self._pool is None:
+            for job in jobs:
+                job()
+        else:
+            for done in [self._pool.submit(job) for job in jobs]:
+                done.result()
+
+    def over(self, count: int, job: Callable[[int, int], None]) -> None:
+        """Run job(first, end) over all blocks of `count` items."""
+        edges = [*range(0, count, _BLOCK), count]
+
+        def bind(first: int, end: int) -> Callable[[], None]:
+            return lambda: job(first, end)
+
+        self.run([bind(first, end) for first, end in pairwise(edges)])

@@ -1,4 +1,6 @@
-"""Gradient of the blend with respect to the records, front to back.
+"""The blend of one window: which records touch it, and its gradient, front to back.
+
+The records that touch the window are gathered, nearest first, in one stream.
 
 For a pixel with transmittance T before splat i, weight w_i = T alpha_i, and upstream gradients g:
 with s_i = g_r r_i + g_g g_i + g_b b_i + g_d / z_i and T_n the light that reaches the background,
@@ -21,12 +23,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
 
 from nw_eval.machine_code.jit import inlined
-from nw_eval.splat.kernels.bits import bits_of
+from nw_eval.splat.kernels.bits import bits_of, float_of
 from nw_eval.splat.kernels.blend import SLACK_COLUMNS, SLACK_ROWS
 from nw_eval.splat.kernels.math8 import exp2
-from nw_eval.splat.kernels.memory import peek, poke
+from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import (
     BLUE,
     COLUMNS,
@@ -44,8 +48,11 @@ from nw_eval.splat.kernels.project import (
 from nw_eval.splat.kernels.records import RECORD
 from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, LaneShape
 from nw_eval.splat.kernels.simd import (
+    I32,
     broadcast,
     fma,
+    intrinsic,
+    lane_list,
     mask_bits,
     minimum,
     minus_abs,
@@ -53,7 +60,6 @@ from nw_eval.splat.kernels.simd import (
     where,
 )
 from nw_eval.twin.gaussians.kernels.jit import kernel
-from nw_eval.twin.gaussians.kernels.lanes import total
 from nw_eval.twin.gaussians.kernels.project import INVERSE_DEPTH, LN2
 
 PLANES = 6
@@ -63,6 +69,63 @@ PLANES = 6
 G_RED, G_INVERSE, G_OPACITY, G_U, G_V, G_A, G_B, G_C = 0, 3, 4, 5, 6, 7, 8, 9
 GRADIENT = 10
 """Floats in a row of gradients."""
+_square_columns, _square_rows = SQUARE.columns, SQUARE.rows
+_flat_columns, _flat_rows = FLAT.columns, FLAT.rows
+_line_columns = LINE.columns
+
+
+@kernel
+def gather(
+    records: Any, ordered: Any, count: Any, column0: Any, column1: Any, out: Any, owners: Any
+) -> Any:
+    """Copy the records that touch columns column0..column1-1; their columns then count from there.
+
+    Args:
+        records: float32, of the whole image.
+        ordered: int64 keys, nearest first; record numbers in the lower halves.
+        count: how many.
+        column0: first column of the window.
+        column1: behind its last one.
+        out: float32, room for `count` records.
+        owners: (count,) int64, out: record numbers.
+
+    Returns:
+        How many touch the window.
+    """
+    found = 0
+    for i in range(count):
+        number = peek(ordered, i) & 0xFFFFFFFF
+        j = number * RECORD
+        packed = int(bits_of(peek(records, j + COLUMNS)))
+        first, last = packed & 0xFFFF, packed >> 16
+        if first >= column1 or last < column0:
+            continue
+        first, last = max(first, column0) - column0, min(last, column1 - 1) - column0
+        o = found * RECORD
+        lower, upper = load(records, j), load(records, j + 8)
+        store(out, o, lower)
+        store(out, o + 8, upper)
+        poke(out, o + COLUMNS, float_of(first | (last << 16)))
+        poke(owners, found, number)
+        found += 1
+    return found
+
+
+@kernel
+def scatter(gradients: Any, owners: Any, count: Any, out: Any, width: Any) -> None:
+    """Add each row of a window's gradients to the row of the Gaussian that it belongs to.
+
+    Args:
+        gradients: (count * width,) float32.
+        owners: (count,) int64.
+        count: rows.
+        out: (N * width,) float32, added to.
+        width: numbers in a row.
+    """
+    for i in range(count):
+        source, target = i * width, peek(owners, i) * width
+        for k in range(width):
+            poke(out, target + k, peek(out, target + k) + peek(gradients, source + k))
 
 
 def _stepping(shape: LaneShape) -> Any:
@@ -112,9 +175,6 @@ def _stepping(shape: LaneShape) -> Any:
 
 
 _step_square, _step_flat, _step_line = _stepping(SQUARE), _stepping(FLAT), _stepping(LINE)
-_square_columns, _square_rows = SQUARE.columns, SQUARE.rows
-_flat_columns, _flat_rows = FLAT.columns, FLAT.rows
-_line_columns = LINE.columns
 
 
 @kernel
@@ -306,3 +366,22 @@ def resolve(light: Any, paint: Any, window: Any, background: Any, pictures: Any)
                 rgb[k, y, column0 + x] = value
             alpha[y, column0 + x] = np.float32(1) - T
             inverse[y, column0 + x] = peek(paint, CHANNELS * o + 3)
+
+
+@intrinsic
+def total(_typing: Any, x: Any) -> Any:
+    """Return the sum of the lanes: halves are added until one is left, always in this order."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        value, lanes = args[0], x.lanes
+        while lanes > 1:
+            lanes //= 2
+            undefined = ir.Constant(value.type, ir.Undefined)
+            low = builder.shuffle_vector(value, undefined, lane_list(list(range(lanes))))
+            high = builder.shuffle_vector(
+                value, undefined, lane_list(list(range(lanes, 2 * lanes)))
+            )
+            value = builder.fadd(low, high)
+        return builder.extract_element(value, ir.Constant(I32, 0))
+
+    return types.float32(x), generate
