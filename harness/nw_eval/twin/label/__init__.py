@@ -3,11 +3,9 @@
 `open_labelling` gives the model, which needs no browser; `nw_eval.twin.label.page` shows it in one.
 """
 
-from nw_eval.twin.label.course.reach import Hint
-from nw_eval.twin.label.course_edits import Propose
-from nw_eval.twin.label.crop import CropBox
-from nw_eval.twin.label.labelling import Labelling, open_labelling
-from nw_eval.twin.label.state import LabelState, StartPose
+from nw_eval.twin.label.hints import Hint
+from nw_eval.twin.label.labelling import Labelling, Propose, open_labelling
+from nw_eval.twin.label.state import CropBox, LabelState, StartPose
 
 __all__ = [
     "CropBox",

@@ -38,7 +38,7 @@ class LabelScene:
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
         from nw_eval.twin.label import open_labelling
-        from nw_eval.twin.label.folder.copying import own_folder
+        from nw_eval.twin.label.copying import own_folder
         from nw_eval.twin.label.page import LabelPage, check_server
 
         check_server(self.port)
