@@ -17,7 +17,7 @@ from nw_eval.twin.reconstruct import (
     reconstruct,
     write_mesh,
 )
-from nw_eval.twin.reconstruct.openmvs.colmap_model import write_colmap_model
+from nw_eval.twin.reconstruct.openmvs import write_colmap_model
 
 OPENMVS = replace(SMALL, engine="openmvs", voxel=None)
 

@@ -5,12 +5,10 @@ each shot, a truncated signed distance joins them, and marching cubes cut its su
 the same where its programs are installed and it is chosen.
 """
 
-from nw_eval.twin.reconstruct.depth.kept import array_file, read_depth
-from nw_eval.twin.reconstruct.depth.maps import depth_maps, depth_of
-from nw_eval.twin.reconstruct.mesh_file import ColourMesh, read_colour_mesh, write_mesh
+from nw_eval.twin.reconstruct.depth import array_file, depth_maps, depth_of, read_depth
+from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
-from nw_eval.twin.reconstruct.reconstruct import reconstruct
-from nw_eval.twin.reconstruct.report import ReconstructReport
+from nw_eval.twin.reconstruct.reconstruct import ReconstructReport, reconstruct
 
 __all__ = [
     "ColourMesh",

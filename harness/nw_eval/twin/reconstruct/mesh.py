@@ -1,4 +1,4 @@
-"""Coloured triangle meshes on disk: `mesh.ply`."""
+"""Coloured triangle meshes, and `mesh.ply`."""
 
 from __future__ import annotations
 

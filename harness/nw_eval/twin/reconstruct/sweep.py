@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.twin.reconstruct.depth.view import F32, F64, WorkingView
-from nw_eval.twin.reconstruct.kernels.likeness import COST, NOISE, keep_best, to_costs
-from nw_eval.twin.reconstruct.kernels.smooth import smooth, winners
 from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.packages import package
+from nw_eval.twin.reconstruct.sweep_kernels import COST, NOISE, keep_best, smooth, to_costs, winners
+from nw_eval.twin.reconstruct.views import F32, F64, WorkingView
 
 _AT_ONCE = 16
 """Planes whose scores are held before they go to the volume, whose last axis is depth."""

@@ -1,4 +1,8 @@
-"""Signed distances in blocks of voxels (Curless and Levoy 1996), truncated."""
+"""The compiled loops of a volume: signed distances in blocks of voxels, truncated.
+
+After Curless and Levoy 1996. How surfaces of a depth map lean is told by inverse depth, which is
+linear across the picture of a plane. None of it knows of files.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +23,9 @@ _BESIDE, _GRAZED = 2.0, 20.0
 """Slant, 1 / cosine, where none is known, as beside an edge, and at most."""
 _ONE_SURFACE = 0.02
 """Depths of neighbouring pixels that differ by less are one surface, a share of the depth."""
+
+_BEND = 0.01
+"""Of inverse depths two pixels apart, a share: what bends more is no plane."""
 
 
 @kernel
@@ -289,3 +296,45 @@ def colours_at(places: Any, grid: Any, weight: Any, colour: Any, out: Any) -> No
                     out[n, k] += w * float(colour[block, m, k])
         for k in range(3):
             out[n, k] /= total
+
+
+@kernel
+def slopes(depth: Any, out: Any) -> None:
+    """Return how inverse depth changes across the picture, which is the same all over a plane.
+
+    Args:
+        depth: (H, W) float32, 0 where not known.
+        out: (H, W, 2) float32, out: per pixel to the right and down; 0 where nobody knows.
+    """
+    height, width = depth.shape
+    for y in range(height):
+        for x in range(width):
+            if depth[y, x] > 0.0:
+                out[y, x, 0] = np.float32(_slope(depth, y, x, 0, 1))
+                out[y, x, 1] = np.float32(_slope(depth, y, x, 1, 0))
+
+
+@inlined
+def _slope(depth: Any, y: Any, x: Any, down: Any, right: Any) -> Any:
+    """Return the change of inverse depth per pixel one way: of both sides, or of one."""
+    here = 1.0 / float(depth[y, x])
+    for turn in range(3):
+        first = -2 if turn != 1 else 0
+        last = 2 if turn != 2 else 0
+        middle = (first + last) // 2
+        one = _inverse(depth, y + first * down, x + first * right)
+        two = _inverse(depth, y + middle * down, x + middle * right)
+        three = _inverse(depth, y + last * down, x + last * right)
+        # What bends is another surface, or noise.
+        if one > 0.0 and two > 0.0 and three > 0.0 and abs(one + three - 2.0 * two) < _BEND * here:
+            return (three - one) / (last - first)
+    return 0.0
+
+
+@inlined
+def _inverse(depth: Any, y: Any, x: Any) -> Any:
+    """Return a pixel's inverse depth; 0 outside and where not known."""
+    if not (0 <= y < depth.shape[0] and 0 <= x < depth.shape[1]):
+        return 0.0
+    d = float(depth[y, x])
+    return 1.0 / d if d > 0.0 else 0.0
