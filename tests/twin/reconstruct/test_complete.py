@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nw_eval.twin.reconstruct import ColourMesh
 from nw_eval.twin.reconstruct.clean import FlatPlane
 from nw_eval.twin.reconstruct.complete import complete
 from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.mesh import ColourMesh
 from nw_eval.twin.reconstruct.views import WorkingView
 
 CELL = 0.02

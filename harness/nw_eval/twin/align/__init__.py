@@ -9,27 +9,3 @@ scale.py        how long a unit is, by every cue
 tags.py         printed tags; triangulate.py their corners, and other points, from pixels
 positions.py    where shots were taken, by ARKit or GPS
 """
-
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import (
-    ALIGN_FILE,
-    Alignment,
-    AlignOptions,
-    GravityCue,
-    KnownLength,
-    ScaleCue,
-    read_alignment,
-    write_alignment,
-)
-
-__all__ = [
-    "ALIGN_FILE",
-    "AlignOptions",
-    "Alignment",
-    "GravityCue",
-    "KnownLength",
-    "ScaleCue",
-    "align",
-    "read_alignment",
-    "write_alignment",
-]

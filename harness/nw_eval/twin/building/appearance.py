@@ -32,7 +32,7 @@ from nw_eval.twin.gaussians.kernels.rows import NEIGHBOURS
 from nw_eval.twin.gaussians.loss import ViewFigures, view_figures
 from nw_eval.twin.gaussians.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
-from nw_eval.twin.reconstruct import read_depth
+from nw_eval.twin.reconstruct.depth import read_depth
 
 SPLAT, REPORT = "splat.ply", "report.json"
 _STATE = "training.state"

@@ -20,15 +20,19 @@ from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.health.finding import SceneFinding, has_errors
 from nw_eval.survey.lines import survey_lines
-from nw_eval.twin.align import AlignOptions, align, read_alignment, write_alignment
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.unlike import seen_depths, unlike_photographs
-from nw_eval.twin.calibrate import CalibrateOptions, calibrate
+from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
 from nw_eval.twin.place import SUITE, Route, write_place
-from nw_eval.twin.reconstruct import ColourMesh, ReconstructOptions, read_colour_mesh, reconstruct
+from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh
+from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.reconstruct import reconstruct
 from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
 from nw_eval.words import Robot
 

@@ -21,7 +21,7 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.moved import moved_points
-from nw_eval.twin.reconstruct import read_depth
+from nw_eval.twin.reconstruct.depth import read_depth
 from nw_eval.twin.reconstruct.packages import package
 
 F64 = NDArray[np.float64]
