@@ -7,7 +7,7 @@ words that help whoever took them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -55,7 +55,7 @@ _SHAKEN = 0.02
 """Sharpness in squares of the contrast: what has edges at all has more."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Solved:
     """Cameras, and how they were come by."""
 
@@ -64,7 +64,7 @@ class _Solved:
     matching: str
     mapping: str
     pairs: int = 0
-    tries: dict[str, int]
+    tries: dict[str, int] = field(default_factory=dict[str, int])
 
 
 def calibrate(
@@ -117,7 +117,7 @@ def _calibrate(
             ],
             fix="give twenty or more",
         )
-    solved = _solve(source, photographs, working, options, say)
+    solved = _Solver(source, options, say).solve(photographs, working)
     report = _report(source, [*unreadable, *solved.left_out], solved, options)
     if report.share < options.share:
         report.write(out)
@@ -138,87 +138,75 @@ def _calibrate(
     return report
 
 
-def _solve(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    if source.cameras is None:
-        return _find(source, photographs, working, options, say)
-    known = _fitting(source.cameras, photographs)
-    left = [
-        LeftOut(name=one.name, reason=UNREADABLE, detail="the source has no camera for it")
-        for one in photographs
-        if one.name not in known.by_name
-    ]
-    if len(known.points):
-        return _Solved(solution=known, left_out=left, matching="none", mapping="known", tries={})
-    say("the source has no points that photographs share: they are looked for")
-    some = [one for one in photographs if one.name in known.by_name]
-    pairs, matching = _pairs(source, some, options)
-    lenses = [known.by_name[one.name].lens for one in some]
-    matches = match(some, lenses, pairs, working, options, say)
-    files = {one.name: one.file for one in some}
-    solution = triangulate(matches, known, files, working, seed=options.seed)
-    if len(solution.points) < _LEAST_POINTS:
-        raise SceneError(
-            f"with the cameras of {source.kind} the photographs share "
-            f"{plural(len(solution.points), 'point')}",
-            fix="check that cameras and photographs belong together, or give the photographs alone",
+@dataclass(frozen=True)
+class _Solver:
+    """Cameras and points of a source's photographs, which lie in a working folder."""
+
+    source: Footage
+    options: CalibrateOptions
+    say: Say
+
+    def solve(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        """Return cameras as the source knows them, with points; else those that are found."""
+        if self.source.cameras is None:
+            return self._find(photographs, working)
+        known = _fitting(self.source.cameras, photographs)
+        left = [
+            LeftOut(name=one.name, reason=UNREADABLE, detail="the source has no camera for it")
+            for one in photographs
+            if one.name not in known.by_name
+        ]
+        solved = _Solved(solution=known, left_out=left, matching="none", mapping="known")
+        if len(known.points):
+            return solved
+        self.say("the source has no points that photographs share: they are looked for")
+        some = [one for one in photographs if one.name in known.by_name]
+        pairs, matching = self._pairs(some)
+        lenses = [known.by_name[one.name].lens for one in some]
+        matches = match(some, lenses, pairs, working, self.options, self.say)
+        files = {one.name: one.file for one in some}
+        solution = triangulate(matches, known, files, working, seed=self.options.seed)
+        if len(solution.points) < _LEAST_POINTS:
+            raise SceneError(
+                f"with the cameras of {self.source.kind} the photographs share "
+                f"{plural(len(solution.points), 'point')}",
+                fix="check that cameras and photographs belong together, or give the photographs "
+                "alone",
+            )
+        return replace(solved, solution=solution, matching=matching, pairs=len(pairs))
+
+    def _find(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        """Return cameras by the photographs alone; where EXIF's focal length misleads, without."""
+        solved = self._find_once(photographs, working)
+        enough = self.options.share * len(photographs)
+        if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
+            return solved
+        self.say("the focal lengths in EXIF may be wrong: once more without them")
+        again = working / "again"
+        again.mkdir()
+        (again / "masks").symlink_to(working / "masks")
+        other = self._find_once([replace(one, focal=None) for one in photographs], again)
+        return max(solved, other, key=lambda each: len(each.solution.placed))
+
+    def _find_once(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        pairs, matching = self._pairs(photographs)
+        nothing = [None] * len(photographs)
+        matches = match(photographs, nothing, pairs, working, self.options, self.say)
+        _check_motion(matches)
+        names = {one.file: one.name for one in photographs}
+        solution, mapping, tries = map_cameras(
+            matches, names, working, seed=self.options.seed, say=self.say
         )
-    return _Solved(
-        solution=solution,
-        left_out=left,
-        matching=matching,
-        mapping="known",
-        pairs=len(pairs),
-        tries={},
-    )
+        left = why_not(photographs, solution.by_name, matches)
+        return _Solved(solution, left, matching, mapping, len(pairs), tries)
 
-
-def _find(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    """Return cameras by the photographs alone; where EXIF's focal length misleads, without it."""
-    solved = _find_once(source, photographs, working, options, say)
-    enough = options.share * len(photographs)
-    if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
-        return solved
-    say("the focal lengths in EXIF may be wrong: once more without them")
-    again = working / "again"
-    again.mkdir()
-    (again / "masks").symlink_to(working / "masks")
-    blind = [replace(one, focal=None) for one in photographs]
-    other = _find_once(source, blind, again, options, say)
-    return max(solved, other, key=lambda each: len(each.solution.placed))
-
-
-def _find_once(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    pairs, matching = _pairs(source, photographs, options)
-    matches = match(photographs, [None] * len(photographs), pairs, working, options, say)
-    _check_motion(matches)
-    names = {one.file: one.name for one in photographs}
-    solution, mapping, tries = map_cameras(matches, names, working, seed=options.seed, say=say)
-    return _Solved(
-        solution=solution,
-        left_out=why_not(photographs, solution.by_name, matches),
-        matching=matching,
-        mapping=mapping,
-        pairs=len(pairs),
-        tries=tries,
-    )
+    def _pairs(self, photographs: Sequence[Photograph]) -> tuple[list[tuple[int, int]], str]:
+        """Return which photographs are compared, and what that is called."""
+        in_order = self.source.is_film or are_numbered([one.name for one in photographs])
+        matching = self.options.matching
+        if matching == "auto":
+            matching = "sequential" if in_order else "exhaustive"
+        return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
 
 
 def _check_motion(matches: Matches) -> None:
@@ -235,17 +223,6 @@ def _check_motion(matches: Matches) -> None:
             fix="walk while you photograph, half a metre from one photograph to the next, and "
             "keep the ground and what stands on it in view together",
         )
-
-
-def _pairs(
-    source: Footage, photographs: Sequence[Photograph], options: CalibrateOptions
-) -> tuple[list[tuple[int, int]], str]:
-    """Return which photographs are compared, and what that is called."""
-    in_order = source.is_film or are_numbered([one.name for one in photographs])
-    matching = options.matching
-    if matching == "auto":
-        matching = "sequential" if in_order else "exhaustive"
-    return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
 
 
 def _fitting(cameras: Solution, photographs: Sequence[Photograph]) -> Solution:
