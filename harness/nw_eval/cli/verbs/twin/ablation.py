@@ -23,7 +23,7 @@ class AblateSplat(SplatFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.ablation import ablate, table_text, write_table
+        from nw_eval.twin.building.ablation import ablate, table_text, write_table
         from nw_eval.twin.building.folder import BuildFolder
 
         settings = settings_of(self, self.threads)

@@ -13,7 +13,7 @@ import tyro
 from nw_eval.words import Robot
 
 if TYPE_CHECKING:
-    from nw_eval.twin.label import Labelling
+    from nw_eval.twin.label.labelling import Labelling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +37,10 @@ class LabelScene:
 
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
-        from nw_eval.twin.label import open_labelling
-        from nw_eval.twin.label.folder.copying import own_folder
-        from nw_eval.twin.label.page import LabelPage, check_server
+        from nw_eval.twin.label.copying import own_folder
+        from nw_eval.twin.label.labelling import open_labelling
+        from nw_eval.twin.label.page.label_page import LabelPage
+        from nw_eval.viewing.browser import check_server
 
         check_server(self.port)
         folder = own_folder(self.scene, self.out, robot=self.robot)

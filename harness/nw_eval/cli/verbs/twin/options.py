@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from nw_eval.words import Robot
 
 if TYPE_CHECKING:
-    from nw_eval.twin.building import BuildSettings
+    from nw_eval.twin.building.build import BuildSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +83,11 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
         UsageError: a number makes no sense.
     """
     from nw_eval.results.machine import usable_cores
-    from nw_eval.twin.align import AlignOptions
-    from nw_eval.twin.appearance import AppearanceOptions
-    from nw_eval.twin.building import BuildSettings
-    from nw_eval.twin.calibrate import CalibrateOptions
-    from nw_eval.twin.reconstruct import ReconstructOptions
+    from nw_eval.twin.align.alignment import AlignOptions
+    from nw_eval.twin.building.appearance import AppearanceOptions
+    from nw_eval.twin.building.build import BuildSettings
+    from nw_eval.twin.calibrate.options import CalibrateOptions
+    from nw_eval.twin.reconstruct.options import ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()

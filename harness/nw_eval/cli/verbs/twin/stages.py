@@ -39,7 +39,7 @@ class BuildTwin(AllFlags):
 
     def __call__(self) -> int:
         from nw_eval.errors import SceneError
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         build = Build(self.out, settings_of(self, self.threads), _say)
         return 0 if build.whole(self.photographs) else SceneError.exit_code
@@ -57,7 +57,7 @@ class Calibrate(CalibrateFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.out, settings_of(self, self.threads), _say).calibrate(self.photographs)
         return 0
@@ -73,7 +73,7 @@ class Reconstruct(ReconstructFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, self.threads), _say).reconstruct()
         return 0
@@ -87,7 +87,7 @@ class Align(AlignFlags):
     """The scene's folder."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, None), _say).align()
         return 0
@@ -103,7 +103,7 @@ class TrainSplat(SplatFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, self.threads), _say).splat()
         return 0
@@ -117,7 +117,7 @@ class PlaceScene(PlaceFlags):
     """The scene's folder."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, None), _say).place()
         return 0
