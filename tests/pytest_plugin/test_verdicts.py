@@ -273,9 +273,9 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     bank = "reports/baselines/tiny/stand.parquet"
     first.stdout.fnmatch_lines(
         [
-            f"baseline {bank} is new: stand, 1 start in each scene",
+            f"{bank} is new: stand, 1 start in each scene",
             "Look at what has changed, commit it, and run again without --nw-update-baseline.",
-            f"FAILED tiny.yaml::verdict - baseline {bank} is new*",
+            f"FAILED tiny.yaml::verdict - {bank} is new*",
             "SKIPPED * the baseline is being saved",
         ]
     )
