@@ -191,7 +191,7 @@ def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run:
         UsageError, match="no baseline to plan with, and has none; name one with --base"
     ):
         api.plan_trials(suite)
-    with pytest.raises(UsageError, match="has no bank 'gone'"):
+    with pytest.raises(UsageError, match="has no baseline 'gone'"):
         api.plan_trials(suite, baseline="gone")
     with pytest.raises(UsageError, match="exclude each other"):
         api.plan_trials(suite, baseline="gone", run=run)
@@ -240,7 +240,7 @@ def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: 
 def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
     other = suite.with_name("named.yaml")
     other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
-    with pytest.raises(UsageError, match="has no bank 'gone'"):
+    with pytest.raises(UsageError, match="has no baseline 'gone'"):
         api.plan_trials(other)
     assert api.plan_trials(other, run=run).source == "run week of trot"
 

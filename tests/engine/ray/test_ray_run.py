@@ -136,7 +136,9 @@ def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_t
             assert (there.info.stop, there.verdict) == (here.info.stop, here.verdict)
         assert (there.verdict.verdict, there.info.stop.first) == ("PASS", len(there.rows))
         saved = 8 - len(there.rows)
-        assert f"enough after {len(there.rows)} trials: {saved} of 8 trials need not run" in printed
+        assert (
+            f"decided after {len(there.rows)} trials: {saved} of 8 trials need not run" in printed
+        )
         if bank == "other":
             assert there.verdict.against.basis == "control"
             assert len(api.read_rows(out / "baseline")) == len(there.rows)

@@ -50,7 +50,7 @@ def whose_doing(change: BankChange) -> str:
         return "Only the policy differs: what moved is its doing."
     return (
         f"The policy differs, and so does the {' and '.join(others)}: what moved can be charged to "
-        "none of them alone. Renew the bank with the earlier policy first, and compare that."
+        "none of them alone. Renew the baseline with the earlier policy first, and compare that."
     )
 
 
