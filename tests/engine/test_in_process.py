@@ -396,7 +396,11 @@ def test_workers_that_overtake_each_other_judge_the_trials_that_one_alone_does(
 
     alone, _ = run(-1, -1, name="alone")
     # With three workers the fourth trial begins once the second or the third has ended.
-    together, asked = run(planned[0].seed, planned[3].seed, name="together", workers=3)
+    first, later = (
+        int(planned[place].seed_sequence("policy").generate_state(1, np.uint32)[0])
+        for place in (0, 3)
+    )  # What `reset` is given.
+    together, asked = run(first, later, name="together", workers=3)
     assert any(rows and 0 not in rows for rows in asked), "a later trial ended first"
     infos = [read_run_info(folder.run_json) for folder in (alone, together)]
     assert [info.stop for info in infos] == [StopInfo(first=1, trials={SCENE: 1})] * 2

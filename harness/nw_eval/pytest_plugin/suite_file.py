@@ -53,7 +53,7 @@ class SuiteFile(pytest.File):
         for scene, line in self.shown.scenes.items():
             item = SceneItem.from_parent(self, name=scene, line=line)
             if self.config.stash[SETTINGS].update_baseline:
-                item.add_marker(pytest.mark.skip(reason="the bank is being saved"))
+                item.add_marker(pytest.mark.skip(reason="the baseline is being saved"))
             yield item
         yield VerdictItem.from_parent(self, name=VERDICT, line=self.shown.gate)
 
@@ -135,7 +135,7 @@ class SuiteItem(pytest.Item):
 
 
 class SceneItem(SuiteItem):
-    """Passes where the run passes with this scene, and fails where the gate names it as fallen.
+    """Passes where the run passes with this scene, and fails where it regressed.
 
     A scene of which the gate has shown nothing is skipped (`reporting.scene_states`).
     """
@@ -281,7 +281,7 @@ def save_bank(suite: SuiteFile) -> None:
         return
     manifest = saved.bank.manifest
     pytest.fail(
-        f"bank {saved.file} is {saved.action}: {manifest.policy.name}, "
+        f"{saved.file} is {saved.action}: {manifest.policy.name}, "
         f"{plural(manifest.starts, 'start')} in each scene\n"
         "Look at what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,

@@ -35,8 +35,8 @@ from nw_eval.memory import Arrays
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes import Scene
-from nw_eval.scenes.captures import Nearness
 from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.heights import Heightmap, PublishedScandots, Scandots
 from nw_eval.sensors.plugins import PluginSensor
 from nw_eval.sensors.proprio import Direction, Proprio

@@ -16,8 +16,7 @@ from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.heights import Rays
 from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from nw_eval.arrays import read_only
 from nw_eval.cards import Action
 from nw_eval.memory import Arrays, Forgetful, Memory
-from nw_eval.scenes.captures import Nearness
 from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sim import TrailProgress, World
 from nw_eval.splat.image import Image
 

@@ -15,16 +15,14 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
 from nw_eval.sensors.ray_sensors import require_camera
 from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.composite import paste
-from nw_eval.splat.image import Image
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.image import Image, paste
 from nw_eval.splat.render import Renderer
 
 Bytes = NDArray[np.uint8]

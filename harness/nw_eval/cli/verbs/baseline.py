@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Save:
-    """Run what is missing of a bank, and save it as reports/baselines/<suite>/<name>.parquet.
+    """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
 
     Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
-    is given again, and writes the same results. A bank that is there gets this
+    is given again, and writes the same results. A baseline that is there gets this
     class of machine, too. One that holds for something else is replaced with --renew only, after
     what moved is shown (exit code 5 without it).
     """
@@ -45,15 +45,15 @@ class Save:
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     starts: int | None = None
-    """Starts in each scene; as many as the bank has, and 60 for a new one, when absent."""
+    """Starts in each scene; as many as the baseline has, and 60 for a new one, when absent."""
     name: str | None = None
-    """The bank's name; the policy's when absent."""
+    """The baseline's name; the policy's when absent."""
     note: str = ""
     """Why it is saved."""
     from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """The folder of a finished run to save as a bank; nothing is run."""
+    """The folder of a finished run to save as a baseline; nothing is run."""
     renew: bool = False
-    """Replace the bank that is there, with its panels of all classes of machine."""
+    """Replace the baseline that is there, with its panels of all classes of machine."""
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
     time_limit: float | None = None
@@ -96,7 +96,7 @@ class Save:
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """List the banks of the project and those that are shipped."""
+    """List the baselines of the project and those that are shipped."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -107,33 +107,33 @@ class List:
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """Say what a bank holds for, who saved it and why, and what it holds, scene by scene."""
+    """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
-    """The suite's name, where several have a bank of that name."""
+    """The suite's name, where several have a baseline of that name."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(baseline_page(api.show_baseline(self.bank, suite=self.suite)))
+        print(baseline_page(api.show_baseline(self.baseline, suite=self.suite)))
         return 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Say whether a bank still holds here: suite, scenes, protocol, simulator, policy.
+    """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
 
     Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the bank's policy lies; where the bank says when absent."""
+    """Where the baseline's policy lies, if not where the baseline says."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     render: Backend | None = None
@@ -145,7 +145,7 @@ class Check:
         from nw_eval import api
 
         checked = api.check_baseline(
-            self.bank,
+            self.baseline,
             suite=self.suite,
             policy=self.policy,
             checkpoint=self.checkpoint,
@@ -158,13 +158,13 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Verify:
-    """Run starts of a bank again by its own policy, and name each row that is not as the bank says.
+    """Run starts of a baseline again by its own policy, and name each row that differs.
 
     Which starts is drawn by a seed that nobody can foresee. Exit code 5 if a row differs, 4 if a
     trial comes to no result. Nothing is written into the project.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
     """Share of all its starts, at least one; 10% when absent."""
@@ -175,7 +175,7 @@ class Verify:
     suite: str | None = None
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the bank's policy lies; where the bank says when absent."""
+    """Where the baseline's policy lies, if not where the baseline says."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     render: Backend | None = None
@@ -193,7 +193,7 @@ class Verify:
 
         with RunProgress() as progress:
             verified = api.verify_baseline(
-                self.bank,
+                self.baseline,
                 share=self.share,
                 trials=self.trials,
                 seed=self.seed,
@@ -214,14 +214,14 @@ class Verify:
 
 @dataclass(frozen=True, kw_only=True)
 class Diff:
-    """Compare two banks: what they hold for, means scene by scene, starts that went another way."""
+    """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
 
     then: tyro.conf.Positional[str]
     """The earlier one: a name, suite/name, or a path."""
     now: tyro.conf.Positional[str]
     """The later one."""
     suite: str | None = None
-    """The suite's name, where several have a bank of such a name."""
+    """The suite's name, where several have a baseline of such a name."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -232,7 +232,7 @@ class Diff:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Save what a policy scores from every start; list, show, check, verify, compare such banks."""
+    """Save what a policy scores from every start; list, show, check, verify, compare baselines."""
 
     action: (
         Annotated[Save, tyro.conf.subcommand("save")]
@@ -251,10 +251,10 @@ _NOTE = 60  # characters of a note in a table
 
 
 def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
-    """Return a line for each bank: name, policy, starts, mean, when, machines, note."""
+    """Return a line for each baseline: name, policy, starts, mean, when, machines, note."""
     if not baselines:
         return "no baselines: neither shipped, nor in reports/baselines"
-    heading = ("bank", "policy", "starts", "mean", "saved", "machines", "note")
+    heading = ("baseline", "policy", "starts", "mean", "saved", "machines", "note")
     names = Counter(_name(each) for each in baselines)
     rows = [
         heading,
@@ -268,7 +268,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
 
 
 def baseline_page(shown: ShownBaseline) -> str:
-    """Return all that a bank says of itself, and its scenes as a table."""
+    """Return all that a baseline says of itself, and its scenes as a table."""
     return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.bank)), right={1})])
 
 
@@ -309,7 +309,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
     policy = manifest.policy
     digests = f"checkpoint {policy.checkpoint_digest[:16]}, card {policy.card_digest[:16]}"
-    yield f"bank       {clean(manifest.name)}"
+    yield f"baseline   {clean(manifest.name)}"
     yield f"file       {clean(shown.file)}"
     yield f"suite      {clean(manifest.suite)}"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
@@ -351,7 +351,7 @@ _FLIPPED = 8  # indexes of starts that a cell names
 
 
 def change_page(change: BankChange) -> str:
-    """Return what differs between two banks: fields, then scenes, then whose doing it is."""
+    """Return what differs between two baselines: fields, then scenes, then whose doing it is."""
     fields = [*change.fields, *change.machine]
     scenes = [
         _HEADING,
@@ -385,17 +385,17 @@ def whose_doing(change: BankChange) -> str:
         return "Only the policy differs: what moved is its doing."
     return (
         f"The policy differs, and so does the {' and '.join(others)}: what moved can be charged to "
-        "none of them alone. Renew the bank with the earlier policy first, and compare that."
+        "none of them alone. Renew the baseline with the earlier policy first, and compare that."
     )
 
 
 def saved_page(saved: SavedBaseline) -> str:
-    """Return what became of a bank that was to be saved."""
+    """Return what became of a baseline that was to be saved."""
     return "\n".join(_saved(saved))
 
 
 def checked_page(checked: CheckedBaseline) -> str:
-    """Return whether a bank holds here, with a line for each field that does not match."""
+    """Return whether a baseline holds here, with a line for each field that does not match."""
     return "\n".join(_checked(checked))
 
 
@@ -493,16 +493,15 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
     manifest = checked.bank.manifest
-    policy = manifest.policy.card or manifest.policy.name
-    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(policy)}"
+    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(checked.policy)}"
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"
     if checked.changes:
-        yield f"INVALID: bank {clean(manifest.name)} does not hold here"
+        yield f"INVALID: baseline {clean(manifest.name)} does not hold here"
         yield from field_lines(checked.changes)
         yield f"renew it with `{clean(save)} --renew`"
         return
-    yield f"bank {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
+    yield f"baseline {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
         ", policy" if checked.unchecked is None else ""
     )
     if checked.unchecked is not None:

@@ -10,6 +10,7 @@ import tyro
 
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -22,10 +23,10 @@ class BisectSeries:
     """Find the first checkpoint of a series that the gate flags as worse than a good one.
 
     Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
-    that is asked for is judged against the bank of the good one, as `run --baseline` does, but for
-    the suite's bar. One before the first flagged may already be worse by less than the gate sees:
-    the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was not, 3
-    if nothing was decided.
+    that is asked for is judged against the baseline of the good one, as `run --baseline` does, but
+    for the suite's bar. One before the first flagged may already be worse by less than the gate
+    sees: the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was
+    not, 3 if nothing was decided.
     """
 
     suite: tyro.conf.Positional[str]
@@ -33,7 +34,7 @@ class BisectSeries:
     checkpoints: tyro.conf.Positional[tuple[str, ...]]
     """The series between the good and the bad one."""
     good: str
-    """A bank, or the checkpoint before the series, of which a bank is saved first."""
+    """A baseline, or the checkpoint before the series, of which a baseline is saved first."""
     bad: str
     """The checkpoint after the series."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
@@ -46,7 +47,7 @@ class BisectSeries:
     """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
     when absent."""
     starts: int | None = None
-    """Starts in each scene of a bank that is saved; 60 when absent."""
+    """Starts in each scene of a baseline that is saved; 60 when absent."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
     out: Path | None = None
@@ -88,7 +89,10 @@ class BisectSeries:
 
 def series_page(series: BisectedSeries) -> str:
     """Return the checkpoints that were judged, and which of the series was flagged first."""
-    head = ["", "checkpoint", "against the good one", "drop", "trials", "fell in"]
+    known = (run.verdict.against for run in series.runs.values())
+    found = next((each for each in known if each is not None), None)
+    sure = "" if found is None else f" ({bounds_header(found.alpha_regr, found.alpha_pass)})"
+    head = ["", "checkpoint", "against the good one", f"drop{sure}", "trials", "regressed in"]
     lines = [
         [str(place + 1), name, *_cells(series.runs.get(place))]
         for place, name in enumerate(series.checkpoints)
@@ -117,7 +121,7 @@ def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
     if fallen is None:
         opened = [names[place] for place, word in found.words.items() if word == "INCONCLUSIVE"]
         if opened:
-            return [f"no checkpoint was flagged; left open: {', '.join(opened)}"]
+            return [f"no checkpoint was flagged; undecided: {', '.join(opened)}"]
         return [f"none was flagged: {names[-1]} passed{_up_to(series.runs.get(len(names) - 1))}"]
     words = [f"the first flagged: {names[fallen]}{_worse(series.runs.get(fallen))}"]
     if good is not None:

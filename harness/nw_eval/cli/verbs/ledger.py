@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Ledger:
-    """Reckon up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
+    """Sum up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
 
     file: tyro.conf.Positional[Path]
     """The ledger."""

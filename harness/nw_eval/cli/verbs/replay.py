@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.replaying.report import Difference, ReplayReport
     from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
-    from nw_eval.viewing.recording.written import WrittenRecording
+    from nw_eval.viewing.recording.track import WrittenRecording
 
 
 @dataclass(frozen=True, kw_only=True)

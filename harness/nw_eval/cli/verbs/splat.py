@@ -12,7 +12,7 @@ from nw_eval.words import Backend, UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.api import WrittenSplat
-    from nw_eval.splat.describe import SplatFigures
+    from nw_eval.splat.gaussians import SplatFigures
 
 Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 

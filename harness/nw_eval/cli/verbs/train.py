@@ -12,7 +12,7 @@ from nw_eval.clean import clean
 from nw_eval.cli.terminal.interruption import INTERRUPTED
 
 if TYPE_CHECKING:
-    from nw_eval.learn.program.trained import Trained
+    from nw_eval.learn.progress import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Program:
 
     def __call__(self) -> int:
         from nw_eval.errors import UsageError
-        from nw_eval.learn.program.config import find_config
+        from nw_eval.learn.config import find_config
 
         if self.resume is not None:
             if self.config is not None or self.out is not None:
@@ -106,7 +106,7 @@ class Export:
     """Number of a kept checkpoint; the newest state when absent."""
 
     def __call__(self) -> int:
-        from nw_eval.learn.teacher.export import export_checkpoint
+        from nw_eval.learn.teacher.policy import export_checkpoint
 
         print(clean(f"{export_checkpoint(self.folder, self.checkpoint, self.out)} -> {self.out}"))
         return 0

@@ -13,8 +13,8 @@ import tyro
 from nw_eval.words import Robot
 
 if TYPE_CHECKING:
-    from nw_eval.twin.building import BuildSettings
-    from nw_eval.twin.label import Labelling
+    from nw_eval.twin.building.build import BuildSettings
+    from nw_eval.twin.label.labelling import Labelling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +99,7 @@ class BuildTwin(AllFlags):
 
     def __call__(self) -> int:
         from nw_eval.errors import SceneError
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         build = Build(self.out, settings_of(self, self.threads), _say)
         return 0 if build.whole(self.photographs) else SceneError.exit_code
@@ -117,7 +117,7 @@ class Calibrate(CalibrateFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.out, settings_of(self, self.threads), _say).calibrate(self.photographs)
         return 0
@@ -133,7 +133,7 @@ class Reconstruct(ReconstructFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, self.threads), _say).reconstruct()
         return 0
@@ -147,7 +147,7 @@ class Align(AlignFlags):
     """The scene's folder."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, None), _say).align()
         return 0
@@ -163,7 +163,7 @@ class TrainSplat(SplatFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, self.threads), _say).splat()
         return 0
@@ -177,7 +177,7 @@ class PlaceScene(PlaceFlags):
     """The scene's folder."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.building import Build
+        from nw_eval.twin.building.build import Build
 
         Build(self.scene, settings_of(self, None), _say).place()
         return 0
@@ -196,7 +196,7 @@ class AblateSplat(SplatFlags):
     """That share the work; one for each core when absent. They change no result."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.ablation import ablate, table_text, write_table
+        from nw_eval.twin.building.ablation import ablate, table_text, write_table
         from nw_eval.twin.building.folder import BuildFolder
 
         settings = settings_of(self, self.threads)
@@ -228,9 +228,10 @@ class LabelScene:
 
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
-        from nw_eval.twin.label import open_labelling
-        from nw_eval.twin.label.folder.copying import own_folder
-        from nw_eval.twin.label.page import LabelPage, check_server
+        from nw_eval.twin.label.copying import own_folder
+        from nw_eval.twin.label.labelling import open_labelling
+        from nw_eval.twin.label.page.label_page import LabelPage
+        from nw_eval.viewing.browser import check_server
 
         check_server(self.port)
         folder = own_folder(self.scene, self.out, robot=self.robot)
@@ -285,11 +286,11 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
         UsageError: a number makes no sense.
     """
     from nw_eval.results.machine import usable_cores
-    from nw_eval.twin.align import AlignOptions
-    from nw_eval.twin.appearance import AppearanceOptions
-    from nw_eval.twin.building import BuildSettings
-    from nw_eval.twin.calibrate import CalibrateOptions
-    from nw_eval.twin.reconstruct import ReconstructOptions
+    from nw_eval.twin.align.alignment import AlignOptions
+    from nw_eval.twin.building.appearance import AppearanceOptions
+    from nw_eval.twin.building.build import BuildSettings
+    from nw_eval.twin.calibrate.options import CalibrateOptions
+    from nw_eval.twin.reconstruct.options import ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()

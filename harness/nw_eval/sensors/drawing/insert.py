@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.overlay import Overlay
-from nw_eval.splat.composite import composite
-from nw_eval.splat.image import Image
+from nw_eval.splat.image import Image, composite
 
 Floats = NDArray[np.floating]
 
