@@ -352,12 +352,17 @@ def card_of_fetched(fetched: Fetched) -> Path:
     return fetched.folder / CARD_FILE
 
 
-def _imports_code(card: Card) -> bool:
-    """Whether policy, sensors or wrappers are `module:Class`."""
-    return card.adapter.startswith("python:") or any(
+def senses_by_code(card: Card) -> bool:
+    """Whether sensors or wrappers are `module:Class`, which runs beside the world."""
+    return any(
         is_code(spec.sensor) or any(is_code(wrap.wrapper) for wrap in spec.wrap)
         for spec in card.observations.values()
     )
+
+
+def _imports_code(card: Card) -> bool:
+    """Whether policy, sensors or wrappers are `module:Class`."""
+    return card.adapter.startswith("python:") or senses_by_code(card)
 
 
 def _beside(card_path: Path, file: str) -> Path:

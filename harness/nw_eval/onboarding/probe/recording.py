@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec
+from nw_eval.policies.apart import ApartPolicy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.sim import World
@@ -76,7 +77,8 @@ class Collector(Observer):
         self.tilt = 0.0
         """Larger one of roll and pitch now, rad."""
         self._episode = episode
-        self._fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
+        policy = episode.policy
+        self._fed = policy if isinstance(policy, FedPolicy | ApartPolicy) else None
         self._start = episode.world.trunk_position
         self._first = episode.world.joint_positions
         self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
@@ -116,9 +118,7 @@ class Collector(Observer):
             outcome=None if self._outcome in {"timeout", "completed"} else self._outcome,
             inputs=episode.policy.inputs,
             sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
-            fed_inputs=(
-                {one.name: one.network.inputs for one in self._fed.feeders} if self._fed else {}
-            ),
+            fed_inputs=self._fed.network_inputs if self._fed else {},
         )
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import assert_never
 
 from nw_eval.cards.checkpoint import is_built_in
+from nw_eval.policies.apart import ApartPolicy, current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Policy
 from nw_eval.robots import get_robot
 
 
 def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
-    """Load a bundle's checkpoint, and its networks. Loading runs no code that they contain.
+    """Load a bundle's checkpoint, and its networks: in the policy's process, where there is one.
 
     Args:
         bundle: from `load_bundle`.
@@ -21,6 +22,10 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
             fit the card.
     """
+    line = current_line()
+    if line is not None and bundle.card.adapter != "zero":
+        joints = len(get_robot(bundle.card.robot).joints)
+        return ApartPolicy(bundle, line, joints=joints, allow_code=allow_code)
     policy = _open_checkpoint(bundle, allow_code=allow_code)
     if not bundle.card.networks:
         return policy

@@ -43,6 +43,11 @@ class FedPolicy:
         """What the checkpoint declares to take; empty where its format does not say."""
         return self.policy.inputs
 
+    @property
+    def network_inputs(self) -> dict[str, tuple[InputSpec, ...]]:
+        """What the file of each network declares to take."""
+        return {feeder.name: feeder.network.inputs for feeder in self.feeders}
+
     def reset(self, seed: int) -> None:
         """Begin a trial: nothing was given yet."""
         for feeder in self.feeders:
