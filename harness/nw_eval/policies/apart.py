@@ -286,9 +286,7 @@ class ApartPolicy(AskedPolicy):
         self._answer = HEADER.pack(ACT, self._number, 0, 8 * joints)
         self._is_open = True
         try:
-            opened = self.ask(
-                {"call": "open", "bundle": bytes(ForkingPickler.dumps((bundle, allow_code)))}
-            )
+            opened = self.ask({"call": "open", **_meant(bundle, joints, allow_code=allow_code)})
         except BaseException:
             line.forget(self._number)
             raise
@@ -363,6 +361,36 @@ class ApartPolicy(AskedPolicy):
         arrays = views(self._line.board, places)
         self._names = arrays.keys()
         self._board = [(name, view, view.shape, view.dtype) for name, view in arrays.items()]
+
+
+def _meant(bundle: Bundle, joints: int, *, allow_code: bool) -> dict[str, Any]:
+    """Return what a policy's process is to open, as our own or another interpreter reads it.
+
+    Raises:
+        PolicyError: code that another one runs is not allowed.
+    """
+    card = bundle.card
+    if card.python is None:
+        return {"bundle": bytes(ForkingPickler.dumps((bundle, allow_code)))}
+    if not allow_code:
+        raise code_refused(bundle)
+    return {
+        "adapter": card.adapter,
+        "name": bundle.name,
+        "where": bundle.where,
+        "folder": str(bundle.folder.resolve()),
+        "checkpoint": None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        "options": card.options,
+        "joints": joints,
+    }
+
+
+def code_refused(bundle: Bundle) -> errors.PolicyError:
+    """Return the error for code that the caller does not allow."""
+    return errors.PolicyError(
+        f"{bundle.where}: `{bundle.card.adapter}` imports and runs Python code",
+        fix="add --allow-code if you trust it, or use `remote` and run it elsewhere",
+    )
 
 
 def _raised(fault: Any, *, has_server: bool) -> Exception:

@@ -37,6 +37,10 @@ _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
 
 
+_NO_MEANING = {"title", "licence", "trained_on", "checkpoint", "python"}
+"""Keys of a card that change no action; what is installed counts for no policy's identity."""
+
+
 class Weights(NamedTuple):
     """A file whose digest has been verified."""
 
@@ -74,6 +78,11 @@ class Bundle:
     def folder(self) -> Path:
         """Where the card lies; the working directory for one without a file."""
         return Path() if self.card_path is None else self.card_path.parent
+
+    @property
+    def python(self) -> Path | None:
+        """The interpreter that the card names for its code; None = this one."""
+        return None if self.card.python is None else self.folder.absolute() / self.card.python
 
     @property
     def reference(self) -> str:
@@ -179,9 +188,7 @@ class Bundle:
 
     def _meaning(self) -> dict[str, Any]:
         """Return all of the card that can change an action, and its name."""
-        fields = self.card.model_dump(
-            mode="json", by_alias=True, exclude={"title", "licence", "trained_on", "checkpoint"}
-        )
+        fields = self.card.model_dump(mode="json", by_alias=True, exclude=_NO_MEANING)
         for network in fields["networks"].values():
             del network["checkpoint"]
         if not fields["networks"]:

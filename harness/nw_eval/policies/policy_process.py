@@ -20,12 +20,16 @@ observations read-only, and the caller never reads them back: what a policy writ
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import mmap
 import os
 import struct
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +50,125 @@ _NUMBERS = "biufc"
 
 CALLS = "reset", "act", "state", "restore"
 """What any policy answers, wherever it is asked."""
+
+
+class FaultError(Exception):
+    """What is wrong with a policy of somebody's code; `kind` names a class of `nw_eval.errors`."""
+
+    def __init__(self, kind: str, text: str, *, fix: str | None = None) -> None:
+        super().__init__(text)
+        self.kind = kind
+        self.fix = fix
+
+
+def as_action(raw: Any, *, joints: int, policy: str) -> NDArray[np.float64]:
+    """Return a checkpoint's output as an action, (joints,), of its own memory.
+
+    Raises:
+        FaultError: ActionError, the output has another size; NotFiniteError, it is not finite.
+    """
+    array = np.asarray(raw)
+    if array.size != joints or array.shape[-1:] != (joints,):
+        raise FaultError(
+            "ActionError",
+            f"policy {policy!r} returned an action of shape {array.shape}",
+            fix=f"the card's robot has {joints} joints: check `output` on the card",
+        )
+    action = np.array(array.reshape(joints), dtype=np.float64)
+    if not all_finite(action):
+        index = int(np.argmin(np.isfinite(action)))
+        raise FaultError(
+            "NotFiniteError",
+            f"policy {policy!r} returned {action[index]} for joint {index} of its action",
+            fix="check the checkpoint, and the observations' scales on its card",
+        )
+    return action
+
+
+def all_finite(values: NDArray[np.float64]) -> bool:
+    """Whether no number of a short vector is inf or NaN."""
+    # A sum is finite only if all of its parts are; sums of finite numbers overflow hardly ever.
+    # Right after a network has run, plain numbers take 2 us here and NumPy's functions 10.
+    return math.isfinite(sum(values.tolist())) or bool(np.isfinite(values).all())
+
+
+class CodePolicy:
+    """An object of somebody's code, with its actions checked.
+
+    Args:
+        policy: has `act(observation) -> joints numbers`, and whatever else of `Policy`; a function
+            does what `act` would.
+        name: of the policy, for errors.
+        adapter: what the card calls it, for errors.
+        where: where an error says that a card is wrong.
+        joints: how many numbers an action has.
+
+    Raises:
+        FaultError: it is no policy.
+    """
+
+    def __init__(self, policy: Any, *, name: str, adapter: str, where: str, joints: int) -> None:
+        self._policy = policy
+        self._name = name
+        self._joints = joints
+        if not callable(getattr(policy, "act", policy)):
+            raise FaultError(
+                "CodeError",
+                f"{where}: {adapter} has no method `act`",
+                fix="write `act(self, observation)`",
+            )
+        if hasattr(policy, "state") != hasattr(policy, "restore"):
+            raise FaultError(
+                "CodeError",
+                f"{where}: {adapter} has only one of `state` and `restore`",
+                fix="write both, or neither if the policy has no memory",
+            )
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial."""
+        self._call("reset", seed)
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Ask the object, which gets copies: it may write into them."""
+        copies = {name: np.array(array) for name, array in observation.items()}
+        try:
+            raw = getattr(self._policy, "act", self._policy)(copies)
+        except Exception as error:
+            raise self._failed("act", error) from error
+        return as_action(raw, joints=self._joints, policy=self._name)
+
+    def state(self) -> bytes:
+        """Return the object's memory."""
+        state = self._call("state")
+        if not isinstance(state, (bytes, type(None))):
+            kind = type(state).__name__
+            text = f"policy {self._name!r}: state() returned a {kind}, not bytes"
+            raise FaultError("TrialError", text)
+        return state or b""
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`."""
+        self._call("restore", state)
+
+    def close(self) -> None:
+        """Close the object."""
+        self._call("close")
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Call a method if the object has it."""
+        function = getattr(self._policy, method, None)
+        if function is None:
+            return None
+        try:
+            return function(*arguments)
+        except Exception as error:
+            raise self._failed(method, error) from error
+
+    def _failed(self, method: str, error: Exception) -> FaultError:
+        if isinstance(error, FaultError):
+            return error
+        text = f"policy {self._name!r}: {method} raised {type(error).__name__}: {error}"
+        return FaultError("TrialError", text)
 
 
 class Message(NamedTuple):
@@ -246,3 +369,52 @@ class Server:
         except BaseException as error:  # noqa: BLE001 - as above.
             return {"error": self._told(error)}
         return {"done": True}
+
+
+# The program of a policy's process with an interpreter of its own.
+
+
+def run_program(orders: Mapping[str, Any]) -> None:
+    """Serve the policy of a card in this process, which is confined already.
+
+    Args:
+        orders: file descriptors `reads`, `writes` and `memory`.
+    """
+    line = Line(orders["reads"], orders["writes"])
+    Server(line, orders["memory"], opened=_opened, others={}, told=_told).serve()
+
+
+def _opened(words: Mapping[str, Any]) -> tuple[CodePolicy, dict[str, Any]]:
+    """Import the class that a card names, and make the policy of it."""
+    adapter, folder, where = (str(words[key]) for key in ("adapter", "folder", "where"))
+    module, _, name = adapter.partition(":")[2].partition(":")
+    sys.dont_write_bytecode = True
+    sys.path.insert(0, folder)
+    checkpoint = words["checkpoint"]
+    bundle = SimpleNamespace(
+        name=words["name"],
+        folder=Path(folder),
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        card=SimpleNamespace(options=words["options"]),
+    )
+    try:
+        policy = getattr(importlib.import_module(module), name)(bundle)
+    except Exception as error:  # noqa: BLE001 - the user's code may raise anything.
+        raise FaultError(
+            "CodeError",
+            f"{where}: {adapter} cannot be opened: {type(error).__name__}: {error}",
+            fix=f"the module must lie in {folder} or be installed for the card's `python`, and "
+            "the class take the bundle",
+        ) from None
+    if not callable(getattr(policy, "act", None)):
+        policy = SimpleNamespace(act=None)
+    opened = CodePolicy(
+        policy, name=str(words["name"]), adapter=adapter, where=where, joints=int(words["joints"])
+    )
+    return opened, {"inputs": [], "networks": {}, "digest": ""}
+
+
+def _told(error: BaseException) -> dict[str, Any]:
+    if isinstance(error, FaultError):
+        return {"kind": error.kind, "lines": [str(error)], "fix": error.fix}
+    return {"kind": type(error).__name__, "text": str(error)}

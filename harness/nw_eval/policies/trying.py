@@ -59,7 +59,7 @@ def try_bundle(
         "may_fail": may_fail,
     }
     line = current_line()
-    if line is None:
+    if line is None or bundle.card.python is not None:  # Another interpreter knows no `try`.
         try_on_zeros(**arguments)
     else:
         line.ask({"call": "try", "arguments": bytes(ForkingPickler.dumps((arguments, seconds)))})

@@ -61,6 +61,7 @@ def policy_rules(bundle: Bundle) -> Rules:
         reads=_files(bundle),
         network="all" if bundle.card.adapter == "remote" else "none",
         memory=None if bundle.code_sha256 else memory_to_run(_size(*bundle.files), scenes=0),
+        python=bundle.python,
     )
 
 

@@ -10,8 +10,10 @@ policy's process, which opens the checkpoint. They meet in numbers only: see
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import signal
+import subprocess
 import threading
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import Pipe, get_context, resource_tracker
@@ -28,7 +30,8 @@ from nw_eval.confinement import (
     interrupts_blocked,
     without_script,
 )
-from nw_eval.errors import TrialError
+from nw_eval.confinement.environment import environment_of_child
+from nw_eval.errors import PolicyError, TrialError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Hashable, Sequence
@@ -314,16 +317,121 @@ def open_policy_process(
         hear, answers = map(closing.enter_context, Pipe(duplex=False))
         memory = closing.enter_context(Connection(shared_memory()))
         printed = () if output is None else (output,)
-        process = start_process(
-            serve_policies,
-            (rules,),
-            (questions, answers, memory, *printed),
-            rules=rules,
-            is_one_of_many=is_one_of_many,
-        )
+        process: Started
+        if rules.python is not None:
+            try:
+                process = Program(rules, questions, answers, memory, output)
+            except OSError as error:
+                raise PolicyError(
+                    f"{rules.python} cannot be started: {error.strerror or error}",
+                    fix="correct `python` on the card",
+                ) from None
+        else:
+            process = start_process(
+                serve_policies,
+                (rules,),
+                (questions, answers, memory, *printed),
+                rules=rules,
+                is_one_of_many=is_one_of_many,
+            )
         questions.close()
         answers.close()
         yield process, (hear, ask, memory)
+
+
+_PROGRAM = """
+import json, os, sys, types
+orders = json.loads(sys.argv[1])
+for name in "nw_eval", "nw_eval.policies", "nw_eval.files":  # It is not installed here.
+    package = types.ModuleType(name)
+    package.__path__ = [os.path.join(orders["root"], *name.split(".")[1:])]
+    sys.modules[name] = package
+from nw_eval.files.lifeline import hold
+hold(orders["life"])
+from pathlib import Path
+from nw_eval.confinement import LEFT, Rules, confine
+from nw_eval.policies.policy_process import run_program
+reads = tuple(map(Path, orders["reads_files"]))
+confine(Rules(reads=reads, network=orders["network"], memory=None), output=orders["output"])
+try:
+    run_program(orders)
+except (OSError, ValueError):
+    pass
+os._exit(LEFT)
+"""
+"""What another interpreter runs: it takes the fence and the protocol from this program's files."""
+
+
+class Program:
+    """A policy's process with an interpreter of its own: `Started`.
+
+    Args:
+        rules: by which it confines itself, before it imports the policy.
+        questions: what it is asked.
+        answers: what it says.
+        memory: for observations.
+        output: where what it prints goes; None = nowhere.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        questions: Connection,
+        answers: Connection,
+        memory: Connection,
+        output: Connection | None,
+    ) -> None:
+        life, self._life = Pipe(duplex=False)
+        passed = {"reads": questions, "writes": answers, "memory": memory, "life": life}
+        handles = {name: connection.fileno() for name, connection in passed.items()}
+        orders = {
+            **handles,
+            "output": None if output is None else output.fileno(),
+            "root": str(Path(__file__).resolve().parents[2]),
+            "reads_files": [str(path) for path in rules.reads],
+            "network": rules.network,
+        }
+        printed = () if output is None else (output.fileno(),)
+        with life, interrupts_blocked():
+            self._process = subprocess.Popen(  # noqa: S603  # What the caller allowed.
+                [str(rules.python), "-I", "-B", "-c", _PROGRAM, json.dumps(orders)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(*handles.values(), *printed),
+                env=environment_of_child(),
+            )
+        self.pid = self._process.pid
+        self._watch = os.pidfd_open(self.pid)
+
+    @property
+    def sentinel(self) -> int:
+        """What is ready when it has ended."""
+        return self._watch
+
+    @property
+    def exitcode(self) -> int | None:
+        """How it ended; None while it runs."""
+        return self._process.poll()
+
+    def kill(self) -> None:
+        """End it, without waiting."""
+        self._process.kill()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until it has ended, or so many seconds."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
+    def close(self) -> None:
+        """Forget it; it has ended."""
+        self._life.close()
+        if self._watch >= 0:
+            os.close(self._watch)
+            self._watch = -1
 
 
 class PolicyProcess:
