@@ -28,7 +28,7 @@ from nw_eval import errors
 from nw_eval.arrays import pack, unpack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import message_of
-from nw_eval.confinement import GONE, LEFT, Rules, confine, processor_time
+from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError
 from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.policy_process import ACT, BOARD, HEADER, Line, Server, layout, views
@@ -192,6 +192,38 @@ def use_line(*connections: Connection) -> None:
 def current_line() -> PolicyLine | None:
     """Return the line that policies are opened over; None = they are opened here."""
     return _line.get()
+
+
+_trusts: ContextVar[bool] = ContextVar("trusts", default=False)
+
+
+@contextmanager
+def trusting(*, all_: bool = True) -> Generator[None]:
+    """Let checkpoints that are programs be opened in this process, in the `with` block, or not."""
+    token = _trusts.set(all_)
+    try:
+        yield
+    finally:
+        _trusts.reset(token)
+
+
+def trusts() -> bool:
+    """Return whether checkpoints that are programs may be opened here: see `trusting`."""
+    return _trusts.get()
+
+
+def check_program(bundle: Bundle, *, allow_code: bool) -> None:
+    """Refuse to open a checkpoint that is a program where nothing would hold it.
+
+    Raises:
+        PolicyError: this process has no fence, and the caller does not allow code.
+    """
+    if not (fence_stands() or allow_code or trusts()):
+        raise errors.PolicyError(
+            f"{bundle.where}: `{bundle.card.adapter}` files are programs, and the system offers no "
+            "fence to run one behind",
+            fix="add --allow-code if you trust it, or export it to ONNX",
+        )
 
 
 def _end() -> NoReturn:

@@ -15,6 +15,7 @@ from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
 from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.apart import current_line
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.policies.policy import Policy
 
@@ -77,9 +78,10 @@ def try_on_zeros(
     try:
         policy.reset(0)
         own: Policy = policy
-        if isinstance(policy, FedPolicy):
-            own = policy.policy
-            for feeder in policy.feeders:
+        fed_by = policy.policy if isinstance(policy, DrawingPolicy) else policy
+        if isinstance(fed_by, FedPolicy):
+            own = fed_by.policy
+            for feeder in fed_by.feeders:
                 fed = _tried(feeder.bundle, feeder.network.inputs, feeder.run, arrays, sizes)
                 sizes |= {name: sized(name, array.shape) for name, array in fed.items()}
                 arrays |= fed

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.policies.apart import ApartPolicy
+from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.sim import World
@@ -78,7 +79,7 @@ class Collector(Observer):
         """Larger one of roll and pitch now, rad."""
         self._episode = episode
         policy = episode.policy
-        self._fed = policy if isinstance(policy, FedPolicy | ApartPolicy) else None
+        self._fed = policy if isinstance(policy, FedPolicy | ApartPolicy | DrawingPolicy) else None
         self._start = episode.world.trunk_position
         self._first = episode.world.joint_positions
         self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []

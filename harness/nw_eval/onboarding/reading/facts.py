@@ -21,7 +21,6 @@ from nw_eval.policies.safety import (
     FileLimits,
     TensorFacts,
     check_onnx,
-    check_torchscript,
     file_kind,
     tensor_facts,
 )
@@ -109,7 +108,6 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
         case "torch-export":
             return _exported(data, path, sha256)
         case "torchscript":
-            check_torchscript(data, where)
             tensors = tensor_facts(data, where)
             return CheckpointFacts(
                 path=path,

@@ -42,7 +42,7 @@ def script_inputs(
     """Return what `forward` takes; empty where the code does not say it plainly.
 
     Args:
-        data: a whole TorchScript file that passed `check_torchscript`.
+        data: a whole TorchScript file.
         where: its path, for errors.
         tensors: the file's, for sizes.
     """

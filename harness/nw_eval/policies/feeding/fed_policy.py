@@ -21,19 +21,22 @@ class FedPolicy:
     policy's rate. At one action, each is asked after those that feed it.
     """
 
-    def __init__(self, bundle: Bundle, policy: Policy) -> None:
+    def __init__(self, bundle: Bundle, policy: Policy, *, allow_code: bool) -> None:
         """Open the networks of a bundle.
 
         Args:
             bundle: of a card with networks.
             policy: its checkpoint.
+            allow_code: as for `open_policy`.
 
         Raises:
             PolicyError: as `open_network`.
         """
         self._name = bundle.name
         self.policy = policy
-        self.feeders = tuple(Feeder(bundle, name) for name in feeding_order(bundle.card))
+        self.feeders = tuple(
+            Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
+        )
         self._actions = 0
         self.held: dict[str, Array] = {}
         """By name, what the networks gave last."""

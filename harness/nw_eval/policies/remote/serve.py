@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
 from nw_eval.policies.adapters import open_policy
+from nw_eval.policies.apart import trusting, trusts
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.policy_process import CALLS, respond
@@ -84,8 +85,11 @@ def serving(
             fix="pip install 'nw-eval[remote]'",
         ) from None
 
+    is_trusted = trusts()  # Each client has a thread, which does not know.
+
     def opened() -> Policy:
-        return open_policy(bundle, allow_code=allow_code)
+        with trusting(all_=is_trusted):
+            return open_policy(bundle, allow_code=allow_code)
 
     opened().close()
     hello = {
