@@ -37,7 +37,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 folder_note()
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(scope="session", autouse=True)
 def _own_programs():
     """Open what a test wrote itself in its own process, as `--in-process` does."""
     with trusting():
