@@ -326,6 +326,7 @@ class ApartPolicy(AskedPolicy):
             self.inputs = _specs(opened["inputs"])
             networks = {str(name): _specs(specs) for name, specs in opened["networks"].items()}
             self.network_inputs: dict[str, tuple[InputSpec, ...]] = networks
+            self._remembers = opened["remembers"] is not False
             if self._is_remote:
                 self.served = Served(digest=str(opened["digest"]))
         except (KeyError, TypeError, ValueError, AttributeError):
@@ -366,6 +367,10 @@ class ApartPolicy(AskedPolicy):
         except (OSError, EOFError, ValueError, KeyError, RecursionError):
             self._line.lost()
         raise _raised(fault, has_server=self._is_remote)
+
+    def state(self) -> bytes:
+        """Return the policy's state; one that remembers nothing is not asked."""
+        return super().state() if self._remembers else b""
 
     @property
     def held(self) -> dict[str, NDArray[Any]]:
@@ -498,6 +503,7 @@ def _opened(words: Mapping[str, Any]) -> tuple[Policy, dict[str, Any]]:
     answer = {
         "inputs": _listed(policy.inputs),
         "networks": {name: _listed(specs) for name, specs in networks.items()},
+        "remembers": getattr(policy, "remembers", True),
         "digest": getattr(getattr(policy, "served", None), "digest", ""),
     }
     return policy, answer

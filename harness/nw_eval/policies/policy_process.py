@@ -330,7 +330,7 @@ class Server:
             OSError: it goes while it is answered.
             ValueError: it says what is no message.
         """
-        reads = self._line.reads
+        reads, writes = self._line.reads, self._line.writes
         policies, boards = self._policies, self._boards
         while True:
             piece = os.read(reads, _PIECE)
@@ -344,11 +344,11 @@ class Server:
             number = piece[1]
             try:
                 action = policies[number].act(boards[number])
-                data = np.asarray(action, np.float64).tobytes()
+                data: bytes = np.asarray(action, np.float64).tobytes()
             except BaseException as error:  # noqa: BLE001 - the caller hears what a policy raises.
                 self._line.tell({"error": self._told(error)}, policy=number)
             else:
-                self._line.send(ACT, number, data=data)
+                os.write(writes, HEADER.pack(ACT, number, 0, len(data)) + data)  # All, or none.
 
     def _answer(self, number: int, words: Mapping[str, Any]) -> dict[str, Any]:
         call = str(words.get("call"))
@@ -411,7 +411,7 @@ def _opened(words: Mapping[str, Any]) -> tuple[CodePolicy, dict[str, Any]]:
     opened = CodePolicy(
         policy, name=str(words["name"]), adapter=adapter, where=where, joints=int(words["joints"])
     )
-    return opened, {"inputs": [], "networks": {}, "digest": ""}
+    return opened, {"inputs": [], "networks": {}, "digest": "", "remembers": True}
 
 
 def _told(error: BaseException) -> dict[str, Any]:
