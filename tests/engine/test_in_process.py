@@ -395,7 +395,9 @@ def test_workers_that_overtake_each_other_judge_the_trials_that_one_alone_does(
         return folder, asked
 
     alone, _ = run(-1, name="alone")
-    together, asked = run(planned[0].seed, name="together", workers=3)
+    (bundle.folder / "overtaken").unlink(missing_ok=True)
+    waits = int(planned[0].seed_sequence("policy").generate_state(1, np.uint32)[0])
+    together, asked = run(waits, name="together", workers=3)
     assert any(rows and 0 not in rows for rows in asked), "a later trial ended first"
     infos = [read_run_info(folder.run_json) for folder in (alone, together)]
     assert [info.stop for info in infos] == [StopInfo(first=1, trials={SCENE: 1})] * 2

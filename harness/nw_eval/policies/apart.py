@@ -31,7 +31,7 @@ from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError
 from nw_eval.policies.policy import Observation, checked_action
-from nw_eval.policies.policy_process import ACT, BOARD, HEADER, Line, Server, layout, views
+from nw_eval.policies.policy_process import ACT, BOARD, HEADER, MessageLine, Server, layout, views
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -108,7 +108,7 @@ class PolicyLine:
     ) -> None:
         self._held = answers, questions
         _lines.add(self)
-        self.line = Line(answers.fileno(), questions.fileno())
+        self.line = MessageLine(answers.fileno(), questions.fileno())
         self.lost = lost
         self.board = mmap.mmap(memory.fileno(), BOARD)
         memory.close()
@@ -159,7 +159,7 @@ _lines: WeakSet[PolicyLine] = WeakSet()
 def _cut_lines() -> None:
     """Let a copy that a sensor's code made of this process have no word with the policy's."""
     for each in _lines:
-        each.line = Line(-1, -1)
+        each.line = MessageLine(-1, -1)
 
 
 os.register_at_fork(after_in_child=_cut_lines)
@@ -487,10 +487,10 @@ def serve_policies(
     confine(rules, output=None if output is None else output.fileno())
     if output is not None:
         output.close()
-    line = Line(questions.fileno(), answers.fileno())
+    line = MessageLine(questions.fileno(), answers.fileno())
     others = {"held": _held, "try": _try}
     with suppress(OSError, ValueError):  # Nobody hears the answer, or somebody asks nonsense.
-        Server(line, memory.fileno(), opened=_opened, others=others, told=_told).serve()
+        Server(line, memory.fileno(), opened=_opened, others=others, describe=_described).serve()
     os._exit(LEFT)
 
 
@@ -531,7 +531,7 @@ def _try(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
     return {"done": True}
 
 
-def _told(error: BaseException) -> dict[str, Any]:
+def _described(error: BaseException) -> dict[str, Any]:
     """Return an exception in words."""
     kind = type(error).__name__
     if isinstance(error, NwEvalError):

@@ -180,7 +180,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Line:
+class MessageLine:
     """Two pipes: one to write into, and one to read from.
 
     Args:
@@ -303,23 +303,23 @@ class Server:
         memory: file descriptor of the shared memory, `BOARD` bytes.
         opened: returns the policy that an `open` means, and what to say of it.
         others: by name, further calls; each is given the policy, None if there is none.
-        told: says of an exception what the caller is told.
+        describe: says of an exception what the caller is told.
     """
 
     def __init__(
         self,
-        line: Line,
+        line: MessageLine,
         memory: int,
         *,
         opened: Callable[[Mapping[str, Any]], tuple[Any, dict[str, Any]]],
         others: Mapping[str, Callable[[Any, Mapping[str, Any]], dict[str, Any]]],
-        told: Callable[[BaseException], dict[str, Any]],
+        describe: Callable[[BaseException], dict[str, Any]],
     ) -> None:
         self._line = line
         self._memory = mmap.mmap(memory, BOARD, prot=mmap.PROT_READ)
         self._opened = opened
         self._others = others
-        self._told = told
+        self._describe = describe
         self._policies: dict[int, Any] = {}
         self._boards: dict[int, dict[str, NDArray[Any]]] = {}
 
@@ -346,7 +346,7 @@ class Server:
                 action = policies[number].act(boards[number])
                 data: bytes = np.asarray(action, np.float64).tobytes()
             except BaseException as error:  # noqa: BLE001 - the caller hears what a policy raises.
-                self._line.tell({"error": self._told(error)}, policy=number)
+                self._line.tell({"error": self._describe(error)}, policy=number)
             else:
                 os.write(writes, HEADER.pack(ACT, number, 0, len(data)) + data)  # All, or none.
 
@@ -367,7 +367,7 @@ class Server:
             else:
                 return respond(self._policies[number], words)
         except BaseException as error:  # noqa: BLE001 - as above.
-            return {"error": self._told(error)}
+            return {"error": self._describe(error)}
         return {"done": True}
 
 
@@ -380,8 +380,8 @@ def run_program(orders: Mapping[str, Any]) -> None:
     Args:
         orders: file descriptors `reads`, `writes` and `memory`.
     """
-    line = Line(orders["reads"], orders["writes"])
-    Server(line, orders["memory"], opened=_opened, others={}, told=_told).serve()
+    line = MessageLine(orders["reads"], orders["writes"])
+    Server(line, orders["memory"], opened=_opened, others={}, describe=_described).serve()
 
 
 def _opened(words: Mapping[str, Any]) -> tuple[CodePolicy, dict[str, Any]]:
@@ -414,7 +414,7 @@ def _opened(words: Mapping[str, Any]) -> tuple[CodePolicy, dict[str, Any]]:
     return opened, {"inputs": [], "networks": {}, "digest": "", "remembers": True}
 
 
-def _told(error: BaseException) -> dict[str, Any]:
+def _described(error: BaseException) -> dict[str, Any]:
     if isinstance(error, FaultError):
         return {"kind": error.kind, "lines": [str(error)], "fix": error.fix}
     return {"kind": type(error).__name__, "text": str(error)}

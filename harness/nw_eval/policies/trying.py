@@ -22,7 +22,7 @@ from nw_eval.policies.policy import Policy
 Answer = TypeVar("Answer")
 
 
-class Shown(NamedTuple):
+class ShownInput(NamedTuple):
     """One observation that a card makes."""
 
     name: str
@@ -34,7 +34,7 @@ class Shown(NamedTuple):
 
 def try_bundle(
     bundle: Bundle,
-    shown: Sequence[Shown],
+    shown: Sequence[ShownInput],
     *,
     allow_code: bool,
     may_fail: bool,
@@ -67,7 +67,7 @@ def try_bundle(
 
 
 def try_on_zeros(
-    *, bundle: Bundle, shown: Sequence[Shown], allow_code: bool, may_fail: bool
+    *, bundle: Bundle, shown: Sequence[ShownInput], allow_code: bool, may_fail: bool
 ) -> None:
     """As `try_bundle`, in this process."""
     arrays: dict[str, NDArray[Any]] = {

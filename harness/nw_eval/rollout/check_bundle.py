@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nw_eval.policies import Bundle
-from nw_eval.policies.trying import Shown, try_bundle
+from nw_eval.policies.trying import ShownInput, try_bundle
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.check import ObservationSpec, check_card
 
@@ -32,6 +32,6 @@ def check_bundle(
     """
     code_from = bundle.folder if allow_code else None
     specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)
-    shown = [Shown(spec.name, spec.shape, spec.dtype.str, spec.reckoning) for spec in specs]
+    shown = [ShownInput(spec.name, spec.shape, spec.dtype.str, spec.reckoning) for spec in specs]
     try_bundle(bundle, shown, allow_code=allow_code, may_fail=may_fail, seconds=seconds)
     return specs

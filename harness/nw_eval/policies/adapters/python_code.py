@@ -44,13 +44,15 @@ class PythonPolicy:
     def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
         self._name = bundle.name
         self._is_ours = bundle.instance is None
-        made: Any = _make(bundle, allow_code=allow_code) if self._is_ours else bundle.instance
-        self.inputs: tuple[InputSpec, ...] = getattr(made, "inputs", ())
-        if self._is_ours and not callable(getattr(made, "act", None)):
-            made = SimpleNamespace(act=None)  # A function is no class's object.
+        user_object: Any = (
+            _make(bundle, allow_code=allow_code) if self._is_ours else bundle.instance
+        )
+        self.inputs: tuple[InputSpec, ...] = getattr(user_object, "inputs", ())
+        if self._is_ours and not callable(getattr(user_object, "act", None)):
+            user_object = SimpleNamespace(act=None)  # A function is no class's object.
         with _faults():
             self._policy: CodePolicy | None = CodePolicy(
-                made,
+                user_object,
                 name=bundle.name,
                 adapter=bundle.card.adapter,
                 where=bundle.where,

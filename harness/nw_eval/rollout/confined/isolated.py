@@ -26,7 +26,7 @@ from nw_eval.errors import (
     UsageError,
 )
 from nw_eval.policies.apart import use_line
-from nw_eval.rollout.confined.start import Pair, Started, parts_of, start_pair
+from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -169,7 +169,7 @@ class IsolatedCall:
 
 
 def _received(
-    receiver: Connection, process: Started | Pair, subject: str, time_limit: float
+    receiver: Connection, process: Started | WorldAndPolicy, subject: str, time_limit: float
 ) -> dict[str, Any]:
     """Return what a process says.
 
@@ -187,7 +187,7 @@ def _received(
         process.join(_LAST_MOMENTS)
         code = process.exitcode
         _end(process)  # It may be stopped.
-        if code is not None or not isinstance(process, Pair):
+        if code is not None or not isinstance(process, WorldAndPolicy):
             raise _died(subject, process.exitcode) from None
         answer = None  # The policy's process has closed its line, or said what is no message.
     except (OSError, ValueError, RecursionError):
@@ -200,7 +200,7 @@ def _received(
     return answer
 
 
-def _end(process: Started | Pair) -> None:
+def _end(process: Started | WorldAndPolicy) -> None:
     """Kill a process and what it started, if it has not ended; likewise that of its policy."""
     for each in parts_of(process):
         if each.exitcode is None:

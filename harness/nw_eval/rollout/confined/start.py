@@ -99,7 +99,7 @@ class Started(Protocol):
         ...
 
 
-class Pair:
+class WorldAndPolicy:
     """A world's process and its policy's, seen as one: `Started`, but for what is said of both.
 
     Where the policy's process ends by itself, or is ended, its exit code is that of both.
@@ -154,9 +154,9 @@ class Pair:
                 process.close()
 
 
-def parts_of(process: Started | Pair) -> tuple[Started, ...]:
+def parts_of(process: Started | WorldAndPolicy) -> tuple[Started, ...]:
     """Return the processes that one stands for."""
-    return process.both if isinstance(process, Pair) else (process,)
+    return process.both if isinstance(process, WorldAndPolicy) else (process,)
 
 
 def prepare() -> None:
@@ -257,7 +257,7 @@ def start_pair(
     policy: Rules | None,
     is_one_of_many: bool,
     output: Connection | None = None,
-) -> Started | Pair:
+) -> Started | WorldAndPolicy:
     """Return a new process that calls a function, and beside it one for the policies that it opens.
 
     Args:
@@ -292,7 +292,7 @@ def start_pair(
         except BaseException:
             process.kill()
             raise
-    return Pair(world, process)
+    return WorldAndPolicy(world, process)
 
 
 @contextmanager
@@ -320,7 +320,7 @@ def open_policy_process(
         process: Started
         if rules.python is not None:
             try:
-                process = Program(rules, questions, answers, memory, output)
+                process = OwnInterpreter(rules, questions, answers, memory, output)
             except OSError as error:
                 raise PolicyError(
                     f"{rules.python} cannot be started: {error.strerror or error}",
@@ -362,7 +362,7 @@ os._exit(LEFT)
 """What another interpreter runs: it takes the fence and the protocol from this program's files."""
 
 
-class Program:
+class OwnInterpreter:
     """A policy's process with an interpreter of its own: `Started`.
 
     Args:
@@ -471,6 +471,11 @@ class PolicyProcess:
 
             self._line = PolicyLine(*line, lost=self._lost)
         return self._line
+
+    @property
+    def pid(self) -> int | None:
+        """Its number; None while it is not needed."""
+        return None if self._process is None else self._process.pid
 
     def _end(self, process: Started) -> None:
         process.kill()
