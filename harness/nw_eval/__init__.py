@@ -142,11 +142,11 @@ _ROOMS = MappingProxyType(
         "rollout.replaying.blame.report": ("BlameReport",),
         "rollout.replaying.report": ("ReplayReport",),
         "rollout.replaying.takeover.report": ("TakeoverReport",),
-        "scenes.figures": ("SceneFigures",),
+        "scenes.overview": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
-        "splat.describe": ("SplatFigures",),
+        "splat.gaussians": ("SplatFigures",),
         "stats.agreement.agree": ("Agreement",),
-        "viewing.recording.written": ("WrittenRecording",),
+        "viewing.recording.track": ("WrittenRecording",),
     }
 )
 """Where each public name is at home."""

@@ -127,11 +127,11 @@ from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.blame.report import BlameReport
 from nw_eval.rollout.replaying.report import ReplayReport
 from nw_eval.rollout.replaying.takeover.report import TakeoverReport
-from nw_eval.scenes.figures import SceneFigures
+from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
-from nw_eval.splat.describe import SplatFigures
+from nw_eval.splat.gaussians import SplatFigures
 from nw_eval.stats.agreement.agree import Agreement
-from nw_eval.viewing.recording.written import WrittenRecording
+from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str
 

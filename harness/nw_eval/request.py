@@ -70,14 +70,14 @@ class Request:
     seed: int | None = None
     """Another panel of starts than the suite's own: other trials in the same scenes."""
     baseline: str | None = None
-    """The bank to compare with: its name, its file, or none. When absent the suite's own where the
-    policy is the suite's own, else none: the bar alone judges."""
+    """The baseline to compare with: its name, its file, or none. When absent the suite's own
+    where the policy is the suite's own, else none: the bar alone judges."""
     baseline_policy: str | None = None
-    """The bank's own policy, for a machine that the bank has not seen; where the bank says when
+    """The baseline's own policy, for a machine that it has not seen; where the baseline says when
     absent."""
     recheck: int | None = None
     """Starts of each scene that run again, drawn when the run begins, where the policy is the
-    bank's own and the rest is taken over from the bank; 1 when absent."""
+    baseline's own and the rest is taken over from the baseline; 1 when absent."""
     panel: PanelKind | None = None
     """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""

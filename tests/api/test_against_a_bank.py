@@ -24,15 +24,17 @@ from nw_eval.cli import main
 from nw_eval.cli.text.judging.forecast import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.trials.attempts import Attempts
-from nw_eval.errors import IncomparableError, UsageError
+from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.reporting import headline
 from nw_eval.results.bank import trajectory
 from nw_eval.results.bank.build import bank_of_run
 from nw_eval.results.bank.file import read_bank, write_bank
-from nw_eval.results.journal import read_journal
+from nw_eval.results.ended import write_trials
+from nw_eval.results.journal import read_journal, write_journal
 from nw_eval.results.provenance import StopInfo, read_run_info
-from nw_eval.results.row import rows_digest
+from nw_eval.results.row import rows_digest, texts_of
+from nw_eval.results.run_folder import RunFolder
 from nw_eval.suite import load_suite
 
 SUITE = """\
@@ -160,10 +162,10 @@ def test_trials_are_those_of_a_plain_run_in_a_drawn_order_and_end_with_the_one_t
     assert judged.verdict.verdict == "PASS"
     found = judged.verdict.against
     assert (found.basis, found.claim, found.trials, found.budget) == ("panel", "fresh", count, 8)
-    assert f"enough after {count} trials: {8 - count} of 8 trials need not run" in ears.lines
+    assert f"decided after {count} trials: {8 - count} of 8 trials need not run" in ears.lines
     assert api.report("run").verdict == judged.verdict
     page = Path("run/report.md").read_text()
-    assert f"{count} were enough, and {8 - count} of 8 need not run" in page
+    assert f"{count} of at most 8 were judged" in page
     assert "it is known" not in page, "a part of the panel was drawn"
     assert len(api.read_rows("run")) == count
 
@@ -211,7 +213,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
     assert set(api.read_rows(first.out / "old-control-old-sight" / "run").trial_id) == set(
         ordered[:2]
     )
-    with pytest.raises(UsageError, match="drew its starts from the 4 of a bank"):
+    with pytest.raises(UsageError, match="drew its starts from the 4 of a baseline"):
         api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", trials=5)
     with pytest.raises(IncomparableError, match="meets the starts of another run"):
         api.run(resume=first.out / "old-control-old-sight" / "run")
@@ -243,9 +245,9 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
     (project / "cut" / "bank" / "shipped.parquet").unlink()
     gone = api.report(project / "cut")
     assert gone.exit_code == 5
-    assert "bank shipped" in gone.verdict.reasons[0]
+    assert "baseline shipped" in gone.verdict.reasons[0]
     assert gone.verdict.reasons[1] == "the bar alone: PASS"
-    with pytest.raises(IncomparableError, match="bank shipped, and neither its copy"):
+    with pytest.raises(IncomparableError, match="baseline shipped, and neither its copy"):
         api.run(None, resume=project / "cut", in_process=True)
 
 
@@ -453,7 +455,7 @@ def test_a_bank_that_does_not_hold_is_refused_before_anything_is_run():
         )
     )
     with pytest.raises(
-        IncomparableError, match=r"its seed is 6.*its mujoco is 4\.\S+, the bank's 3"
+        IncomparableError, match=r"its seed is 6.*its mujoco is 4\.\S+, the baseline's 3"
     ):
         against(seed=6)
     assert not Path("run").exists()
@@ -757,6 +759,108 @@ def test_a_part_sees_for_itself_what_the_bank_is_on_its_machine():
     for part in parts:
         assert part.info.baseline.checked == "bits"
         own = api.read_rows(part.folder / "baseline")
-        assert set(own.trial_id) == {row.trial_id for row in part.rows}
+        assert set(own.trial_id) == {row.trial_id for each in parts for row in each.rows}
     merged = api.merge([part.folder for part in parts], out="merged")
     assert (merged.verdict.against.word, merged.info.baseline.checked) == ("PASS", "bits")
+
+
+def rewritten(folder, change):
+    """Write the rows of a run's folder anew, with all sums of theirs."""
+    folder = RunFolder(path=folder)
+    contents = read_journal(folder.journal)
+    rows = change(contents.rows)
+    write_journal(folder.journal, contents.header, texts_of(rows))
+    session.write_run_info(
+        folder.run_json, write_trials(folder, read_run_info(folder.run_json), rows)
+    )
+
+
+def bits_of(folder):
+    """State digest and success of the rows of a folder, by trial."""
+    rows = api.read_rows(folder)
+    return dict(zip(rows.trial_id, zip(rows.state_digest, rows.success, strict=True), strict=True))
+
+
+@pytest.mark.parametrize("starts", [2, pytest.param(9, marks=pytest.mark.nightly)])
+def test_parts_with_a_control_merge_to_the_rows_and_the_verdict_of_the_run_and_of_its_control(
+    starts,
+):
+    if starts > 4:  # More than all parts look at first.
+        Path("quick.yaml").write_text(SUITE.replace("trials: 4", f"trials: {starts}"))
+        more = api.run("quick.yaml", baseline="none", workers=2, out=Path("more"))
+        BANK.unlink()
+        write_bank(BANK, bank_of_run(more.rows, more.info, name="shipped", card="go1-parkour"))
+    forged(other_ways)
+    changes = {"trials": starts, "in_process": False}
+    whole = against("whole-run", all_rounds=True, workers=2, **changes)
+    order = [trial.id for trial in api.plan(
+        "quick.yaml", policy="./soft", baseline="shipped", trials=starts
+    ).trials]  # fmt: skip
+    parts = [
+        against(f"part-{index}", shard=f"{index}/3", workers=workers, **changes)
+        for index, workers in ((1, 1), (2, 2), (3, 2))
+    ]
+    for index, part in enumerate(parts):
+        assert (part.verdict.verdict, part.info.baseline.checked) == ("RAN", "control")
+        # All parts ask the same trials whether bits are others; the rest is its own.
+        assert set(bits_of(part.folder / "baseline")) == {*order[:16], *order[index::3]}
+        assert set(order[index::3]) == {row.trial_id for row in part.rows}
+    BANK.unlink()  # Every part has a copy, and so has the merged run.
+    merged = api.merge([parts[2].folder, parts[0].folder, parts[1].folder], out="merged")
+    assert rows_digest(merged.rows) == rows_digest(whole.rows)
+    assert bits_of("merged/baseline") == bits_of("whole-run/baseline")
+    assert (merged.verdict, merged.info.stop) == (whole.verdict, whole.info.stop)
+    found = merged.verdict.against
+    assert (found.basis, found.control, len(merged.rows)) == ("control", 2 * starts, 2 * starts)
+    # It is a run like any other, and so is the run beside it.
+    shutil.copy("merged/bank/shipped.parquet", BANK)
+    for name in ("merged", "whole-run"):
+        assert api.judge(name).verdict == whole.verdict
+        assert api.judge(name, baseline="shipped").verdict == whole.verdict
+    assert api.verify("merged").exit_code == 0
+    again = api.merge(["merged", "part-2"], out="again")
+    assert again.verdict == whole.verdict
+    assert bits_of("again/baseline") == bits_of("merged/baseline")
+
+
+def test_parts_of_machines_with_different_bits_and_parts_without_their_control_are_refused():
+    kept = BANK.read_bytes()
+    forged(elsewhere)
+    alike = against("alike", shard="1/2", trials=2)
+    BANK.write_bytes(kept)
+    forged(other_ways)
+    cut = against("cut", ears=Ears(trials=1), shard="1/2", trials=2)
+    assert (cut.interrupted, cut.info.baseline.checked) == (True, "control")
+    one = api.run(None, resume=Path("cut"), in_process=True)
+    two = against("part-2", shard="2/2", trials=2)
+
+    def saved(report, folder, **known):
+        """A part as another machine would have written it."""
+        path = Path(shutil.copytree(report.folder, folder)) / "run.json"
+        info = read_run_info(path)
+        baseline = info.baseline.model_copy(update=known)
+        session.write_run_info(path, info.model_copy(update={"baseline": baseline}))
+        return folder
+
+    # Some bits of the baseline's policy are as elsewhere, and those of one machine are not.
+    sha256 = two.info.baseline.sha256
+    mixed = saved(alike, "mixed", sha256=sha256)
+    with pytest.raises(IncomparableError, match=r"^not of one run: the baseline's policy repeats"):
+        api.merge([mixed, two.folder], out="merged")
+    early = saved(one, "early", checked=None)
+    with pytest.raises(IncomparableError, match=r"early \(part 1 of 2\) ended before the baseline"):
+        api.merge([two.folder, early], out="merged")
+    nested = Path(saved(one, "other")) / "baseline"
+    rewritten(nested, lambda rows: [replace(row, state_digest="f" * 16) for row in rows])
+    with pytest.raises(
+        IncomparableError, match=r"^not of one run: trial \S+ of the baseline's pol"
+    ):
+        api.merge([nested.parent, two.folder], out="merged")
+    short = Path(saved(one, "short"))
+    rewritten(short / "baseline", lambda rows: [
+        row for row in rows if row.trial_id != one.rows[0].trial_id
+    ])  # fmt: skip
+    with pytest.raises(StoreError, match="lacks 1 trial of its control, the baseline's policy go1"):
+        api.merge([short, two.folder], out="merged")
+    assert not Path("merged").exists()
+    assert api.merge([one.folder, two.folder], out="merged").verdict.against.basis == "control"

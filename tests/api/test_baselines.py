@@ -14,7 +14,8 @@ import pytest
 
 from nw_eval import api, cli
 from nw_eval.engine.listener import Silence
-from nw_eval.errors import StoreError, TrialError, UsageError
+from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
+from nw_eval.files.shipped import shipped
 from nw_eval.results.bank.file import read_bank
 from nw_eval.results.provenance import read_run_info, write_run_info
 
@@ -209,7 +210,7 @@ def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_
     # Here it is MuJoCo 4.0.0 still.
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert shown.splitlines()[:2] == [
-        "INVALID: bank stand does not hold here",
+        "INVALID: baseline stand does not hold here",
         "simulator mujoco  4.9.9 -> 4.0.0",
     ]
     assert "renew it with `nw-eval baseline save quick.yaml --policy stand --renew`" in shown
@@ -226,6 +227,33 @@ def test_a_check_names_what_the_suite_says_otherwise_and_whether_the_machine_is_
     assert "suite seed    5 -> 6" in shown
     (project / "quick.yaml").write_text(SUITE.replace("max_drop: 0.2", "max_drop: 0.3"))
     printed(capsys, "check", "stand", "--suite", "quick.yaml")
+
+
+def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
+    project, tmp_path, capsys
+):
+    far = Path(shutil.copytree(shipped("policies") / "stand", tmp_path / "far away" / "still"))
+    card = far / "policy.yaml"
+    card.write_text(card.read_text().replace("name: stand", "name: still"))
+    api.save_baseline("quick.yaml", policy=str(far), starts=2, workers=2)
+    (project / "quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
+    shown = printed(capsys, "check", "still", "--suite", "quick.yaml", code=5)
+    assert "renew it with `nw-eval baseline save quick.yaml --policy PATH --renew`" in shown
+    with pytest.raises(IncomparableError) as caught:
+        api.plan("quick.yaml", baseline="still", trials=3)
+    assert caught.value.fix.endswith("`nw-eval baseline save quick.yaml --policy PATH --starts 3`")
+    with pytest.raises(IncomparableError) as caught:
+        api.plan("quick.yaml", baseline="still", trials=2)
+    assert caught.value.fix.endswith("save quick.yaml --policy PATH --renew`")
+    # Where it is named, the command is one that can be typed.
+    shown = printed(capsys, "check", "still", "--suite", "quick.yaml", "-p", str(far), code=5)
+    assert f"--policy '{far}' --renew`" in shown
+    with pytest.raises(IncomparableError) as caught:
+        api.plan("quick.yaml", baseline="still", baseline_policy=str(far), trials=2)
+    assert caught.value.fix.endswith(f"--policy '{far}' --renew`")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["baseline", "save", "quick.yaml", "--policy", str(far), "--renew"])
+    assert left.value.code == 0
 
 
 @pytest.mark.usefixtures("project")
@@ -254,7 +282,7 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
     ("options", "sentence"),
     [
         ({"from_run": "there", "starts": 3}, "--from and --starts: the run has decided that"),
-        ({"name": "a/b"}, "a bank's name: 'a/b' is no name"),
+        ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
         ({"starts": 0}, "--starts 0; give at least 1"),
         ({"from_run": "nowhere"}, "nowhere is not the folder of a run"),
     ],

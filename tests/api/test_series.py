@@ -83,5 +83,7 @@ def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
 @pytest.mark.slow
 def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
     api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", starts=1)
-    with pytest.raises(IncomparableError, match=r"good\.parquet is there already, and is no bank"):
+    with pytest.raises(
+        IncomparableError, match=r"good\.parquet is there already, and is no baseline"
+    ):
         api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", starts=1)

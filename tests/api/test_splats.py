@@ -12,9 +12,12 @@ from nw_eval.built_in.splits import EVALUATION
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import cache_dir
-from nw_eval.scenes.circuit import circuit
+from nw_eval.scenes.overview import circuit
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store, open_store, read_splat
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.files import read_splat
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store, open_store
 
 GAPS = "gaps/two_12in_carpet"  # Its floor is lower than z = 0, where the robot starts.
 

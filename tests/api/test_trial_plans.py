@@ -162,7 +162,7 @@ def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> None:
     planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
-    assert planned.source == "bank shipped of trot"
+    assert planned.source == "baseline shipped of trot"
     assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
     assert planned.outset.baseline == pytest.approx(0.975)
     assert planned.outset.budget == 40
@@ -188,10 +188,10 @@ def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
 
 def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run: Path) -> None:
     with pytest.raises(
-        UsageError, match="no bank to plan with, and has none; name one with --base"
+        UsageError, match="no baseline to plan with, and has none; name one with --base"
     ):
         api.plan_trials(suite)
-    with pytest.raises(UsageError, match="has no bank 'gone'"):
+    with pytest.raises(UsageError, match="has no baseline 'gone'"):
         api.plan_trials(suite, baseline="gone")
     with pytest.raises(UsageError, match="exclude each other"):
         api.plan_trials(suite, baseline="gone", run=run)
@@ -209,7 +209,7 @@ def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
         read_bank(bank), manifest=read_bank(bank).manifest.model_copy(update={"name": "b"})
     )
     write_bank(folder / "b.parquet", other)
-    with pytest.raises(UsageError, match=f"no bank to plan with, and has b, {bank.stem};"):
+    with pytest.raises(UsageError, match=f"no baseline to plan with, and has b, {bank.stem};"):
         api.plan_trials(suite)
 
 
@@ -240,7 +240,7 @@ def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: 
 def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
     other = suite.with_name("named.yaml")
     other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
-    with pytest.raises(UsageError, match="has no bank 'gone'"):
+    with pytest.raises(UsageError, match="has no baseline 'gone'"):
         api.plan_trials(other)
     assert api.plan_trials(other, run=run).source == "run week of trot"
 

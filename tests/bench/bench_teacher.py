@@ -14,16 +14,14 @@ import time
 import numpy as np
 import torch
 
-from nw_eval.learn.program.config import find_config, load_config
-from nw_eval.learn.program.device import one_thread
+from nw_eval.learn.config import find_config, load_config, one_thread
 from nw_eval.learn.teacher.config import CourseSettings, TeacherConfig
-from nw_eval.learn.teacher.courses.lanes import Lanes
-from nw_eval.learn.teacher.courses.robot import training_robot
-from nw_eval.learn.teacher.ppo.learner import PpoLearner
-from nw_eval.learn.teacher.ppo.samples import SampleCollector
-from nw_eval.learn.teacher.start import begin
-from nw_eval.learn.teacher.world.curriculum import Curriculum
-from nw_eval.learn.teacher.world.episodes import Episodes
+from nw_eval.learn.teacher.curriculum import Curriculum
+from nw_eval.learn.teacher.episodes import Episodes
+from nw_eval.learn.teacher.lanes import Lanes
+from nw_eval.learn.teacher.policy import begin
+from nw_eval.learn.teacher.ppo import PpoLearner, SampleCollector
+from nw_eval.learn.teacher.simulation import training_robot
 from nw_eval.robots import get_robot
 
 GOAL = 8000

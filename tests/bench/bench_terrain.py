@@ -16,13 +16,12 @@ import mujoco
 import numpy as np
 
 from nw_eval.robots import get_robot
+from nw_eval.scenes.attach import add_height_field, add_triangles
+from nw_eval.scenes.grid import TerrainOptions
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.attach import add_height_field, add_triangles
-from nw_eval.scenes.terrain.compile import build_terrain
-from nw_eval.scenes.terrain.options import TerrainOptions
-from nw_eval.scenes.terrain.solids import HeightField, Triangles
+from nw_eval.scenes.scene import Box, HeightField, Triangles
+from nw_eval.scenes.terrain import build_terrain
 
 TRAIL = np.array([[2.2, 0.0, 0.15], [4.2, 0.0, 0.30], [6.0, 0.0, 0.30]])
 COLUMNS, ROWS = 250, 100  # of the scan's vertices: 49,302 triangles

@@ -26,7 +26,9 @@ from PIL import Image as Picture
 from splat_rooms import eye_camera, room
 
 from nw_eval.catalogue.find import get_scene
-from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store, open_store
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store, open_store
 from nw_eval.twin.gaussians.config import TrainConfig
 from nw_eval.twin.gaussians.evaluate import view_figures
 from nw_eval.twin.gaussians.initial import gaussians_at

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from nw_eval.built_in.bake.generate import generate
-from nw_eval.built_in.courses.gaps import DEPTH
-from nw_eval.built_in.courses.ramps import Boards, Humps
-from nw_eval.built_in.courses.stairs import Stairs
+from nw_eval.built_in.gaps import DEPTH
+from nw_eval.built_in.ramps import Boards, Humps
+from nw_eval.built_in.stairs import Stairs
 from nw_eval.catalogue import get_scene, names
 from nw_eval.catalogue.find import _BY_NAME
 from nw_eval.robots import get_robot

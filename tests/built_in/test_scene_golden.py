@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.built_in.splat import GENERATOR_VERSION
+from nw_eval.built_in.entry import GENERATOR_VERSION
 from nw_eval.catalogue import names
 
 
@@ -37,7 +37,7 @@ def test_geometry_and_trail_are_as_recorded(name):
 def test_the_generators_version_is_raised_with_every_change_of_its_code():
     # Without it, caches would go on serving Gaussians that the code no longer makes.
     assert golden.source() == RECORD["source"], (
-        "the code that makes Gaussians has changed: raise GENERATOR_VERSION in scenes/twin.py, "
+        "the code that makes Gaussians has changed: raise GENERATOR_VERSION in built_in/entry.py, "
         "then run `python tests/built_in/golden/scenes.py`"
     )
     assert RECORD["version"] == GENERATOR_VERSION, _HINT
@@ -50,3 +50,10 @@ def test_comments_docstrings_and_layout_do_not_count_as_changes_and_code_does():
     plain = shape("def f(x):\n    return x + 1\n")
     assert shape('def f(x):\n    """Say."""\n    # Why.\n    return (x\n        + 1)\n') == plain
     assert shape("def f(x):\n    return x + 2\n") != plain
+
+
+def test_the_file_in_which_a_definition_stands_does_not_count_and_the_definition_does():
+    one, two = "def f(x):\n    return x + 1\n", "from a import f\n\nSIZE = 3\n"
+    apart = golden._digest_of_code([one, two])
+    assert golden._digest_of_code([two + one]) == apart
+    assert golden._digest_of_code([one, two.replace("3", "4")]) != apart

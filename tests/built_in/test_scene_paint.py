@@ -6,12 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nw_eval.built_in.bake.foliage import quats_from_normals
+from nw_eval.built_in.bake.materials import _TABLE, coat
+from nw_eval.built_in.bake.spots import Spots, hashed, noise, pulse, tiles
 from nw_eval.built_in.bake.surfels import cut, frames
-from nw_eval.built_in.lights import LIGHTS
-from nw_eval.built_in.paint.noise import hashed, noise
-from nw_eval.built_in.paint.patterns import pulse, tiles
-from nw_eval.built_in.paint.registry import _TABLE, coat
-from nw_eval.built_in.paint.spots import Spots
+from nw_eval.built_in.entry import LIGHTS
 from nw_eval.built_in.places.parts import Decal, Patch
 from nw_eval.scenes.mesh import rotation_matrix
 

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from nw_eval.built_in.bake.generate import generate
-from nw_eval.built_in.lights import LIGHTS
+from nw_eval.built_in.entry import LIGHTS, BuiltInSplat
+from nw_eval.built_in.places import scenery as outdoors
 from nw_eval.built_in.places.builder import PlaceBuilder
-from nw_eval.built_in.places.outdoors import scenery as outdoors
-from nw_eval.built_in.splat import BuiltInSplat
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import SH0
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import digest, open_store

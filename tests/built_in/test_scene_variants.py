@@ -5,9 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from nw_eval.built_in.entries import ENTRIES
+from nw_eval.built_in.entries import ENTRIES, has_variants, parted, variant
 from nw_eval.built_in.splits import split_of
-from nw_eval.built_in.variants import has_variants, parted, variant
 from nw_eval.catalogue import get_scene, names, references
 from nw_eval.errors import SceneError
 

@@ -48,6 +48,7 @@ NOT_RUN = MappingProxyType(
         'nw-eval baseline save hurdles --policy go1-parkour --note "ships since May"': (
             "a thousand trials; test_baselines.py saves smaller banks"
         ),
+        "nw-eval baseline save hurdles --policy go1-parkour": "likewise; it adds a panel there",
         "nw-eval run hurdles --policy my-policy --baseline go1-parkour": "against that bank",
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/report/trackers track runs"

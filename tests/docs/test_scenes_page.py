@@ -12,9 +12,9 @@ import pytest
 from nw_eval import api
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes import limits
-from nw_eval.scenes.name import checked_name
+from nw_eval.scenes.limits import checked_name
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES
 from nw_eval.scenes.neverwhere.primitives import _SIZES
-from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES
 from nw_eval.splat import files as splat_files
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenes.md"

@@ -116,10 +116,12 @@ class Until:
     Args:
         falls: n.
         followed: places of those that come later.
+        waits_for: scenes that still hold a PASS back then.
     """
 
-    def __init__(self, falls, followed=()):
+    def __init__(self, falls, followed=(), waits_for=()):
         self.falls, self.followed, self.asked = falls, followed, []
+        self.waits_for = waits_for
 
     def __call__(self, ended):
         self.asked.append(dict(ended))
@@ -133,6 +135,7 @@ class Until:
             first=first,
             followed=self.followed if is_settled else (),
             ahead=tuple(place for place in nexts if place not in ended),
+            waits_for=self.waits_for if is_settled else (),
         )
 
 
@@ -140,9 +143,10 @@ class Ears:
     """Sends this process a signal when it hears a message, or after so many trials."""
 
     def __init__(self, *, message=None, after=None):
-        self.words, self.after = message, after
+        self.words, self.after, self.told = message, after, []
 
     def message(self, text):
+        self.told.append(text)
         if self.words is not None and self.words in text:
             os.kill(os.getpid(), signal.SIGINT)
 
@@ -287,6 +291,19 @@ def test_places_that_are_followed_run_and_those_between_them_do_not(go):
     assert (set(outcome.by_place), outcome.missing) == ({*range(6), 8, 11}, ())
     many = go(Office(lot=2), Until(2, followed=(8, 11)), workers=3, name="many")
     assert (many.enough, judged(many)) == (outcome.enough, judged(outcome))
+
+
+def test_a_run_that_is_decided_and_one_that_has_no_trial_left_of_a_scene_say_so(go):
+    decided, stuck = Ears(), Ears()
+    go(Office(), Until(2), workers=1, ears=decided)
+    assert decided.told == ["decided after 6 trials: 6 of 12 trials need not run"]
+    rule = Until(2, followed=(8, 11), waits_for=("flat/a",))
+    go(Office(), rule, workers=1, ears=stuck, name="stuck")
+    (told,) = stuck.told
+    assert told == (
+        "undecided after 8 trials: flat/a holds a PASS back, and no trial of it is left; --resume "
+        "with more --trials runs more"
+    )
 
 
 def test_a_followed_place_that_a_signal_cut_off_is_missing_no_more_once_it_is_resumed(go):

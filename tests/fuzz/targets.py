@@ -192,7 +192,7 @@ def _cloud(count=30, degree=1):
 def _splat_files(folder):
     import torch
 
-    from nw_eval.splat import write_splat
+    from nw_eval.splat.files import write_splat
     from nw_eval.splat.files.spz import write_spz
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -428,7 +428,7 @@ def _published_seeds(folder):
 
 
 def _read_mesh(folder):
-    from nw_eval.scenes.terrain.mesh_file import read_mesh
+    from nw_eval.scenes.mesh_file import read_mesh
 
     (path,) = folder.iterdir()
     read_mesh(path)
@@ -470,7 +470,9 @@ def _read_cameras(folder):
 
 def _read_splat(folder):
     """Read a file as a renderer would, down to the arrays of the kernels, without a warning."""
-    from nw_eval.splat import describe, memory_store, read_splat
+    from nw_eval.splat.files import read_splat
+    from nw_eval.splat.gaussians import describe
+    from nw_eval.splat.store import memory_store
 
     (path,) = folder.iterdir()
     with warnings.catch_warnings():
@@ -481,7 +483,7 @@ def _read_splat(folder):
 
 
 def _store_seeds(folder):
-    from nw_eval.splat import compile_store
+    from nw_eval.splat.store import compile_store
 
     folder.mkdir(parents=True, exist_ok=True)
     compile_store(_cloud(), folder / "a.nwsplat")
@@ -489,7 +491,7 @@ def _store_seeds(folder):
 
 
 def _store(folder):
-    from nw_eval.splat import memory_store, open_store
+    from nw_eval.splat.store import memory_store, open_store
 
     found, good = open_store(folder / "a.nwsplat").layout.arrays(), memory_store(_cloud()).layout
     for name, array in good.arrays().items():

@@ -50,10 +50,19 @@ def test_anything_between_is_inconclusive_and_gives_the_chance_that_more_would_d
     verdict = judge(run_scene("a", poor) + run_scene("b", good), BAR, {"a": 10, "b": 10})
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
     told = verdict.reasons[1]
-    assert told.startswith("chance that 20 trials in each scene (now 10) decide: ")
+    assert told.startswith("20 trials in each scene (now 10) decide the bar with ")
     assert told.endswith("; --resume with more --trials adds them")
     twice, four_times = (int(share) for share in re.findall(r"(\d+) %", told))
     assert 20 < twice < four_times < 95
+
+
+def test_trials_that_scenes_have_unequal_numbers_of_are_told_in_all(
+    run_scene: Callable[..., Any],
+) -> None:
+    rows = run_scene("a", [4] * 8 + [1] * 2) + run_scene("b", [4] * 6 + [2])
+    verdict = judge(rows, BAR, {"a": 10, "b": 7}, drawn=rows)
+    assert verdict.verdict == "INCONCLUSIVE"
+    assert verdict.reasons[1].startswith("34 trials (now 17) decide the bar with ")
 
 
 def test_too_few_trials_for_the_bar_are_told_even_if_perfect(
@@ -180,7 +189,7 @@ def test_a_scene_whose_whole_interval_lies_below_the_bar_is_named_whatever_the_v
     named = [reason for reason in verdict.reasons if "below the bar" in reason]
     if word == "REGRESSED":
         (reason,) = named
-        assert reason.startswith("10 scenes below the bar each alone: weak 0.250")
+        assert reason.startswith("10 scenes below the bar by themselves: weak 0.250")
         assert reason.endswith("; and 7 more")
     else:
         (reason,) = named

@@ -144,6 +144,7 @@ def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_interval
         "one (95 % sure)"
     )
     assert [line for line in page.splitlines() if "step-" in line][4:] == [flagged, passed]
+    assert "drop (99 % lower, 95 % upper)" in page.splitlines()[0]
     assert "first that fell" not in page
     assert "up to" not in page_of("++--", run_scene, basis="same"), "it is the good one itself"
 
@@ -154,4 +155,4 @@ def test_what_is_left_open_before_the_first_flagged_is_named(run_scene: Callable
     assert "it is the first of the series" in page_of("----", run_scene)
     passed = page_of("++++", run_scene)
     assert "none was flagged: step-3 passed; it may already be up to 0.09 worse" in passed
-    assert "no checkpoint was flagged; left open: step-3" in page_of("+++?", run_scene)
+    assert "no checkpoint was flagged; undecided: step-3" in page_of("+++?", run_scene)

@@ -1,4 +1,5 @@
 import hashlib
+import json
 
 import pytest
 
@@ -144,6 +145,37 @@ def test_the_digest_changes_with_the_card_but_not_with_its_title(folder):
     assert load_bundle(folder).digest == before
     card.write_text(card.read_text().replace("scale: 0.25", "scale: 0.5"))
     assert load_bundle(folder).digest != before
+
+
+def test_the_digest_changes_with_the_order_in_which_one_input_takes_the_observations(folder):
+    card = folder / "policy.yaml"
+    one, two = (
+        "body: {sensor: proprio, terms: [gravity]}",
+        "legs: {sensor: proprio, terms: [joint_pos]}",
+    )
+    found: list[bundles.Bundle] = []
+    for first, second in ((one, two), (two, one)):
+        observations = f"observations: {{{first}, {second}}}\n"
+        card.write_text(CARD.partition("observations")[0] % ("w", "w") + observations)
+        text = card.read_text().replace("file: w, sha256: w", "file: weights.onnx")
+        card.write_text(text)
+        found.append(load_bundle(folder))
+    assert [list(each.card.observations) for each in found] == [["body", "legs"], ["legs", "body"]]
+    assert found[0].digest != found[1].digest
+    assert found[0].computes != found[1].computes
+    # One that is in the order of the alphabet has the digest that it had before orders counted.
+    fields = found[0]._meaning()
+    before = json.dumps([fields, found[0].checkpoint_digest], sort_keys=True)
+    assert found[0].digest == hashlib.sha256(before.encode()).hexdigest()
+
+
+def test_the_digest_changes_with_the_order_of_patterns_that_mean_the_same_joint(folder):
+    card, text = folder / "policy.yaml", (folder / "policy.yaml").read_text()
+    digests: list[str] = []
+    for kp in ("'*_hip': 9, 'FL_*': 20", "'FL_*': 20, '*_hip': 9"):
+        card.write_text(text.replace("scale: 0.25", f"scale: 0.25, kp: {{{kp}}}"))
+        digests.append(load_bundle(folder).digest)
+    assert digests[0] != digests[1]
 
 
 def test_a_path_that_leads_nowhere_is_told_from_a_misspelt_name():

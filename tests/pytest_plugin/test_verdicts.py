@@ -224,7 +224,7 @@ def test_a_trial_without_a_result_is_an_error_of_its_scene_and_of_the_verdict(
     ("arguments", "sentence"),
     [
         (["--nw-policy", "go1-parkur"], "*unknown policy 'go1-parkur'*go1-parkour*"),
-        (["--nw-baseline", "nobody"], "*suite 'tiny' has no bank 'nobody'*"),
+        (["--nw-baseline", "nobody"], "*suite 'tiny' has no baseline 'nobody'*"),
         (["--nw-report-dir", "tiny.yaml"], "*cannot make *tiny.yaml*"),
     ],
 )
@@ -273,10 +273,10 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     bank = "reports/baselines/tiny/stand.parquet"
     first.stdout.fnmatch_lines(
         [
-            f"bank {bank} is new: stand, 1 start in each scene",
+            f"{bank} is new: stand, 1 start in each scene",
             "Look at what has changed, commit it, and run again without --nw-update-baseline.",
-            f"FAILED tiny.yaml::verdict - bank {bank} is new*",
-            "SKIPPED * the bank is being saved",
+            f"FAILED tiny.yaml::verdict - {bank} is new*",
+            "SKIPPED * the baseline is being saved",
         ]
     )
     content = (pytester.path / bank).read_bytes()

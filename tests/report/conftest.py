@@ -4,8 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
+from nw_eval.stats import Interval
+from nw_eval.stats.bank import CurvePoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,6 +53,27 @@ def suite_file(tmp_path: Path) -> Path:
 def of_suite(suite_file: Path) -> dict[str, Any]:
     """What run.json says of that suite, for `make_run`."""
     return {"suite_file": "suites/hurdles.yaml", "suite_folder": str(suite_file.parent)}
+
+
+@pytest.fixture
+def regressed() -> Comparison:
+    """A comparison that is REGRESSED, by the mean and by its one scene, which is critical."""
+    fell = SceneDrop(
+        scene="hurdles/three_low", tier="critical", baseline=0.95, candidate=0.4, trials=5,
+        evidence=2.5e6, named=True, waypoint=2,
+    )  # fmt: skip
+    return Comparison(
+        word="REGRESSED", bank="shipped", policy="go1-act-rgb", basis="panel", claim="fresh",
+        trials=80, budget=320, starts=60, mean_convicts=True, false_alarm=0.07,
+        baseline=0.925, drop=0.25, interval=Interval(0.12, 0.41),
+        max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
+        scenes=(fell,), reasons=("worse than the baseline shipped",),
+        curve=(
+            CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
+            CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
+            CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
+        ),
+    )  # fmt: skip
 
 
 @pytest.fixture

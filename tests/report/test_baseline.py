@@ -15,8 +15,9 @@ from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.baseline.comparison import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
+from nw_eval.reporting.console import draw
+from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.stats import Interval
-from nw_eval.stats.bank import CurvePoint
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -26,16 +27,6 @@ if TYPE_CHECKING:
 
     Make = Callable[..., Any]
 
-FELL = SceneDrop(
-    scene="hurdles/three_low",
-    tier="critical",
-    baseline=0.95,
-    candidate=0.4,
-    trials=5,
-    evidence=2.5e6,
-    named=True,
-    waypoint=2,
-)
 FINE = SceneDrop(
     scene="a",
     perturbation=(("friction", 0.6),),
@@ -55,33 +46,12 @@ TOY = SceneDrop(
     evidence=1.0,
     named=False,
 )
-FOUND = Comparison(
-    word="REGRESSED",
-    bank="shipped",
-    policy="go1-act-rgb",
-    basis="panel",
-    claim="fresh",
-    trials=80,
-    budget=320,
-    mean_convicts=True,
-    false_alarm=0.07,
-    starts=60,
-    baseline=0.925,
-    drop=0.25,
-    interval=Interval(0.12, 0.41),
-    max_drop=0.1,
-    tolerate=0.02,
-    scene_drop=0.1,
-    alpha_pass=0.05,
-    alpha_regr=0.01,
-    scenes=(FINE, FELL, TOY),
-    reasons=("worse than the baseline shipped",),
-    curve=(
-        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
-        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
-        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
-    ),
-)
+
+
+@pytest.fixture
+def found(regressed: Comparison) -> Comparison:
+    """That comparison, with a scene that did not regress and one that does not count besides."""
+    return replace(regressed, scenes=(FINE, *regressed.scenes, TOY))
 
 
 @pytest.fixture
@@ -103,11 +73,13 @@ def table(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:1] + lines[2:]]
 
 
-def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(page: Make) -> None:
-    first, _, second, *_ = page(FOUND).splitlines()
+def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(
+    page: Make, found: Comparison
+) -> None:
+    first, _, second, *_ = page(found).splitlines()
     assert first.startswith(
-        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (at least 0.120, at most 0.410) "
-        "in 80 of 320 trials \u00b7 success 1.000"
+        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (99 % lower bound 0.120, 95 % "
+        "upper bound 0.410) in 80 of 320 trials \u00b7 success 1.000"
     )
     assert second.endswith(
         "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
@@ -118,9 +90,9 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(pag
 
 
 def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_last(
-    page: Make,
+    page: Make, found: Comparison
 ) -> None:
-    text = page(FOUND)
+    text = page(found)
     assert table(text) == [
         ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "regressed",
          "from waypoint"],
@@ -141,12 +113,13 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({"claim": "panel", "starts": 40}, "the claim is of these starts only"),
         ({"basis": "control"}, "its policy ran beside the candidate, from the same starts"),
         ({"basis": "fresh"}, "the candidate met new starts, and the baseline's mean is of 60"),
+        ({}, "it need not be the baseline's mean less the drop"),
     ],
 )  # fmt: skip
 def test_every_report_says_of_which_starts_it_speaks(
-    page: Make, changes: dict[str, Any], words: str
+    page: Make, changes: dict[str, Any], words: str, found: Comparison
 ) -> None:
-    how_sure = page(replace(FOUND, **changes)).split("## How sure")[1]
+    how_sure = page(replace(found, **changes)).split("## How sure")[1]
     assert words in how_sure.replace("\\", "")
     assert (
         "A drop of 0.1 or more against the baseline passes with probability at most 5 %" in how_sure
@@ -155,8 +128,8 @@ def test_every_report_says_of_which_starts_it_speaks(
     assert "The verdict is on this checkpoint, not on its training recipe" in how_sure
 
 
-def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
-    pinned, fresh = page(FOUND), page(FOUND, panel="fresh")
+def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make, found: Comparison) -> None:
+    pinned, fresh = page(found), page(found, panel="fresh")
     assert "The panel of starts is pinned, the suite's own." in pinned
     assert "--panel fresh draws the checkpoint's own" in pinned
     assert "The panel of starts is fresh: it follows from what the checkpoint computes" in fresh
@@ -165,11 +138,11 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make) -> None:
 
 
 def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(
-    page: Make,
+    page: Make, found: Comparison
 ) -> None:
     again = Recheck(compared=2, ran=2, equal=True, differing=(), taken_over=True)
     same = replace(
-        FOUND, basis="same", word="PASS", trials=1, drop=None, interval=None, curve=None,
+        found, basis="same", word="PASS", trials=1, drop=None, interval=None, curve=None,
         again=again, reasons=("the same policy",),
     )  # fmt: skip
     text = page(same)
@@ -184,11 +157,11 @@ def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again
 
 
 def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
-    make_row: Make, make_run: Make
+    make_row: Make, make_run: Make, found: Comparison
 ) -> None:
     failed = {"outcome": "policy_failed", "end_reason": "action", "error_type": "policy_error"}
     rows = [make_row("a", 0, 2, **failed)]
-    for against, end in ((None, "then."), (FOUND, "then; against the baseline they count as 0.")):
+    for against, end in ((None, "then."), (found, "then; against the baseline they count as 0.")):
         verdict = replace(judge(rows, Gate(), {"a": 1}), against=against)
         text = render_markdown(make_run({"a": 1}), rows, verdict, Path("x"))
         assert f"results, and count with the waypoints reached until {end}" in text
@@ -201,10 +174,10 @@ def test_without_a_baseline_nothing_of_one_is_said(make_row: Make, make_run: Mak
 
 
 def test_the_terminal_shows_the_same_table_and_the_verdict_last(
-    make_row: Make, make_run: Make
+    make_row: Make, make_run: Make, found: Comparison
 ) -> None:
     rows = [make_row("a", index, 4) for index in range(3)]
-    verdict: Verdict = combined(judge(rows, Gate(), {"a": 3}, against=FOUND), FOUND)
+    verdict: Verdict = combined(judge(rows, Gate(), {"a": 3}, against=found), found)
     stream = StringIO()
     console = Console(file=stream, width=140)
     print_summary(console, make_run({"a": 3}), rows, verdict, Path("x"))
@@ -215,15 +188,36 @@ def test_the_terminal_shows_the_same_table_and_the_verdict_last(
                                   "gate.success_rate")  # fmt: skip
 
 
-def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(page: Make) -> None:
-    scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in FOUND.scenes)
-    text = page(replace(FOUND, scenes=scenes))
+def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(
+    page: Make, found: Comparison
+) -> None:
+    scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in found.scenes)
+    text = page(replace(found, scenes=scenes))
     header, *lines = table(text)
-    assert header[6] == (
-        "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes"
-    )
+    assert header[6] == "99 % lower, 95 % upper"
+    note = "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes."
+    assert text.count(note) == 1
     assert {line[6] for line in lines} == {"-0.10 to 0.30"}
     (of_scenes,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
     assert " to " not in of_scenes
-    strict = page(replace(FOUND, scenes=scenes, alpha_regr=0.005, alpha_pass=0.1))
-    assert "(99.5 % lower, 90 % upper)" in table(strict)[0][6]
+    strict = page(replace(found, scenes=scenes, alpha_regr=0.005, alpha_pass=0.1))
+    assert table(strict)[0][6] == "99.5 % lower, 90 % upper"
+
+
+def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(
+    page: Make, found: Comparison
+) -> None:
+    fell = found.scenes[1]
+    none: dict[str, Any] = {"baseline": None, "candidate": None, "trials": 0}
+    unmet = replace(TOY, scene="unmet", tier="supporting", **none)
+    text = page(replace(found, basis="control", scenes=(fell, unmet)))
+    line = next(line for line in table(text) if line[0] == "unmet")
+    assert line == ["unmet", "supporting", "0", "none", "none", "", "", "", ""]
+
+
+def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns(found: Comparison) -> None:
+    fell = found.scenes[1]
+    named = replace(fell, scene="hurdles/three_grassy_courtyard", tier="supporting")
+    stream = StringIO()
+    draw(Console(file=stream, width=120), baseline_table(replace(found, scenes=(named, fell))))
+    assert re.search(r"three_grassy_courtyard +supporting +5 ", stream.getvalue())

@@ -37,7 +37,7 @@ def test_the_summary_ends_with_the_reports_first_lines(
     lines = summary(rows, run, width=200)
     verdict = judge(rows, Gate(success_rate=0.75), run.planned)
     assert lines[-3] == headline(verdict, run)
-    assert lines[-2].startswith("Fresh starts in these scenes: success 0.")
+    assert lines[-2].startswith("The bounds of success are for new starts in these scenes")
     assert lines[-1].startswith("* success is at least")
 
 

@@ -52,9 +52,10 @@ def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
     first, _, second = text.splitlines()[:3]
     assert first.startswith("# PASS · success 0.988 (95 % bounds 0.8")
     assert first.endswith("bar 0.75) · completed 38 of 40 trials in 2 scenes · 60 s on 2 workers")
-    assert second.startswith("Fresh starts in these scenes: success 0.8")
-    assert "(95 % each side); on the starts of this panel (seed 7) it is known: 0.988." in second
-    assert "worse" not in second, "one estimate of what a worse policy would get says too little"
+    assert second == (
+        "The bounds of success are for new starts in these scenes; on the starts of this panel "
+        "(seed 7) it is known: 0.988."
+    )
 
 
 def test_a_score_of_zero_claims_no_sight_of_drops(
@@ -65,7 +66,7 @@ def test_a_score_of_zero_claims_no_sight_of_drops(
         first, _, second = render(rows, {"a": 40}, gate).splitlines()[:3]
         assert first.startswith(f"# {word} · success 0.000 (")
         assert "completed 0 of 40 trials" in first
-        assert second.startswith("Fresh starts in these scenes: success 0.000 to 0.")
+        assert second.startswith("The bounds of success are for new starts in these scenes")
         assert "worse" not in second
         assert "drops" not in second
 
@@ -136,10 +137,11 @@ def test_each_mean_has_one_interval_and_its_header_says_of_what_it_is(
     make_row: Callable[..., Row], render: Callable[..., str]
 ) -> None:
     rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
-    header, *lines = section(render(rows, {"good": 4, "bad": 4}), "Success by scene")
-    assert [name for name in header if "%" in name] == [
-        "Per-scene interval (95 % two-sided), not corrected for the number of scenes"
-    ]
+    page = render(rows, {"good": 4, "bad": 4})
+    header, *lines = section(page, "Success by scene")
+    assert [name for name in header if "%" in name] == ["95 % two-sided"]
+    said = "Per-scene interval (95 % two-sided), not corrected for the number of scenes."
+    assert page.count(said) == 1
     assert [sum(" to " in cell for cell in line) for line in lines] == [1, 1]
 
 
@@ -170,8 +172,9 @@ def test_tasks_have_bounds_like_the_verdicts_and_the_only_task_has_those_of_the_
     assert [bar.interval for bar in table.bars if bar is not None] == [only.interval]
     rows += [make_row("b", k, 4, task="ramps") for k in range(4)]
     table = tasks_table(rows, judge(rows, BAR, {"a": 4, "b": 4}))
-    assert table.columns[4] == (
-        "Per-task interval (95 % lower, 95 % upper), not corrected for the number of tasks"
+    assert table.columns[4] == "95 % lower, 95 % upper"
+    assert table.note == (
+        "Per-task interval (95 % lower, 95 % upper), not corrected for the number of tasks."
     )
     groups = [np.array([0.0, 0.25, 0.5, 0.75])]
     low, high = lower_bound(groups, 0.95), upper_bound(groups, 0.95)
@@ -188,8 +191,9 @@ def test_cells_of_one_trial_in_a_scene_have_bounds_like_the_verdicts_with_room_a
     ]
     text = render(rows, dict.fromkeys("abcd", 2))
     header, *cells = section(text, "Success by perturbation")
-    assert header[3] == (
-        "Per-cell interval (95 % lower, 95 % upper), not corrected for the number of cells"
+    assert header[3] == "95 % lower, 95 % upper"
+    assert (
+        "Per-cell interval (95 % lower, 95 % upper), not corrected for the number of cells." in text
     )
     groups = [np.array([value]) for value in (1.0, 1.0, 0.25, 1.0)]
     expected = f"{lower_bound(groups, 0.95):.2f} to {upper_bound(groups, 0.95):.2f}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import pytest
+
 from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined, without_bank
 from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
@@ -47,9 +49,7 @@ def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_f
     verdict = judge(rows, gate, {"good": 20, "bad": 20, "toy": 20})
     assert states(verdict) == {"bad": "failed", "good": "undecided", "toy": "weak"}
     (bad, *_) = scene_states(verdict)
-    assert bad.sentence.startswith(
-        "critical, and certainly below the bar 0.75 by itself; success 0"
-    )
+    assert bad.sentence.startswith("critical, and below the bar 0.75 by its upper bound; success 0")
     assert [item.scene for item in worst_first(scene_states(verdict))] == ["bad", "toy", "good"]
 
 
@@ -72,57 +72,44 @@ def test_a_run_that_is_regressed_by_nothing_of_its_scenes_blames_none(make_row: 
     assert states(replace(verdict, verdict="REGRESSED")) == {"a": "undecided"}
 
 
-def against(word: Any, now: dict[str, float], *, named: str = "") -> Comparison:
+@pytest.fixture
+def against(regressed: Comparison) -> Any:
     """A comparison with a baseline that reached everything, two rounds of each scene."""
-    drops = tuple(
-        SceneDrop(
-            scene=scene,
-            tier="supporting",
-            baseline=1.0,
-            candidate=success,
-            trials=2,
-            evidence=3.0,
-            named=scene == named,
-        )
-        for scene, success in now.items()
-    )
-    drop = 1.0 - sum(now.values()) / len(now)
-    return Comparison(
-        word=word,
-        bank="shipped",
-        policy="go1-act-rgb",
-        basis="panel",
-        claim="fresh",
-        trials=4,
-        budget=40,
-        mean_convicts=False,
-        false_alarm=0.01,
-        starts=60,
-        baseline=1.0,
-        drop=drop,
-        interval=Interval(0.0, 1.0),
-        max_drop=0.1,
-        tolerate=0.02,
-        scene_drop=0.1,
-        alpha_pass=0.05,
-        alpha_regr=0.01,
-        scenes=drops,
-        reasons=("because",),
-    )
+
+    def make(word: Any, now: dict[str, float], *, named: str = "") -> Comparison:
+        drops = tuple(
+            SceneDrop(
+                scene=scene, tier="supporting", baseline=1.0, candidate=success, trials=2,
+                evidence=3.0, named=scene == named,
+            )
+            for scene, success in now.items()
+        )  # fmt: skip
+        drop = 1.0 - sum(now.values()) / len(now)
+        return replace(
+            regressed, word=word, trials=4, budget=40, mean_convicts=False, baseline=1.0, drop=drop,
+            interval=Interval(0.0, 1.0), scenes=drops, reasons=("because",), curve=None,
+        )  # fmt: skip
+
+    return make
 
 
-def results(make_row: Any, word: Any, *, named: str = "", gate: Gate | None = None) -> Any:
+@pytest.fixture
+def results(make_row: Any, against: Any) -> Any:
     """What becomes of the scenes `good`, at 1, and `bad`, at 0, in two rounds."""
-    rows = rows_of(make_row, good=[4, 4], bad=[0, 0])
-    found = against(word, {"good": 1.0, "bad": 0.0}, named=named)
-    planned = {"good": 2, "bad": 2}
-    verdict = combined(judge(rows, gate or Gate(), planned, against=found), found)
-    assert verdict.verdict == word
-    return {item.scene: (item.result, item.sentence) for item in scene_states(verdict)}
+
+    def make(word: Any, *, named: str = "", gate: Gate | None = None) -> Any:
+        rows = rows_of(make_row, good=[4, 4], bad=[0, 0])
+        found = against(word, {"good": 1.0, "bad": 0.0}, named=named)
+        planned = {"good": 2, "bad": 2}
+        verdict = combined(judge(rows, gate or Gate(), planned, against=found), found)
+        assert verdict.verdict == word
+        return {item.scene: (item.result, item.sentence) for item in scene_states(verdict)}
+
+    return make
 
 
-def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(make_row: Any) -> None:
-    assert results(make_row, "INCONCLUSIVE") == {
+def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(results: Any) -> None:
+    assert results("INCONCLUSIVE") == {
         "bad": (
             "skipped",
             "not decided: success 0.000, completed 0 of 2 trials, baseline 1.000; run more trials",
@@ -134,21 +121,21 @@ def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(make_ro
     }
 
 
-def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(make_row: Any) -> None:
+def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(results: Any) -> None:
     for word in ("REGRESSED", "INCONCLUSIVE"):
-        found = results(make_row, word, named="bad")
+        found = results(word, named="bad")
         assert [found["good"][0], found["bad"][0]] == ["skipped", "failed"]
-        assert found["bad"][1].startswith("fell from 1.00 to 0.00; success 0.000, completed 0 of 2")
-    passed = results(make_row, "PASS", named="bad")
+        assert found["bad"][1].startswith(
+            "regressed from 1.00 to 0.00; success 0.000, completed 0 of 2"
+        )
+    passed = results("PASS", named="bad")
     assert [passed["good"][0], passed["bad"][0]] == ["passed", "skipped"]
     assert passed["bad"][1].endswith("; the verdict is PASS, and does not rest on this scene alone")
 
 
-def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(
-    make_row: Any,
-) -> None:
+def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(results: Any) -> None:
     """With many scenes the mean may pass before a bad one is named."""
-    found = results(make_row, "PASS")
+    found = results("PASS")
     assert found["good"][0] == "passed"
     assert found["bad"] == (
         "skipped",
@@ -159,10 +146,10 @@ def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(
     )
 
 
-def test_an_informational_scene_says_so_and_never_passes_or_fails(make_row: Any) -> None:
+def test_an_informational_scene_says_so_and_never_passes_or_fails(results: Any) -> None:
     gate = Gate(tiers={"good": "informational"})
     for word in ("PASS", "REGRESSED", "INCONCLUSIVE"):
-        result, sentence = results(make_row, word, gate=gate)["good"]
+        result, sentence = results(word, gate=gate)["good"]
         assert result == "skipped"
         assert sentence == (
             "informational, not judged; success 1.000, completed 2 of 2 trials, baseline 1.000"

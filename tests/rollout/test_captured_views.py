@@ -15,7 +15,7 @@ from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.run_on import run_on
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes.captures import CaptureCameras, Nearness
+from nw_eval.scenes.scene import CaptureCameras, Nearness
 
 
 def views(*images):

@@ -21,7 +21,7 @@ from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.sheet import draw_sheet
 from nw_eval.sim import World
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
 from nw_eval.suite.trials import Trial
 

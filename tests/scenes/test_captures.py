@@ -14,8 +14,8 @@ from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
 from nw_eval.scenes import limits
 from nw_eval.scenes.capture_file import read_captures, write_captures
-from nw_eval.scenes.captures import CaptureCameras
 from nw_eval.scenes.folder import folder_files
+from nw_eval.scenes.scene import CaptureCameras
 
 SCENE = """\
 nw-scene: 1

@@ -5,8 +5,7 @@ from PIL import Image
 
 from nw_eval.catalogue import get_scene
 from nw_eval.cli.text.parts.scenes import scene_page
-from nw_eval.scenes.figures import figures
-from nw_eval.scenes.plan_view import draw_plan
+from nw_eval.scenes.overview import draw_plan, figures
 
 
 def test_the_figures_name_every_waypoint_and_the_digest():

@@ -9,7 +9,9 @@ import trimesh
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import SceneError
 from nw_eval.scenes.folder import folder_files, inspect_folder
-from nw_eval.splat import Gaussians, open_store, write_splat
+from nw_eval.splat.files import write_splat
+from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.store import open_store
 
 SCENE = """\
 nw-scene: 1

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nw_eval.built_in.paint.registry import is_known
+from nw_eval.built_in.bake.materials import is_known
 from nw_eval.built_in.places.crowns import crown_mesh
 from nw_eval.built_in.places.parts import Crown
 from nw_eval.catalogue import get_scene, names

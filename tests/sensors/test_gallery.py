@@ -15,7 +15,7 @@ from nw_eval.sensors.drawing.pictures import (
     picture_of,
     points_from_behind,
 )
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
 
 BARS = (((2.0, 0.0, 0.11), (0.1, 1.0, 0.11)),)

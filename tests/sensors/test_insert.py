@@ -10,8 +10,7 @@ from nw_eval.sensors import build_sensors
 from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.light import light_around
 from nw_eval.sensors.drawing.overlay import cone_mask, ray_directions
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels
 from nw_eval.splat.image import Image
 
 SIZE = {"width": 160, "height": 90}

@@ -6,7 +6,7 @@ import pytest
 
 from nw_eval.robots import get_robot
 from nw_eval.robots.spec import VISUAL_GROUP
-from nw_eval.scenes.cone import cone_mesh
+from nw_eval.scenes.mesh import cone_mesh
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.drawing.palette import CLASSES, PALETTE
 from nw_eval.sensors.ground.lidar import rotation

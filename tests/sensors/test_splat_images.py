@@ -7,7 +7,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.cameras.splat_image import arrange, average_blocks
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
 
 IMAGE = {"sensor": "splat_rgb", "width": 32, "height": 18}

@@ -10,8 +10,9 @@ from splat_reference import basis
 from splat_rooms import cloud, eye_camera, psnr, room
 
 from nw_eval.errors import PrerequisiteError
-from nw_eval.splat import CpuRenderer, Pixels, memory_store, open_renderer
-from nw_eval.splat.layout import unpack
+from nw_eval.splat.camera import Pixels
+from nw_eval.splat.render import CpuRenderer, open_renderer
+from nw_eval.splat.store import memory_store, unpack
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import SceneError
-from nw_eval.splat import compile_store
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.gaussians import MOST, Gaussians, check_count
+from nw_eval.splat.store import compile_store
 
 
 def test_a_bomb_of_a_thousand_times_its_size_is_refused_before_it_goes_off(tmp_path):

@@ -15,17 +15,12 @@ from hypothesis import strategies as st
 from splat_rooms import cloud
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat import (
-    Camera,
-    CpuRenderer,
-    look_at,
-    memory_store,
-    read_splat,
-    transformed,
-    write_splat,
-)
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.files.spz import write_spz
-from nw_eval.splat.transform import harmonics, rotate_harmonics
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store
+from nw_eval.splat.transform import harmonics, rotate_harmonics, transformed
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

@@ -10,14 +10,21 @@ from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
 from nw_eval.machine_code.jit import kernel
-from nw_eval.splat import Pixels, memory_store
+from nw_eval.splat.camera import Pixels, view_vector
 from nw_eval.splat.kernels import cull, math8, memory, project, sort
-from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS, blend, clear
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, LINE, PIXELS
+from nw_eval.splat.kernels.blend import (
+    CHANNELS,
+    CURVE,
+    LINE,
+    PIXELS,
+    SLACK_COLUMNS,
+    SLACK_ROWS,
+    blend,
+    clear,
+)
+from nw_eval.splat.kernels.project import RECORD
 from nw_eval.splat.kernels.simd import broadcast
-from nw_eval.splat.kernels.view import view_vector
-from nw_eval.splat.layout import unpack
+from nw_eval.splat.store import memory_store, unpack
 
 EPS2D = np.float32(0.3)
 WIDTH, HEIGHT = 64, 40

@@ -9,18 +9,12 @@ from splat_rooms import cloud
 
 from nw_eval.cli.text.parts.splats import splat_page
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat import (
-    Camera,
-    CpuRenderer,
-    describe,
-    framing_camera,
-    look_at,
-    memory_store,
-    orbit,
-    save_gif,
-    save_png,
-    warmup,
-)
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.gaussians import describe
+from nw_eval.splat.portrait import framing_camera, orbit, save_gif, save_png
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store
+from nw_eval.splat.warmup import warmup
 
 
 def test_a_description_counts_what_is_there():

@@ -9,8 +9,9 @@ import hashlib
 import numpy as np
 import pytest
 
-from nw_eval.splat import Camera, CpuRenderer, Pixels, Store
-from nw_eval.splat.layout import BOUNDS, CHUNK, GROUP, Layout
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import BOUNDS, CHUNK, GROUP, Layout, Store
 
 CHUNKS = 24
 RECORDED = {

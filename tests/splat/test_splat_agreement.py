@@ -21,22 +21,13 @@ from scipy.spatial.transform import Rotation
 from splat_rooms import cloud
 
 from nw_eval.errors import SceneError
-from nw_eval.splat import (
-    Camera,
-    CpuRenderer,
-    compile_store,
-    compiled_store,
-    concatenate,
-    look_at,
-    memory_store,
-    open_store,
-    read_splat,
-    transformed,
-    write_splat,
-)
-from nw_eval.splat.files import files_of_splat
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.files import compiled_store, files_of_splat, read_splat, write_splat
 from nw_eval.splat.files.spz import write_spz
-from nw_eval.splat.layout import unpack
+from nw_eval.splat.gaussians import concatenate
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import compile_store, memory_store, open_store, unpack
+from nw_eval.splat.transform import transformed
 
 WRITTEN = Path(__file__).parent / "fixtures" / "written"
 # File, what it says that it was trained for, and how coarse its harmonics are.

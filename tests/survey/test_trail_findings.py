@@ -13,8 +13,7 @@ from nw_eval import api, cli
 from nw_eval.catalogue import get_scene, names
 from nw_eval.robots import get_robot
 from nw_eval.scenes.scene import Spawn
-from nw_eval.survey.findings.of_trail import start_finding, trail_findings, waypoints_at_start
-from nw_eval.survey.stance import stance_of
+from nw_eval.survey.trail import stance_of, start_finding, trail_findings, waypoints_at_start
 
 OPEN = trimesh.util.concatenate(
     [box((-1.5, -1, -0.2), (5.5, 1, 0)), box((1.5, -1, -0.1), (2.5, 1, 0.1))]

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
-from nw_eval.splat import Camera, CpuRenderer, Gaussians, look_at, memory_store
-from nw_eval.splat.gaussians import SH0
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.gaussians import SH0, Gaussians
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store
 from nw_eval.twin.gaussians.initial import gaussians_at
 from nw_eval.twin.gaussians.photo import Photo
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser

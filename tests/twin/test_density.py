@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from splat_rooms import cloud
 
-from nw_eval.splat import Camera, Gaussians
-from nw_eval.splat.gaussians import ARRAYS
+from nw_eval.splat.camera import Camera
+from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.twin.gaussians.densify.default import DefaultDensity, split
 from nw_eval.twin.gaussians.densify.mcmc import McmcDensity, relocated
 from nw_eval.twin.gaussians.densify.settings import Default, Mcmc

@@ -9,7 +9,9 @@ import twin_reference as reference
 from splat_rooms import cloud, eye_camera, psnr, room
 
 from nw_eval.errors import UsageError
-from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store
 from nw_eval.twin.gaussians.raster.images import Images
 from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.raster.threads import Threads

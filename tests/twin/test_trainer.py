@@ -7,7 +7,7 @@ import pytest
 from small_capture import PLACE, beginning, photos
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.config import Rates, TrainConfig, falling
 from nw_eval.twin.gaussians.densify.settings import Default, Mcmc

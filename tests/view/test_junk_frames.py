@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.viewing.browser.library import stop, viser_server
+from nw_eval.viewing.browser import stop, viser_server
 
 viser = pytest.importorskip("viser")
 msgspec = pytest.importorskip("msgspec")

@@ -90,8 +90,11 @@ def test_what_was_done_is_saved_once_and_said(page):
     press(page, "Folder", str(folder))
     press(page, "Save as a suite")
     wait(lambda: f"nw-eval run {folder}" in page.words)
+    saved = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert folder / "suite.yaml" in saved
     press(page, "Save as a suite")
     wait(lambda: "is there already" in page.words)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == saved
 
 
 def test_what_a_word_names_is_found_out(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 from nw_eval import cli
 from nw_eval.results.moment_link import PORT
-from nw_eval.viewing.browser.library import free_port
+from nw_eval.viewing.browser import free_port
 
 pytest.importorskip("viser")
 

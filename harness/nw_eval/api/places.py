@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from nw_eval.built_in.splits import Split
     from nw_eval.engine.listener import Listener
-    from nw_eval.scenes.figures import SceneFigures
-    from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.scenes.finding import SceneFinding
+    from nw_eval.scenes.overview import SceneFigures
     from nw_eval.survey import Survey
     from nw_eval.words import Robot
 
@@ -42,7 +42,7 @@ class CheckedScene:
     @property
     def has_errors(self) -> bool:
         """Whether results of this scene would mean nothing."""
-        from nw_eval.scenes.health.finding import has_errors
+        from nw_eval.scenes.finding import has_errors
 
         return has_errors(self.findings)
 
@@ -89,8 +89,7 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
         StoreError: the picture cannot be written.
     """
     from nw_eval.catalogue import get_scene
-    from nw_eval.scenes.figures import figures
-    from nw_eval.scenes.plan_view import draw_plan
+    from nw_eval.scenes.overview import draw_plan, figures
 
     scene = get_scene(reference)
     if out is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nw_eval.rollout.replaying.report import ReplayReport
     from nw_eval.rollout.replaying.takeover.report import TakeoverReport
-    from nw_eval.viewing.recording.written import WrittenRecording
+    from nw_eval.viewing.recording.track import WrittenRecording
 
 
 def replay(
@@ -141,7 +141,7 @@ def rerun_layout(log: Path, out: Path) -> Path:
         UsageError: there is no such log, or `out` ends otherwise.
         StoreError: the log cannot be read, or the layout not written.
     """
-    from nw_eval.viewing.recording.layout import write_layout
+    from nw_eval.viewing.recording.write import write_layout
 
     log = _found(log)
     return write_layout(log, out)

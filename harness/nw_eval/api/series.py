@@ -198,8 +198,8 @@ def _bank_of(
     )
     if saved.action == "kept":
         raise IncomparableError(
-            f"{saved.file} is there already, and is no bank of {good} as it is here",
-            fix="rename the checkpoint or remove the bank, or name a bank with --good",
+            f"{saved.file} is there already, and is no baseline of {good} as it is here",
+            fix="rename the checkpoint or remove the baseline, or name a baseline with --good",
         )
     return str(saved.file)
 
@@ -249,7 +249,7 @@ def _finding(run: RunReport) -> Decision:
     if verdict.verdict == "INVALID":
         raise IncomparableError(
             f"nothing is charged to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
-            fix="renew the bank of the good checkpoint",
+            fix="renew the baseline of the good checkpoint",
         )
     if verdict.verdict == "INFRASTRUCTURE" or verdict.against is None:
         is_wrong = run.info.cache is not None and run.info.cache.differing

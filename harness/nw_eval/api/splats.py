@@ -11,8 +11,7 @@ from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.inside import what_is
 
 if TYPE_CHECKING:
-    from nw_eval.splat.describe import SplatFigures
-    from nw_eval.splat.gaussians import Gaussians
+    from nw_eval.splat.gaussians import Gaussians, SplatFigures
     from nw_eval.words import Backend, UpAxis
 
 _EYE_HEIGHT = 0.3
@@ -34,7 +33,7 @@ def splat_info(source: str | Path) -> SplatFigures:
     Raises:
         SceneError: it cannot be read.
     """
-    from nw_eval.splat.describe import describe
+    from nw_eval.splat.gaussians import describe
 
     return describe(_gaussians(source))
 
@@ -90,8 +89,8 @@ def splat_render(
         StoreError: the picture cannot be written.
     """
     from nw_eval import catalogue
-    from nw_eval.scenes.circuit import circuit
-    from nw_eval.splat.movies import portrait
+    from nw_eval.scenes.overview import circuit
+    from nw_eval.splat import portrait
 
     suffix = out.suffix.lower()
     if suffix not in portrait.SUFFIXES:

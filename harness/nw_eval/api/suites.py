@@ -27,7 +27,7 @@ class ListedSuite:
     policy: str = ""
     """Its own policy, as the file names it."""
     baseline: str | None = None
-    """The bank that its own policy is compared with."""
+    """The baseline that its own policy is compared with."""
     problem: str | None = None
     """The first of what is wrong with the file; then nothing else of it is known."""
 
@@ -51,7 +51,7 @@ class ShownSuite:
     gate: int
     """The line of the gate; of the first setting where there is none."""
     baseline: str | None
-    """The bank that it names."""
+    """The baseline that it names."""
 
 
 def show_suite(suite: str | Path) -> ShownSuite:

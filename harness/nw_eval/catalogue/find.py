@@ -8,9 +8,8 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from nw_eval.built_in.entries import ENTRIES
+from nw_eval.built_in.entries import ENTRIES, has_variants, parted, variant
 from nw_eval.built_in.splits import SPLITS, Split, split_of
-from nw_eval.built_in.variants import has_variants, parted, variant
 from nw_eval.catalogue.brought import brought
 from nw_eval.errors import SceneError, nearest
 from nw_eval.files.inside import what_is

@@ -8,13 +8,13 @@ from pathlib import Path
 from nw_eval.catalogue.brought import brought
 from nw_eval.catalogue.find import folder_of, open_scene, parse_reference
 from nw_eval.errors import SceneError
+from nw_eval.scenes.check import check_scene
+from nw_eval.scenes.finding import SceneFinding, has_errors, unreadable
 from nw_eval.scenes.folder import inspect_folder
-from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import SceneFinding, has_errors, unreadable
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published
 from nw_eval.scenes.scene import Scene
 from nw_eval.survey import Survey, survey_scene
-from nw_eval.survey.findings.of_trail import trail_findings
+from nw_eval.survey.trail import trail_findings
 from nw_eval.words import Robot
 
 

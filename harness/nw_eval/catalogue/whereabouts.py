@@ -10,7 +10,7 @@ from pathlib import Path
 from nw_eval.catalogue.find import is_built_in, parse_reference
 from nw_eval.scenes.folder import SCENE_FILE, folder_files
 from nw_eval.scenes.neverwhere import PREFIX, reference_path
-from nw_eval.scenes.neverwhere.places import find_places
+from nw_eval.scenes.neverwhere.files import find_places
 
 
 def scene_paths(reference: str) -> tuple[Path, ...]:

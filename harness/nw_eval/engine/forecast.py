@@ -147,7 +147,7 @@ def _against_the_bank(plan: Plan, against: Against) -> list[str]:
         return []
     most = len(order) // scenes
     if needed is None:
-        fix = f"the bank has no more than {plural(manifest.starts, 'start')} in each scene"
+        fix = f"the baseline has no more than {plural(manifest.starts, 'start')} in each scene"
         if fresh:
             fix = f"{most} in each scene cannot either"
     else:

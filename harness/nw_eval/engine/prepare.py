@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import UsageError
 from nw_eval.rollout.confined.start import has_kernels, renew
-from nw_eval.scenes.terrain.solids import HeightField, Triangles
+from nw_eval.scenes.scene import HeightField, Triangles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -72,7 +72,7 @@ def ready_scans(scenes: Iterable[Scene], listener: Listener) -> None:
     """
     if not any(isinstance(s, HeightField | Triangles) for scene in scenes for s in scene.solids):
         return
-    from nw_eval.scenes.terrain.narrowphase.install import use_own_collisions
+    from nw_eval.scenes.narrowphase.install import use_own_collisions
 
     began = perf_counter()
     use_own_collisions()

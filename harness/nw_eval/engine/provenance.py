@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from nw_eval.built_in.entries import parted
 from nw_eval.built_in.splits import split_of
-from nw_eval.built_in.variants import parted
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine.cpu import cpu_kind

@@ -37,7 +37,10 @@ class RunStanding:
     followed: tuple[int, ...] = ()
     """Later places that are judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
-    """Places that come next, those that have ended already not among them; none: it is enough."""
+    """Places that come next, those that have ended already not among them; none: it is enough,
+    unless a scene is waited for."""
+    waits_for: tuple[str, ...] = ()
+    """Scenes that hold a PASS back, of which no trial is left to run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +120,7 @@ def run_trials(
     if standing is not None:
         judged = {*range(standing.first), *standing.followed}
         wanted = [job for job in jobs if job.trial.place in judged]
-        saved = f"{len(jobs) - len(wanted)} of {len(jobs)} trials need not run"
-        ears.message(f"enough after {plural(len(wanted), 'trial')}: {saved}")
+        ears.message(_ended(standing, len(wanted), len(jobs)))
     attempts.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(
@@ -130,6 +132,17 @@ def run_trials(
     )
 
 
+def _ended(standing: RunStanding, ran: int, of: int) -> str:
+    """Return why no further trial runs."""
+    if standing.waits_for:
+        return (
+            f"undecided after {plural(ran, 'trial')}: {', '.join(standing.waits_for)} "
+            f"{'holds' if len(standing.waits_for) == 1 else 'hold'} a PASS back, and no trial of "
+            "it is left; --resume with more --trials runs more"
+        )
+    return f"decided after {plural(ran, 'trial')}: {of - ran} of {of} trials need not run"
+
+
 def _ahead(
     jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
 ) -> RunStanding | None:
@@ -139,7 +152,7 @@ def _ahead(
     trials are judged does not depend on their number, their speed, or a resume.
 
     Returns:
-        What was enough; None if no trial was left out, or a signal came first.
+        How it stands; None if no trial was left out, or a signal came first.
     """
     by_place = {job.trial.place: job for job in jobs}
     started = set[int]()

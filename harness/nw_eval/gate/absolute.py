@@ -271,8 +271,8 @@ def _compare(
         return "REGRESSED", [
             f"success is at most {bounds.high:.3f} ({confidence}), the bar is {bar:g}"
         ]
-    reason = f"the bar {bar:g} lies between what is certain ({bounds.low:.3f}) "
-    return "INCONCLUSIVE", [reason + f"and what is possible ({bounds.high:.3f}; {confidence})"]
+    ends = f"{bounds.low:.3f} and {bounds.high:.3f} ({confidence} each)"
+    return "INCONCLUSIVE", [f"the bar {bar:g} lies between the bounds of success, {ends}"]
 
 
 def _condemned(
@@ -311,8 +311,8 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
         f"{item.interval.high:.2f}), completed {item.completed} of {item.n}"
         for item in sorted(weak, key=lambda item: (item.interval.high, item.scene))
     ]
-    which = "scene below the bar by itself" if len(weak) == 1 else "scenes below the bar each alone"
-    return [f"{len(weak)} {which}: {_listed(scenes, '; ')}"]
+    which = "itself" if len(weak) == 1 else "themselves"
+    return [f"{plural(len(weak), 'scene')} below the bar by {which}: {_listed(scenes, '; ')}"]
 
 
 def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:

@@ -57,16 +57,18 @@ def advice(
             f"{plural(n, 'trial')} cannot reach this bar even if all are perfect: run "
             f"{plural(needed, 'trial')} in each scene at least (--trials {needed})"
         )
-    each = ceil(n / len(seen))
     twice, four_times = (
         percent(shares.passed + shares.regressed)
         for shares in (
             shares_after(seen, times, bar=bar, confidence=gate.confidence) for times in (2, 4)
         )
     )
+    # Trials that were drawn are not as many in each scene.
+    each, rest = divmod(n, len(seen))
+    now, where = (n, "") if rest else (each, " in each scene")
     return (
-        f"chance that {2 * each} trials in each scene (now {each}) decide: {twice}, that "
-        f"{4 * each} do: {four_times}; --resume with more --trials adds them"
+        f"{2 * now} trials{where} (now {now}) decide the bar with {twice} probability, "
+        f"{4 * now} with {four_times}; --resume with more --trials adds them"
     )
 
 

@@ -11,7 +11,7 @@ from nw_eval.errors import StoreError
 from nw_eval.gate.validity import too_many
 from nw_eval.gate.verdict import SceneScore
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval, mean_of_scenes, wilson
+from nw_eval.stats import Interval, mean_of_scenes
 from nw_eval.suite.model import Gate
 
 _DRAWS = 2000
@@ -69,7 +69,6 @@ def score(
         n=values.size,
         errors=sum(row.status == "error" for row in rows),
         completed=completed,
-        completion=wilson(completed, values.size, gate.confidence),
         mean=estimate.mean if estimate else None,
         interval=estimate.interval if estimate else Interval(0.0, 1.0),
         weak=bar is not None and estimate is not None and estimate.interval.high < bar,

@@ -33,7 +33,6 @@ class SceneScore:
     n: int  # Trials with a result.
     errors: int
     completed: int
-    completion: Interval  # Of the share that completed: Wilson.
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
     weak: bool = False  # Its whole interval lies below the bar.

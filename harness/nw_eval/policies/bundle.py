@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
@@ -158,10 +159,13 @@ class Bundle:
     def digest(self) -> str:
         """Hex SHA-256 of all that can change an action: card, weights, code beside the card."""
         fields = self._meaning()
-        code = [self.code_sha256] if self.code_sha256 else []
+        parts = [fields, self.checkpoint_digest]
+        parts += [self.code_sha256] if self.code_sha256 else []
         # Their order counts where a file takes its inputs in it. Other cards keep what they had.
         is_sorted = not self.networks
-        text = json.dumps([fields, self.checkpoint_digest, *code], sort_keys=is_sorted)
+        if is_sorted and (orders := _orders(fields)):
+            parts.append(orders)
+        text = json.dumps(parts, sort_keys=is_sorted)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @cached_property
@@ -216,6 +220,19 @@ class Bundle:
                 fix="start again once it is no longer written to",
             )
         return data
+
+
+def _orders(fields: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the names of a card whose order counts, where it is not that of the alphabet.
+
+    One input takes the observations in their order. Of two patterns that mean one joint the value
+    of the later one counts.
+    """
+    found = {"observations": list(fields["observations"])}
+    for name, value in fields["control"].items():
+        if isinstance(value, dict):
+            found[name] = [key for key in cast("dict[str, Any]", value) if re.search(r"[*?[]", key)]
+    return {name: keys for name, keys in found.items() if keys != sorted(keys)}
 
 
 def _computed(bundle: Bundle) -> str:

@@ -48,7 +48,7 @@ def update(suite: TestedSuite) -> None:
         return
     manifest = saved.bank.manifest
     pytest.fail(
-        f"bank {saved.file} is {saved.action}: {manifest.policy.name}, "
+        f"{saved.file} is {saved.action}: {manifest.policy.name}, "
         f"{plural(manifest.starts, 'start')} in each scene\n"
         "Look at what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,

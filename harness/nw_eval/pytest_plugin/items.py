@@ -45,7 +45,7 @@ class SuiteItem(pytest.Item):
 
 
 class SceneItem(SuiteItem):
-    """Passes where the run passes with this scene, and fails where the gate names it as fallen.
+    """Passes where the run passes with this scene, and fails where it regressed.
 
     A scene of which the gate has shown nothing is skipped (`reporting.scene_states`).
     """

@@ -18,8 +18,8 @@ _WORDS: tuple[Inconclusive, ...] = get_args(Inconclusive)
 _TWINS = {
     "policy": "the policy to judge: a shipped bundle's name, a folder, or a card",
     "checkpoint": "weights to use in place of those that the policy's card names",
-    "baseline": "the bank to compare with: its name, its file, or none; when absent the suite's, "
-    "for the suite's own policy",
+    "baseline": "the baseline to compare with: its name, its file, or none; when absent the "
+    "suite's, for the suite's own policy",
     "rounds": "most trials in each scene",
     "workers": "processes that run trials; one for each core when absent",
     "report-dir": "the folder of run folders; reports/ of the project when absent",
@@ -36,7 +36,7 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--nw-update-baseline",
         action="store_true",
-        help="save what the policy scores as the bank, and fail, so that somebody looks at it",
+        help="save what the policy scores as the baseline, and fail, so that somebody looks at it",
     )
     group.addoption(
         "--nw-no-cache",

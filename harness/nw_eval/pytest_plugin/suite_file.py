@@ -40,6 +40,6 @@ class SuiteFile(TestedSuite):
         for scene, line in self.shown.scenes.items():
             item = SceneItem.from_parent(self, name=scene, line=line)
             if self.config.stash[SETTINGS].update_baseline:
-                item.add_marker(pytest.mark.skip(reason="the bank is being saved"))
+                item.add_marker(pytest.mark.skip(reason="the baseline is being saved"))
             yield item
         yield VerdictItem.from_parent(self, name=VERDICT, line=self.shown.gate)

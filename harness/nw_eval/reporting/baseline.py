@@ -58,12 +58,17 @@ def _claim(found: Comparison) -> str:
             "not used: its policy ran beside the candidate, from the same starts. The claim is of "
             "new starts in these scenes."
         )
+    # Which scenes the trials met is by chance, and the drop is free of that.
     how = (
         f"the candidate met new starts, and the baseline's mean is of {starts} in each scene"
         if found.basis == "fresh"
         else f"scenes and starts were drawn at random from the baseline's {starts} a scene"
     )
-    return f"The claim is of new starts in these scenes: {how}."
+    return (
+        f"The claim is of new starts in these scenes: {how}. The drop compares each trial with the "
+        "baseline's mean in its scene. Mean success is of the trials drawn, which meet easy and "
+        "hard scenes by chance: it need not be the baseline's mean less the drop."
+    )
 
 
 def _percent(alpha: float) -> str:

@@ -80,7 +80,7 @@ def draw(console: Console, table: Table) -> None:
             name,
             justify="right" if name in table.numbers else "left",
             overflow="fold",  # A name that is cut short names nothing.
-            no_wrap=name == table.columns[0],
+            no_wrap=name == table.columns[0] or _is_one_word(name, table),
         )
     for row in table.rows[:_LINES]:
         cells = dict(zip(table.columns, row, strict=True))
@@ -98,6 +98,17 @@ def draw(console: Console, table: Table) -> None:
                 if command := dict(zip(table.columns, row, strict=True))[name]:
                     console.print(command, markup=False, highlight=False, soft_wrap=True)
             console.print()
+
+
+_SHORT = 12
+"""Characters of a word that is not folded, as `supporting` is none that may be."""
+
+
+def _is_one_word(name: str, table: Table) -> bool:
+    """Whether a column's header and cells are short words, which make no sense folded."""
+    place = table.columns.index(name)
+    cells = (name, *(row[place] for row in table.rows))
+    return all(len(cell) <= _SHORT and " " not in cell for cell in cells)
 
 
 def _foldable(text: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, Recheck
+from nw_eval.gate.baseline.comparison import Comparison, Recheck, percent_sure
 from nw_eval.gate.baseline.foresee import in_a_sentence
 from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
@@ -14,16 +14,21 @@ def headline(verdict: Verdict, run: RunInfo) -> str:
     return " · ".join(headline_parts(verdict, run))
 
 
-def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
-    """Return what the headline is joined of, the verdict's word first."""
+def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) -> tuple[str, ...]:
+    """Return what the headline is joined of, the verdict's word first.
+
+    Args:
+        verdict: what the gate says of the run.
+        run: the run's provenance.
+        intervals: whether means have theirs; a page that draws them shows them once.
+    """
     part = [] if run.shard is None else [str(run.shard)]
-    parts = [verdict.verdict, *part, *_against(verdict.against)]
+    parts = [verdict.verdict, *part, *_against(verdict.against, intervals=intervals)]
     if verdict.success is not None:
         bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
-        parts.append(
-            f"success {verdict.success:.3f} ({confidence(verdict)} bounds "
-            f"{verdict.interval.low:.3f} and {verdict.interval.high:.3f}, {bar})"
-        )
+        low, high = verdict.interval
+        bounds = f"{confidence(verdict)} bounds {low:.3f} and {high:.3f}, " if intervals else ""
+        parts.append(f"success {verdict.success:.3f} ({bounds}{bar})")
     parts += _trials(verdict, run)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
@@ -40,10 +45,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
         return "A part of a run speaks for nothing but its own trials."
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
-    sentence = (
-        f"Fresh starts in these scenes: success {verdict.interval.low:.3f} to "
-        f"{verdict.interval.high:.3f} ({confidence(verdict)} each side)"
-    )
+    sentence = "The bounds of success are for new starts in these scenes"
     if verdict.whole and _met_all(verdict, run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
         sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.success:.3f}"
@@ -78,7 +80,7 @@ def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
     return [*done, f"{of} {noun} in {scenes}"]
 
 
-def _against(found: Comparison | None) -> list[str]:
+def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
     """Return what the baseline says of the drop, if there is one."""
     if found is None:
         return []
@@ -87,8 +89,14 @@ def _against(found: Comparison | None) -> list[str]:
             return [f"baseline {found.bank} is not what its own policy does"]
         same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
         return [f"baseline {found.bank} {same}", *_again(found.again)]
-    span = f"at least {found.interval.low:z.3f}, at most {found.interval.high:z.3f}"
-    drop = f"baseline {found.bank} {found.baseline:.3f}, drop {found.drop:z.3f} ({span})"
+    beside = " (run beside)" if found.basis == "control" else ""
+    drop = f"baseline {found.bank}{beside} {found.baseline:.3f}, drop {found.drop:z.3f}"
+    if intervals:
+        sure_low, sure_high = percent_sure(found.alpha_regr), percent_sure(found.alpha_pass)
+        drop += (
+            f" ({sure_low} lower bound {found.interval.low:z.3f}, {sure_high} upper bound "
+            f"{found.interval.high:z.3f})"
+        )
     return [f"{drop} in {found.trials} of {plural(found.budget, 'trial')}"]
 
 

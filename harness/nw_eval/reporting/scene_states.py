@@ -117,7 +117,7 @@ def _scored_nothing(score: SceneScore, drops: Sequence[SceneDrop]) -> bool:
     """
     if score.mean is None:
         return True
-    return score.mean == 0.0 and any(item.baseline > 0.0 for item in drops)
+    return score.mean == 0.0 and any((item.baseline or 0.0) > 0.0 for item in drops)
 
 
 def _standing(verdict: Verdict) -> list[str]:
@@ -135,7 +135,7 @@ def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> 
     """Return what speaks against a scene by itself: beyond doubt, or its own interval."""
     faults = [_fell(item) for item in drops if item.named]
     if score.condemned:
-        faults.append(f"critical, and certainly below the bar {verdict.bar:g} by itself")
+        faults.append(f"critical, and below the bar {verdict.bar:g} by its upper bound")
     elif score.weak:
         faults.append(f"below the bar {verdict.bar:g} by itself")
     return faults
@@ -146,7 +146,7 @@ def _fell(item: SceneDrop) -> str:
     now = "none" if item.candidate is None else f"{item.candidate:.2f}"
     where = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
     cell = item.name.removeprefix(item.scene).strip()
-    return f"fell from {item.baseline:.2f} to {now}{where}{f' at {cell}' if cell else ''}"
+    return f"regressed from {item.baseline:.2f} to {now}{where}{f' at {cell}' if cell else ''}"
 
 
 def _holes(score: SceneScore) -> list[str]:
@@ -167,7 +167,8 @@ def _outside(score: SceneScore) -> list[str]:
 
 def _success(score: SceneScore, drops: Sequence[SceneDrop]) -> str:
     """Return what a scene scored, and the baseline in it."""
-    baseline = f", baseline {np.mean([item.baseline for item in drops]):.3f}" if drops else ""
+    known = [item.baseline for item in drops if item.baseline is not None]
+    baseline = f", baseline {np.mean(known):.3f}" if known and len(known) == len(drops) else ""
     if score.mean is None:
         none = "no trial has a result" if not score.outside else "no other trial has a result"
         return f"{none}{baseline}"

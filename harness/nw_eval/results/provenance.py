@@ -33,6 +33,11 @@ def rounds_key(policy: PolicyInfo) -> str:
     return f"{_ROUNDS}{policy.checkpoint_digest}/{policy.card_digest}"
 
 
+def candidate_in(key: str) -> str:
+    """Return by what the starts are drawn of an order with this key: see `RunInfo.drawn_for`."""
+    return key.removeprefix(_ROUNDS)
+
+
 def recheck_key(seed: int) -> str:
     """Return the key by which the starts that run again of a baseline's own policy are ordered.
 
@@ -234,7 +239,7 @@ class RunInfo(_Saved):
     @property
     def drawn_by(self) -> str:
         """By what the order of its starts is drawn, where a bank draws it."""
-        return (self.drawn_for or self.policy.key).removeprefix(_ROUNDS)
+        return candidate_in(self.drawn_for or self.policy.key)
 
     @property
     def goes_by_rounds(self) -> bool:

@@ -124,7 +124,7 @@ class RunFolder:
             return inside(self.path, f"bank/{name}.parquet")
         except OutsideError as error:
             raise StoreError(
-                f"bank {name!r} has no place in {self.path}: {error}", fix="rename the bank"
+                f"baseline {name!r} has no place in {self.path}: {error}", fix="rename the baseline"
             ) from None
 
     def relative(self, path: Path) -> str:

@@ -15,8 +15,8 @@ from nw_eval.errors import SceneError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import what_is
 from nw_eval.scenes import limits
-from nw_eval.scenes.captures import CaptureCameras
 from nw_eval.scenes.mesh import rotation_matrix
+from nw_eval.scenes.scene import CaptureCameras
 
 
 def turns(quat: tuple[float, float, float, float]) -> tuple[float, float, float, float]:

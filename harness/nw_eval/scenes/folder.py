@@ -18,12 +18,12 @@ from nw_eval.files.json_schema import json_schema_of
 from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
 from nw_eval.scenes import limits
 from nw_eval.scenes.capture_file import Far, Quat, read_captures
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
+from nw_eval.scenes.grid import TerrainOptions
+from nw_eval.scenes.limits import checked_name
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
-from nw_eval.scenes.name import checked_name
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, inspect_mesh
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
-from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, inspect_mesh
-from nw_eval.scenes.terrain.options import TerrainOptions
 from nw_eval.words import Collision, RasterizeMode, Task
 
 SCENE_FILE = "scene.yaml"
@@ -180,14 +180,14 @@ class FileSplat:
 
     @cached_property
     def _key(self) -> str:
-        from nw_eval.splat.compiled import digest_of_files
+        from nw_eval.splat.files import digest_of_files
 
         found = digest_of_files(self.path)
         return found if self.rasterize_mode is None else f"{found}:{self.rasterize_mode}"
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store in the cache."""
-        from nw_eval.splat.compiled import compiled_store
+        from nw_eval.splat.files import compiled_store
 
         if progress is not None:
             progress("read", 0.0)
@@ -223,7 +223,7 @@ def inspect_folder(
     findings: tuple[SceneFinding, ...] = ()
     if path.suffix.lower() in MESH_SUFFIXES:
         # Embree loads with it; listing scenes needs neither.
-        from nw_eval.scenes.terrain.store import compiled_terrain
+        from nw_eval.scenes.terrain import compiled_terrain
 
         static_mesh, read = inspect_mesh(path)
         wide = _place_of(static_mesh, trail, path)

@@ -1,26 +1,172 @@
-"""What a place is: solids for physics, a mesh for rays, a splat for cameras, a trail to walk."""
+"""What a place is: solids for physics, a mesh for rays, a splat for cameras, a trail to walk.
+
+A scan may say from where it was photographed: near those cameras its splat shows it, far away fog.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import pi
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
-from nw_eval.scenes.captures import CaptureCameras
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
-from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
 from nw_eval.words import Task
 
+Array = NDArray[np.float64]
+
+PER_RADIAN = 6.0 / pi
+"""Metres that a turn of one radian counts as: 30 degrees are as far as one metre. A photograph
+taken a step aside shows much of what one from here does, and one that looks elsewhere, little."""
+
 Vector = tuple[float, float, float]
+Friction = tuple[float, float, float]
+
+DEFAULT_FRICTION: Friction = (1.25, 0.3, 0.3)
+"""Sliding, torsional and rolling coefficients of the published scenes."""
 Progress = Callable[[str, float], None]
+
+
+class Nearness(NamedTuple):
+    """How far a camera is from the nearest of those that a place was photographed with."""
+
+    distance: float  # m
+    angle: float  # between the optical axes, rad, 0 to pi
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CaptureCameras:
+    """The cameras that a place was photographed with.
+
+    Attributes:
+        positions: (N, 3) float64, metres, world; at least one.
+        axes: (N, 3) float64, unit vectors along which they looked, world.
+    """
+
+    positions: Array
+    axes: Array
+
+    def __post_init__(self) -> None:
+        """Check the arrays.
+
+        Raises:
+            ValueError: their shapes do not fit, or there is no camera.
+        """
+        shapes = self.positions.shape, self.axes.shape
+        count = len(self.positions)
+        if count == 0 or shapes != ((count, 3), (count, 3)):
+            raise ValueError(f"positions and axes of capture cameras have the shapes {shapes}")
+
+    @cached_property
+    def _columns(self) -> tuple[Array, Array]:
+        """Positions and axes as (3, N), each component in one piece."""
+        return np.ascontiguousarray(self.positions.T), np.ascontiguousarray(self.axes.T)
+
+    def nearest(self, T_world_camera: Array) -> Nearness:
+        """Return how far the nearest camera is: the one with the least of metres and turn together.
+
+        That is distance + `PER_RADIAN` * angle; distance and angle are both of that one.
+
+        Args:
+            T_world_camera: (4, 4) pose of a camera that looks along its own z.
+        """
+        # Component by component: it is asked for each image, and a BLAS call may round otherwise on
+        # another CPU.
+        (x, y, z), (a, b, c) = self._columns
+        (u, v, w), (px, py, pz) = T_world_camera[:3, 2].tolist(), T_world_camera[:3, 3].tolist()
+        distances = np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2)
+        angles = np.arccos(np.minimum(np.maximum(a * u + b * v + c * w, -1.0), 1.0))
+        place = int(np.argmin(distances + PER_RADIAN * angles))
+        return Nearness(float(distances[place]), float(angles[place]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeightField:
+    """Ground given by its height on a regular grid, solid down to `floor`.
+
+    Between samples it is what MuJoCo makes of it: two triangles a cell, divided along the diagonal
+    from the lower left to the upper right sample.
+
+    Attributes:
+        center: x, y of the middle of the grid, metres.
+        half_size: half extents along x and y, metres; samples lie on the border.
+        heights: (R, C) float32, metres, world z. Row r is at y = center - half_size + r * step,
+            column c likewise along x.
+        floor: world z that the solid reaches down to, metres; below every height.
+        friction: MuJoCo's sliding, torsional and rolling coefficients.
+    """
+
+    center: tuple[float, float]
+    half_size: tuple[float, float]
+    heights: NDArray[np.float32]
+    floor: float
+    friction: Friction = DEFAULT_FRICTION
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Distance between samples along x and y, metres."""
+        rows, columns = self.heights.shape
+        return 2 * self.half_size[0] / (columns - 1), 2 * self.half_size[1] / (rows - 1)
+
+    def height(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the height at points (N, 2), (N,) metres; -inf outside the grid."""
+        rows, columns = self.heights.shape
+        low = np.subtract(self.center, self.half_size)
+        u, v = ((np.asarray(xy, dtype=np.float64) - low) / self.spacing).T
+        inside = (u >= 0) & (u <= columns - 1) & (v >= 0) & (v <= rows - 1)
+        u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
+        c = np.minimum(u.astype(np.int64), columns - 2)
+        r = np.minimum(v.astype(np.int64), rows - 2)
+        a, b = u - c, v - r
+        z = self.heights.astype(np.float64)
+        near, far = z[r, c], z[r + 1, c + 1]
+        right, up = z[r, c + 1], z[r + 1, c]
+        below = near + a * (right - near) + b * (far - right)
+        above = near + b * (up - near) + a * (far - up)
+        return np.where(inside, np.where(a >= b, below, above), -np.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Triangles:
+    """The triangles themselves: exact where a height field is not, and slow.
+
+    Attributes:
+        vertices: (V, 3) float64, metres, world.
+        faces: (F, 3) int32.
+        friction: MuJoCo's sliding, torsional and rolling coefficients.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    friction: Friction = DEFAULT_FRICTION
+
+
+@dataclass(frozen=True, kw_only=True)
+class Primitive:
+    """A round solid of a parametric scene.
+
+    Attributes:
+        kind: which of MuJoCo's geoms.
+        center: metres, world.
+        size: as in MJCF, metres: sphere radius; capsule and cylinder radius and half length along
+            z; ellipsoid radii.
+        quat: orientation, w x y z.
+        friction: MuJoCo's sliding, torsional and rolling coefficients.
+    """
+
+    kind: Literal["sphere", "capsule", "cylinder", "ellipsoid"]
+    center: Vector
+    size: tuple[float, ...]
+    quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    friction: Friction = DEFAULT_FRICTION
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.memory import Arrays, Memory
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.place import TrialPlace
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.wrapper import Wrapper

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.arrays import pack, read_only, unpack
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.memory import Arrays
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sensors.wrappers.chain import Chain

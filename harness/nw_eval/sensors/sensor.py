@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nw_eval.arrays import read_only
 from nw_eval.cards import Action
 from nw_eval.memory import Memory
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sim import TrailProgress, World
 
 Array = NDArray[np.float64]

@@ -1,16 +1,15 @@
 """Puts a scene's collision geometry into a MuJoCo specification.
 
 A scene offers `ground` (a plane) and `solids`: boxes here; height fields, triangles and
-round primitives by `nw_eval.scenes.terrain.attach`.
+round primitives by `nw_eval.scenes.attach`.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, assert_never
 
-from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.attach import add_height_field, add_primitive, add_triangles
-from nw_eval.scenes.terrain.solids import HeightField, Primitive, Triangles
+from nw_eval.scenes.attach import add_height_field, add_primitive, add_triangles
+from nw_eval.scenes.scene import Box, HeightField, Primitive, Triangles
 from nw_eval.sim.binding import MjBody, MjSpec, mujoco
 
 if TYPE_CHECKING:

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.cameras.presets import PresetName, get_preset
+from nw_eval.splat.camera import Camera, Pixels, PresetName, get_preset
 from nw_eval.splat.image import Image
-from nw_eval.splat.layout import unpack
-from nw_eval.splat.store import Store
+from nw_eval.splat.store import Store, unpack
 
 _TILE = 16
 

@@ -1,9 +1,13 @@
-"""A set of 3D Gaussians, in the form that training tools store."""
+"""A set of 3D Gaussians, in the form that training tools store.
+
+Also here: its figures, and the conversions between opacities, logits and bytes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +28,8 @@ F32 = NDArray[np.float32]
 
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 """Attributes of `Gaussians` with an entry for each."""
+
+_LEAST_OPACITY = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,3 +127,86 @@ def concatenate(*parts: Gaussians) -> Gaussians:
         sh=np.concatenate(sh),
         rasterize_mode=parts[0].rasterize_mode,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatFigures:
+    """Figures of a set of Gaussians.
+
+    Attributes:
+        count: all of them.
+        visible: those with opacity of at least 1/255 and finite values.
+        not_finite: those with a value that is not finite.
+        sh_degree: degree of the harmonics, 0 to 3.
+        rasterize_mode: what the file says that they were trained for; None: nothing.
+        bounds: (low, high) corners of all finite centres, x y z each.
+        bulk: the same for the middle 98 % along each axis: floaters left out.
+        scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.
+        opacity_histogram: how many have opacity in each tenth of 0..1.
+    """
+
+    count: int
+    visible: int
+    not_finite: int
+    sh_degree: int
+    rasterize_mode: RasterizeMode | None
+    bounds: tuple[tuple[float, ...], tuple[float, ...]]
+    bulk: tuple[tuple[float, ...], tuple[float, ...]]
+    scale_percentiles: tuple[float, float, float]
+    opacity_histogram: tuple[int, ...]
+
+
+def describe(gaussians: Gaussians) -> SplatFigures:
+    """Return the figures of a set of Gaussians."""
+    finite = np.isfinite(gaussians.means).all(axis=1)
+    centres = gaussians.means[finite]
+    if len(centres) == 0:
+        centres = np.zeros((1, 3), dtype=np.float32)
+    for values in (gaussians.log_scales, gaussians.quats):
+        finite &= np.isfinite(values).all(axis=1)
+    finite &= np.isfinite(gaussians.opacity_logits) & np.isfinite(gaussians.sh).all(axis=(1, 2))
+    opacity = sigmoid(gaussians.opacity_logits[finite])
+    largest = np.exp(np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0))
+    percentiles = np.percentile(largest, [1, 50, 99]) if len(largest) else np.zeros(3)
+    return SplatFigures(
+        count=len(gaussians),
+        visible=int((opacity >= 1.0 / 255.0).sum()),
+        not_finite=int((~finite).sum()),
+        sh_degree=gaussians.sh_degree,
+        rasterize_mode=gaussians.rasterize_mode,
+        bounds=(_point(centres.min(axis=0)), _point(centres.max(axis=0))),
+        bulk=(
+            _point(np.percentile(centres, 1, axis=0)),
+            _point(np.percentile(centres, 99, axis=0)),
+        ),
+        scale_percentiles=(float(percentiles[0]), float(percentiles[1]), float(percentiles[2])),
+        opacity_histogram=tuple(np.histogram(opacity, bins=10, range=(0.0, 1.0))[0].tolist()),
+    )
+
+
+def _point(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
+
+
+def logit(opacity: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    """Return log(p / (1 - p)), p kept 1e-4 away from 0 and 1 so that bytes 0 and 255 are finite."""
+    p = np.clip(opacity.astype(np.float64), _LEAST_OPACITY, 1.0 - _LEAST_OPACITY)
+    return np.log(p / (1.0 - p)).astype(np.float32)
+
+
+def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return 1 / (1 + exp(-x)) without overflow warnings."""
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+
+
+def to_byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Round to the nearest of 0..255; what is not a number becomes 0."""
+    return np.clip(np.rint(np.nan_to_num(values)), 0, 255).astype(np.uint8)
+
+
+def unit_quats(quats: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(n, 4) float64 of length 1; what has no length becomes the identity."""
+    q = np.nan_to_num(quats.astype(np.float64))
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(length > 0, q / np.maximum(length, 1e-30), [1.0, 0.0, 0.0, 0.0])

@@ -14,18 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError, nearest
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.cameras.presets import PresetName, get_preset
+from nw_eval.splat.camera import Camera, Pixels, PresetName, Window, get_preset, view_vector
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
-from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, PIXELS
+from nw_eval.splat.kernels.blend import CHANNELS, CURVE, PIXELS, SLACK_COLUMNS, SLACK_ROWS
+from nw_eval.splat.kernels.project import RECORD
 from nw_eval.splat.kernels.sort import HISTOGRAM
-from nw_eval.splat.kernels.view import Window, view_vector
-from nw_eval.splat.layout import CHUNK, GROUP
-from nw_eval.splat.store import Store
+from nw_eval.splat.store import CHUNK, GROUP, Store
 from nw_eval.words import Backend
 
 _SLAB_CHUNKS = 128

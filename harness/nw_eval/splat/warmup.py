@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
 from nw_eval.words import Backend

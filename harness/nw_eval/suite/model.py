@@ -135,8 +135,8 @@ class Gate(_Strict):
     baseline: str | None = Field(
         None,
         min_length=1,
-        description="Bank to compare with, `reports/baselines/<suite>/<this>.parquet`, or a path. "
-        "It counts for the suite's own `policy`; for another one --baseline names a bank.",
+        description="Baseline to compare with, `reports/baselines/<suite>/<this>.parquet`, or a "
+        "path. It counts for the suite's own `policy`; for another one --baseline names one.",
     )
     max_drop: float | None = Field(
         None,

@@ -1,5 +1,127 @@
 """A place gone along before a robot does: what its camera will see, and what its feet will meet."""
 
-from nw_eval.survey.scene import Survey, survey_scene
+from __future__ import annotations
 
-__all__ = ["Survey", "survey_scene"]
+from dataclasses import dataclass
+
+from nw_eval.plural import plural
+from nw_eval.robots import get_robot
+from nw_eval.scenes.finding import SceneFinding
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Scene
+from nw_eval.survey.ground import (
+    DroppedFeet,
+    SurveyedGround,
+    drop_feet,
+    feet_findings,
+    ground_findings,
+    survey_ground,
+)
+from nw_eval.survey.trail import stance_of, trail_samples
+from nw_eval.survey.views import (
+    FARTHEST,
+    LEAST_COVERED,
+    MOST_MEDIAN,
+    MOST_P95,
+    MOST_SHIFT,
+    NEAR,
+    WIDEST,
+    SurveyedViews,
+    survey_views,
+    view_findings,
+)
+from nw_eval.words import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What was measured along a trail, and what is wrong there.
+
+    Attributes:
+        robot: by whose stance and camera.
+        length: of the trail from the start, m.
+        ground: under its feet.
+        feet: that were dropped there.
+        views: of its camera; None where the scene has no splat, or it was not looked at.
+        findings: what is wrong or remarkable.
+    """
+
+    robot: Robot
+    length: float
+    ground: SurveyedGround
+    feet: DroppedFeet
+    views: SurveyedViews | None
+    findings: tuple[SceneFinding, ...]
+
+
+def survey_scene(scene: Scene, *, robot: Robot = "go1", read_splat: bool = True) -> Survey:
+    """Go along a scene's trail with a robot's eye and feet.
+
+    Args:
+        scene: whose mesh is in order as far as `check_scene` sees.
+        robot: who stands there.
+        read_splat: look at the splat, too; the kernels that draw it are compiled on first use.
+
+    Raises:
+        SceneError: the splat cannot be read.
+    """
+    spec = get_robot(robot)
+    stance = stance_of(spec)
+    rays = RayScene(scene.mesh())
+    ground = survey_ground(scene, rays, stance.half_width)
+    feet = drop_feet(scene, rays, stance.half_width)
+    views = None
+    if read_splat and scene.splat is not None:
+        views = survey_views(scene, rays, spec, stance)
+    return Survey(
+        robot=robot,
+        length=float(trail_samples(scene, 1.0).along[-1]),
+        ground=ground,
+        feet=feet,
+        views=views,
+        findings=(
+            *ground_findings(ground, scene.task),
+            *feet_findings(feet),
+            *(() if views is None else view_findings(views)),
+        ),
+    )
+
+
+def survey_lines(survey: Survey) -> tuple[str, ...]:
+    """Return what was measured, each number with its limit where it has one."""
+    ground, feet = survey.ground, survey.feet
+    line = (
+        f"ground: of {survey.length:.1f} m of trail, {ground.width:.2f} m wide where the feet of "
+        f"{survey.robot} go, {100 * ground.sound:.1f} % is seen as it is touched; "
+        f"{feet.sunk} of {feet.count} dropped feet sank in"
+    )
+    lines = [line]
+    if survey.views is not None:
+        lines += _view_lines(survey.views)
+    return tuple(lines)
+
+
+def _view_lines(seen: SurveyedViews) -> list[str]:
+    views, apart = seen.views, seen.disagreement
+    whole = 100 * min(view.alpha for view in views)
+    line = f"camera: in {plural(len(views), 'image')} along it the splat covers {whole:.1f} %"
+    covered = [view.covered for view in views if view.covered is not None]
+    if covered:
+        line += f", and {100 * min(covered):.1f} % of what the mesh has within {NEAR:g} m"
+        line += f" (at least {100 * LEAST_COVERED:.0f} %)"
+    lines = [f"{line}, or more"]
+    if apart.median is not None and apart.p95 is not None:
+        x, y, z = apart.shift
+        lines.append(
+            f"depth: on the course splat and mesh are {apart.median:.3f} m apart, 95 % within "
+            f"{apart.p95:.3f} m (at most {MOST_MEDIAN:g} and {MOST_P95:g} m), in all moved by "
+            f"({x:.2f}, {y:.2f}, {z:.2f}) m (at most {MOST_SHIFT:g} m)"
+        )
+    known = [view.nearest for view in views if view.nearest is not None]
+    if known:
+        lines.append(
+            f"captures: the nearest camera is {max(near.distance for near in known):.2f} m and "
+            f"{max(near.angle for near in known):.2f} rad away, or less (at most {FARTHEST:g} m "
+            f"and {WIDEST:g} rad)"
+        )
+    return lines

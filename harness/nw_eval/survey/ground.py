@@ -1,4 +1,7 @@
-"""The ground where feet go: what the mesh shows there, and what physics has."""
+"""The ground where feet go: what the mesh shows there, what physics has, and what is wrong with it.
+
+Feet are dropped along the trail, too: whether physics carries them where the mesh shows ground.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,14 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.scenes.finding import Code, SceneFinding, Severity
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Scene
-from nw_eval.scenes.terrain.solids import Triangles
+from nw_eval.scenes.scene import Scene, Triangles
 from nw_eval.sim.binding import mujoco
 from nw_eval.sim.geometry import add_geometry
-from nw_eval.survey.samples import TrailSamples, trail_samples
+from nw_eval.survey.trail import TrailSamples, trail_samples
+from nw_eval.words import Task
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,45 +39,39 @@ _MOST = 20_000  # samples along a trail
 _DEEP = 1.0  # m below the trail: nobody walks there
 _APART = 0.2  # m between flaws that are two
 
+FEET_SPACING = 0.1
+"""Between dropped feet along the trail, m."""
+SUNK = 0.01
+"""How far a foot may come to rest under the ground that the mesh shows round it, m."""
 
-@dataclass(frozen=True, kw_only=True)
-class GroundFlaw:
-    """A stretch of the corridor whose ground is not what it should be.
+_MOST_FEET = 120  # places along the trail; on a longer one they are farther apart
+_LINES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of the half width
+_RADIUS = 0.02  # m, of a foot
+_MASS = 3.0  # kg, what a foot carries
+_FALL = 0.05  # m over the ground, from where it is thrown down
+_SPEED = 3.0  # m/s at which it lands, as feet do after a jump
+_STEP = 0.005  # s
+_STEPS = 120  # until it lies still
+_ROUND = 0.06  # m round its place, within which it may have slid off an edge
 
-    Attributes:
-        kind: what is wrong.
-        first, last: where, m along the trail.
-        width: of the flaw where it is widest, m.
-        area: m2.
-        off: by how much the heights of mesh and physics differ there at most, m; None where one of
-            them has none.
-        across: whether it takes the whole corridor.
-        place: its middle, world, m.
-    """
+LONGEST_GAP = 1.0
+"""Length of a gap from rim to rim, m, that may be what the course is about."""
 
-    kind: Flaw
-    first: float
-    last: float
-    width: float
-    area: float
-    off: float | None
-    across: bool
-    place: tuple[float, float, float]
+INVENTED = 0.1
+"""Area of ground that physics may add to what the mesh shows, m2: a small hole that is closed."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class SurveyedGround:
-    """The corridor under the feet.
-
-    Attributes:
-        width: m.
-        sound: share of its samples at which mesh and physics have the same ground.
-        flaws: in the order of the trail; none is smaller than a foot.
-    """
-
-    width: float
-    sound: float
-    flaws: tuple[GroundFlaw, ...]
+_MOST_FINDINGS = 5  # findings of one scene; the largest
+_CODES: dict[Flaw, Code] = {
+    "missing": "ground_missing",
+    "untouched": "ground_untouched",
+    "unseen": "ground_unseen",
+}
+_FIXES: dict[Flaw, str] = {
+    "missing": "close the mesh there, photograph that ground too, or lead the trail elsewhere",
+    "untouched": "what hangs there is thinner than physics can carry, or its faces look down: make "
+    "it a closed solid 15 mm thick or more",
+    "unseen": "close the mesh there, or open it up to the corridor's sides if that is a gap",
+}
 
 
 def survey_ground(scene: Scene, rays: RayScene, half_width: float) -> SurveyedGround:
@@ -113,6 +111,46 @@ def survey_ground(scene: Scene, rays: RayScene, half_width: float) -> SurveyedGr
         sound=float(1 - any_flaw.mean()),
         flaws=tuple(sorted(flaws, key=lambda flaw: (flaw.first, flaw.kind))),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyedGround:
+    """The corridor under the feet.
+
+    Attributes:
+        width: m.
+        sound: share of its samples at which mesh and physics have the same ground.
+        flaws: in the order of the trail; none is smaller than a foot.
+    """
+
+    width: float
+    sound: float
+    flaws: tuple[GroundFlaw, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundFlaw:
+    """A stretch of the corridor whose ground is not what it should be.
+
+    Attributes:
+        kind: what is wrong.
+        first, last: where, m along the trail.
+        width: of the flaw where it is widest, m.
+        area: m2.
+        off: by how much the heights of mesh and physics differ there at most, m; None where one of
+            them has none.
+        across: whether it takes the whole corridor.
+        place: its middle, world, m.
+    """
+
+    kind: Flaw
+    first: float
+    last: float
+    width: float
+    area: float
+    off: float | None
+    across: bool
+    place: tuple[float, float, float]
 
 
 def _felt(scene: Scene, xy: Values, above: Values) -> Values:
@@ -186,3 +224,149 @@ def _stretches(
             across=widest == mask.shape[1],
             place=(x, y, float(samples.points[run, 2].mean())),
         )
+
+
+def drop_feet(scene: Scene, rays: RayScene, half_width: float) -> DroppedFeet:
+    """Let spheres of a foot's size and load fall onto the corridor, and look where they end.
+
+    Heights alone say nothing of contacts: ground can be where it should and trap what lands on it.
+
+    Args:
+        scene: where.
+        rays: of its mesh.
+        half_width: of the corridor, m.
+    """
+    samples = trail_samples(scene, FEET_SPACING, most=_MOST_FEET)
+    sides = half_width * _LINES
+    xy = (samples.points[:, None, :2] + sides[:, None] * samples.left[:, None]).reshape(-1, 2)
+    along = np.repeat(samples.along, len(sides))
+    above = np.repeat(samples.above, len(sides))
+    ground = rays.height(xy, z_from=above)
+    there = ground > np.repeat(samples.points[:, 2], len(sides)) - _DEEP
+    up = np.tile([0.0, 0.0, 1.0], (int(there.sum()), 1))
+    room = rays.distance(np.column_stack([xy, ground + 1e-3])[there], up)
+    there[there] = room > _FALL + 2 * _RADIUS
+    xy, ground, along, above = xy[there], ground[there], along[there], above[there]
+    if not len(xy):
+        return DroppedFeet(count=0, sunk=0, deepest=0.0, along=0.0, place=(0.0, 0.0, 0.0))
+    ends = _fallen(scene, np.column_stack([xy, ground + _RADIUS + _FALL]))
+    turns = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+    ring = _ROUND * np.column_stack([np.cos(turns), np.sin(turns)])
+    disc = np.concatenate([np.zeros((1, 2)), ring, ring / 2])
+    round_it = (ends[:, None, :2] + disc).reshape(-1, 2)
+    lowest = rays.height(round_it, z_from=np.repeat(above, len(disc)))
+    lowest = lowest.reshape(len(ends), len(disc)).min(axis=1)
+    under = lowest + _RADIUS - ends[:, 2]
+    worst = int(np.argmax(under))
+    x, y, z = ends[worst].tolist()
+    sunk = int((under > SUNK).sum())
+    return DroppedFeet(
+        count=len(ends),
+        sunk=sunk,
+        deepest=float(under[worst]) if sunk else 0.0,
+        along=float(along[worst]),
+        place=(x, y, z),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DroppedFeet:
+    """What became of them.
+
+    Attributes:
+        count: of the feet; none where there is no ground, or no room above it.
+        sunk: how many came to rest under the ground.
+        deepest: of those, how far under it, m; 0 without any.
+        along: where the deepest is, m along the trail.
+        place: where it came to rest, world, m.
+    """
+
+    count: int
+    sunk: int
+    deepest: float
+    along: float
+    place: tuple[float, float, float]
+
+
+def _fallen(scene: Scene, starts: Values) -> Values:
+    """Return where feet that fall from places (N, 3) come to rest, (N, 3) m."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = _STEP
+    add_geometry(spec, scene, friction=None)
+    for x, y, z in starts.tolist():
+        body = spec.worldbody.add_body(pos=[x, y, z])
+        for axis in np.eye(3).tolist():
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[_RADIUS, 0.0, 0.0],
+            mass=_MASS,
+            contype=2,  # Feet fall through each other.
+            conaffinity=1,
+        )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel.reshape(-1, 3)[:, 2] = -_SPEED
+    for _ in range(_STEPS):
+        mujoco.mj_step(model, data)
+    return starts + data.qpos.reshape(-1, 3)
+
+
+def ground_findings(ground: SurveyedGround, task: Task) -> list[SceneFinding]:
+    """Return a finding for each of the largest flaws, in the order of the trail."""
+    largest = sorted(ground.flaws, key=lambda flaw: -flaw.area)[:_MOST_FINDINGS]
+    return [_finding(flaw, ground, task) for flaw in ground.flaws if flaw in largest]
+
+
+def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
+    """Return that feet sink in, if any did."""
+    if not feet.sunk:
+        return []
+    x, y, _ = feet.place
+    return [
+        SceneFinding(
+            code="feet_sink",
+            severity="error",
+            message=f"{feet.sunk} of {feet.count} feet that were dropped on the trail came to rest "
+            f"under the ground, up to {feet.deepest:.3f} m at {feet.along:.2f} m along it, "
+            f"({x:.2f}, {y:.2f}); {SUNK:g} m is allowed",
+            fix="look for folded or doubled faces there, and faces that look down",
+            value=feet.deepest,
+            place=feet.place,
+        )
+    ]
+
+
+def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFinding:
+    x, y, _ = flaw.place
+    where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the trail, round ({x:.2f}, {y:.2f})"
+    size = f"{flaw.width:.2f} m wide in the {ground.width:.2f} m where feet go, {flaw.area:.3f} m2"
+    off = "" if flaw.off is None else f", by {flaw.off:.2f} m ({TOLERANCE:g} m is allowed)"
+    added = f" ({INVENTED:g} m2 of such ground is a warning)" if flaw.kind == "unseen" else ""
+    messages: dict[Flaw, str] = {
+        "missing": f"there is no ground {where}: {size}",
+        "untouched": f"ground is seen {where}, where physics has none or lower one{off}: {size}",
+        "unseen": f"physics carries feet {where}, where the mesh shows no ground or lower one{off}"
+        f": {size}{added}",
+    }
+    severity, fix = _severity(flaw), _FIXES[flaw.kind]
+    if task == "gaps" and flaw.kind == "missing" and flaw.across and _length(flaw) <= LONGEST_GAP:
+        severity, fix = "note", "nothing, if that is a gap of the course"
+    return SceneFinding(
+        code=_CODES[flaw.kind],
+        severity=severity,
+        message=messages[flaw.kind],
+        fix=fix,
+        value=flaw.area,
+        place=flaw.place,
+    )
+
+
+def _severity(flaw: GroundFlaw) -> Severity:
+    """A small hole that physics closes changes what a policy is told; a large one, the course."""
+    closed = flaw.kind == "unseen" and flaw.area <= INVENTED and not flaw.across
+    return "warning" if closed else "error"
+
+
+def _length(flaw: GroundFlaw) -> float:
+    return flaw.last - flaw.first

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.cone import HEIGHT, cone_mesh
+from nw_eval.scenes.mesh import CONE_HEIGHT, cone_mesh
 from nw_eval.view.shapes import triangles_of
 from nw_eval.view.trace import Trace, parting
-from nw_eval.viewing.browser.splat_points import SplatPoints
+from nw_eval.viewing.browser import SplatPoints
 
 COLOURS = ((25, 115, 240), (232, 89, 12), (43, 138, 62), (134, 65, 196))
 """Of the ways that the trials walked, the first being the one that is looked at."""
@@ -132,7 +132,7 @@ def draw_waypoints(scene: Any, waypoints: NDArray[np.float64]) -> None:
                 position=(x, y, z),
             )
         scene.add_label(
-            f"/waypoint_name/{number}", str(number + 1), position=(x, y, z + HEIGHT + 0.05)
+            f"/waypoint_name/{number}", str(number + 1), position=(x, y, z + CONE_HEIGHT + 0.05)
         )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from nw_eval.errors import UsageError
 from nw_eval.results.run_folder import RunFolder, open_run_folder, taken_over_log
 from nw_eval.view.trace import Trace, read_trace
-from nw_eval.viewing.browser.splat_points import SplatPoints
+from nw_eval.viewing.browser import SplatPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +99,8 @@ def _logs(source: Path) -> dict[str, Path]:
 def _splat(trace: Trace) -> SplatPoints | None:
     import numpy as np
 
-    from nw_eval.viewing.browser.splat_points import splat_points
-    from nw_eval.viewing.recording.splat import place_splat
+    from nw_eval.viewing.browser import splat_points
+    from nw_eval.viewing.recording.content import place_splat
 
     gaussians, _ = place_splat(trace.logged)
     return None if gaussians is None else splat_points(gaussians, np.eye(4))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from nw_eval.viewing.browser.library import HOST, stop, viser_server
+from nw_eval.viewing.browser import HOST, stop, viser_server
 
 
 class ServedPage:

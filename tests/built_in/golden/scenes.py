@@ -10,34 +10,38 @@ import ast
 import hashlib
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 import nw_eval.built_in
-from nw_eval.built_in.splat import GENERATOR_VERSION
+from nw_eval.built_in.entry import GENERATOR_VERSION
 from nw_eval.catalogue import get_scene, names
 from nw_eval.scenes.digest import digest
 
 RECORD = Path(__file__).with_name("scenes.json")
 
 # A place and this code determine its Gaussians.
-_GENERATOR = ("bake/*.py", "paint/*.py", "places/crowns.py")
+_GENERATOR = ("bake/*.py", "places/crowns.py")
 
 
 def source() -> str:
-    """Return the hex digest of the code that turns places into Gaussians.
+    """Return the hex digest of the code that turns places into Gaussians."""
+    root = Path(nw_eval.built_in.__file__).parent
+    files = (file for pattern in _GENERATOR for file in root.glob(pattern))
+    return _digest_of_code(file.read_text() for file in files)
+
+
+def _digest_of_code(texts: Iterable[str]) -> str:
+    """Return the hex digest of the definitions in sources.
 
     Comments, docstrings, layout and imports do not count; so it is the same under every version of
-    Python.
+    Python. Nor does the file in which a definition stands, or its place there.
     """
-    root = Path(nw_eval.built_in.__file__).parent
-    files = sorted(file for pattern in _GENERATOR for file in root.glob(pattern))
-    state = hashlib.sha256()
-    for file in files:
-        state.update(file.relative_to(root).as_posix().encode())
-        state.update(repr(_shape(ast.parse(file.read_text()))).encode())
-    return state.hexdigest()
+    statements = [node for text in texts for node in ast.parse(text).body if not _is_text(node)]
+    shapes = {repr(_shape(node)) for node in statements if not isinstance(node, ast.ImportFrom)}
+    return hashlib.sha256("\n".join(sorted(shapes)).encode()).hexdigest()
 
 
 def geometry(name: str) -> str:
@@ -91,6 +95,6 @@ if __name__ == "__main__":
     new, old = record(), json.loads(RECORD.read_text()) if RECORD.exists() else {}
     if old and old["source"] != new["source"] and old["version"] == new["version"]:
         sys.exit(
-            "the generator's code has changed: raise GENERATOR_VERSION in built_in/splat.py first"
+            "the generator's code has changed: raise GENERATOR_VERSION in built_in/entry.py first"
         )
     RECORD.write_text(json.dumps(new, indent=1) + "\n")

@@ -6,13 +6,17 @@ import shutil
 import signal
 import socket
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from nw_eval import api
+from nw_eval.results.bank.build import bank_of_run
+from nw_eval.results.bank.file import write_bank
 from nw_eval.results.journal import read_journal
 from nw_eval.results.provenance import read_run_info
+from nw_eval.results.row import rows_digest
 
 pytest.importorskip("ray", reason="the extra `ray` is not installed")
 
@@ -62,6 +66,82 @@ def test_a_cluster_of_this_machine_makes_the_rows_and_logs_of_this_process(nw_ev
     assert (parcel / "policy.yaml").read_bytes() == (POLICY / "policy.yaml").read_bytes()
     assert "ray" not in printed.replace("(engine ray)", "").lower().replace("array", "")
     assert not (tmp_path / ".ray").exists()
+
+
+QUICK = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: go1-parkour
+trials: 4
+seed: 5
+episode: {duration: 4.0}
+scenes: [hurdles/one_low_carpet, hurdles/two_logs_park]
+record: none
+gate: {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, confidence: 0.6}
+"""
+
+
+@pytest.fixture
+def gated(tmp_path, monkeypatch):
+    """A project with the bank of a policy, as this and as another machine saves it, and a softer
+    policy to be compared with it.
+    """
+    monkeypatch.chdir(tmp_path)
+    Path("quick.yaml").write_text(QUICK)
+    shutil.copytree(POLICY.with_name("go1-parkour"), "soft")
+    card = Path("soft/policy.yaml")
+    text = card.read_text().replace("kp: 20", "kp: 19").replace("name: go1-parkour", "name: soft")
+    card.write_text(text)
+    whole = api.run("quick.yaml", baseline="none", workers=2, out=Path("whole"))
+    bank = bank_of_run(whole.rows, whole.info, name="here", card="go1-parkour")
+    write_bank(Path("here.parquet"), bank)
+    (panel,), (info,) = bank.panels, bank.manifest.panels
+    machine = {**panel.machine, "cpu": "elsewhere"}
+    starts = tuple(replace(start, trajectory="0" * 16) for start in panel.starts)
+    known = bank.manifest.model_copy(
+        update={"name": "other", "panels": (info.model_copy(update={"machine": machine}),)}
+    )
+    other = replace(bank, manifest=known, panels=(replace(panel, machine=machine, starts=starts),))
+    write_bank(Path("other.parquet"), other)
+    return tmp_path
+
+
+@pytest.mark.parametrize("bank", ["here", pytest.param("other", marks=pytest.mark.nightly)])
+def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_trial(
+    gated, nw_eval, bank
+):
+    os.environ.pop("RAY_ADDRESS", None)
+    local = [
+        api.run(
+            "quick.yaml", policy="./soft", baseline=f"./{bank}.parquet", workers=workers,
+            out=Path(f"local-{workers}"),
+        )
+        for workers in (1, 2)
+    ]  # fmt: skip
+    assert 2 <= len(local[0].rows) < 8, "it ends early"
+    for workers in (1, 2):
+        out = Path(f"ray-{workers}")
+        code, printed = ended(
+            nw_eval(
+                *("run", "quick.yaml", "--policy", "./soft", "--baseline", f"./{bank}.parquet"),
+                *("--out", out, "--engine", "ray", "--workers", workers),
+                env={"HOME": str(gated)},
+            )
+        )
+        assert code == 0, printed
+        there = api.report(out)
+        for here in local:
+            assert rows_digest(there.rows) == rows_digest(here.rows)
+            assert (there.info.stop, there.verdict) == (here.info.stop, here.verdict)
+        assert (there.verdict.verdict, there.info.stop.first) == ("PASS", len(there.rows))
+        saved = 8 - len(there.rows)
+        assert (
+            f"decided after {len(there.rows)} trials: {saved} of 8 trials need not run" in printed
+        )
+        if bank == "other":
+            assert there.verdict.against.basis == "control"
+            assert len(api.read_rows(out / "baseline")) == len(there.rows)
 
 
 @pytest.mark.nightly

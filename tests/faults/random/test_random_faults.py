@@ -18,19 +18,19 @@ def play(*words):
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert f"{words[0]} faults of seed {words[1]}, 0 not as they must be" in done.stdout
     print(done.stdout)
+    return done.stderr if done.returncode else done.stdout
 
 
 def test_thirty_random_faults_change_nothing():
-    play(30, 9, "--fast", "--jobs", 2)
+    assert "30 faults of seed 9, 0 not as they must be" in play(30, 9, "--fast", "--jobs", 2)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(6 * 3600)
 def test_two_hundred_random_faults_change_nothing():
-    play(200, 15, "--jobs", 2, "--out", TALLY)
+    told = play(200, 15, "--jobs", 2, "--out", TALLY)
+    assert "200 faults of seed 15, 0 not as they must be" in told
 
 
 def test_the_tally_that_is_kept_is_of_every_kind_and_of_two_hundred_faults(monkeypatch):

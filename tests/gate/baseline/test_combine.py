@@ -72,6 +72,17 @@ def test_what_decides_speaks_first(run_scene: Make, against: Comparison) -> None
     assert combined(low, fine).reasons == (*low.reasons, "no worse")
 
 
+def test_how_many_more_trials_would_decide_is_said_only_where_they_would(
+    run_scene: Make, against: Comparison
+) -> None:
+    still = replace(against, word="INCONCLUSIVE", reasons=("it is open",), more="8 more decide")
+    good = judge(run_scene("a", [4] * 20), Gate(success_rate=0.75), {"a": 20})
+    assert combined(good, still).reasons == ("it is open", "8 more decide", *good.reasons)
+    low = judge(run_scene("a", [0] * 20), Gate(success_rate=0.75), {"a": 20})
+    assert combined(low, still).verdict == "REGRESSED"
+    assert combined(low, still).reasons == (*low.reasons, "it is open")
+
+
 def test_the_same_policy_passes_neither_though_nothing_ran_nor_though_the_bar_fails(
     run_scene: Make, against: Comparison
 ) -> None:
@@ -334,7 +345,7 @@ def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
     assert found.curve is not None
     assert [point.drop for point in found.curve] == [0.0, 0.15, 0.3]
     other = replace(same_file, info=begun.model_copy(update={"sha256": "5b" * 32}))
-    with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4"):
+    with pytest.raises(IncomparableError, match=r"cpu haswell, the baseline's zen 4"):
         judge_run(rows, run, Gate(max_drop=0.3), other)
 
 

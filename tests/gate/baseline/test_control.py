@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.holding.known import contradictions
-from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.judge import compare, setup_of
 from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
@@ -87,6 +87,21 @@ def test_a_policy_that_is_worse_than_the_control_is_regressed(
     assert compare(drawn_rows(run, dict.fromkeys(SCENES, 0.5)), run, low, GATE).word == "PASS"
 
 
+def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_the_pairs(
+    run: RunInfo, beside: Make, drawn_rows: Make
+) -> None:
+    scores = {name: 0.25 * (k + 1) for k, name in enumerate(SCENES)}
+    rows = drawn_rows(run, dict.fromkeys(SCENES, 0.25))[:2]
+    found = compare(rows, run, beside(scores), GATE, foresee=True)
+    met = [item for item in found.scenes if item.trials]
+    assert 0 < len(met) < len(SCENES)
+    for item in found.scenes:
+        assert item.baseline == (scores[item.scene] if item.trials else None)
+    pairs = [scores[row.scene] for row in rows]
+    assert found.baseline == sum(pairs) / 2
+    assert found.drop == pytest.approx(found.baseline - 0.25)
+
+
 def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_rows: Make) -> None:
     found = compare(drawn_rows(run, PERFECT), run, beside(PERFECT), GATE)
     assert found.reasons[-1] == (
@@ -150,21 +165,65 @@ def test_an_error_of_either_arm_counts_worst_for_each_side(
     assert both.trials == of(0.0, 1.0).trials
     assert both.interval.low < of(0.0, 1.0).interval.low
     assert lost.drop == both.drop == 0.0
-    # A pair without a result of the candidate is no pair, and its control's is in the table alone.
+    # A pair without a result of the candidate is no pair, and in no mean.
     assert sum(item.trials for item in lost.scenes) == lost.trials - 1
+
+
+FOG = {
+    "capture_distance": (2.0,) * 10,
+    "capture_angle": (0.0,) * 10,
+    "capture_alpha": (1.0,) * 10,
+}
+IN_VIEW = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
 
 
 def test_a_trial_that_left_the_captured_volume_is_no_pair(
     run: RunInfo, beside: Make, drawn_rows: Make
 ) -> None:
-    gate = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
-    far = {"capture_distance": (2.0,) * 10, "capture_angle": (0.0,) * 10}
+    gate = IN_VIEW
     rows = drawn_rows(run, PERFECT)
-    gone = [replace(rows[0], **far, capture_alpha=(1.0,) * 10), *rows[1:]]
+    gone = [replace(rows[0], **FOG), *rows[1:]]
     left, whole = (compare(x, run, beside(PERFECT), gate) for x in (gone, rows))
     assert (left.word, left.drop) == ("PASS", 0.0)
     assert left.trials > whole.trials
     assert compare(gone, run, beside(PERFECT), GATE).trials == whole.trials
+
+
+@pytest.mark.parametrize("arm", ["candidate", "control", "both"])
+def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_other_arm_is_known(
+    arm: str, run: RunInfo, bank: SavedBank, beside: Make, drawn_rows: Make, make_against: Make
+) -> None:
+    rows, control = drawn_rows(run, {**PERFECT, "b": [0.5] * 60}), beside(PERFECT).control
+    scene = rows[0].scene
+    assert scene != "b"
+    # The start where either is lost is the one at which both failed.
+    failed = {"success": 0.0, "completed": False, "outcome": "fell", "waypoints_reached": 0}
+    mine = [replace(rows[0], **failed, **(FOG if arm != "control" else {})), *rows[1:]]
+    theirs = [
+        replace(row, **failed, **(FOG if arm != "candidate" else {}))
+        if row.trial_id == rows[0].trial_id
+        else row
+        for row in control.rows
+    ]
+    against = make_against(bank, replace(control, rows=tuple(theirs)))
+    found = compare(mine, run, against, IN_VIEW)
+    assert {item.scene: (item.baseline, item.candidate) for item in found.scenes} == {
+        name: (1.0, 0.5 if name == "b" else 1.0) for name in SCENES
+    }, "the start that one of them left is in neither mean"
+    assert found.drop == pytest.approx(sum(row.scene == "b" for row in rows[1 : found.trials]) / (
+        2 * (found.trials - 1)
+    ))  # fmt: skip
+
+    # Of the pair that says least all is unknown: what the other arm did bounds it.
+    setup = setup_of(run, against, IN_VIEW)
+    trials = setup.met(mine).trials(setup.judged, setup.panel)
+    differences = [
+        float(counted.candidate[0] - counted.baseline[0])
+        for counted in (trials.counted(missing) for missing in (0.0, 1.0))
+    ]
+    assert (
+        differences == {"candidate": [0.0, 1.0], "control": [-1.0, 0.0], "both": [-1.0, 1.0]}[arm]
+    )
 
 
 def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
@@ -222,7 +281,7 @@ def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_n
     )
     told = contradictions(control.rows, bank, replace(bank.panels[0], starts=starts))
     assert told[0] == (
-        "the bank is not what its own policy go1-act-rgb does: the same bits, other results"
+        "the baseline is not what its own policy go1-act-rgb does: the same bits, other results"
     )
     assert told[1].startswith(f"scene {first.scene} start {first.seed_index}: success 0.5, ")
     assert len(told) == 2

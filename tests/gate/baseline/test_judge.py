@@ -49,8 +49,10 @@ def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
     assert found.interval is not None
     assert found.interval.high < found.max_drop
     sure = f"{100 * (1 - alpha):.4g} % confidence"
+    rounded = f"{found.interval.high:.3f}"
+    worst = "less than 0.1" if rounded == "0.100" else f"at most {rounded}"
     assert found.reasons[0] == (
-        f"at most {found.interval.high:.3f} worse than the baseline shipped ({sure}) in {trials} "
+        f"{worst} worse than the baseline shipped ({sure}) in {trials} "
         "trials: a drop of 0.1 is excluded"
     )
     assert sum(item.trials for item in found.scenes) == trials
@@ -132,8 +134,7 @@ def test_a_pass_waits_for_a_scene_that_may_have_regressed_and_follows_its_trials
     rows = drawn_rows(run, {**dict.fromkeys(names, 1.0), one: [0.0, 0.0, *[1.0] * 60]})
     whole = compare(rows, run, against, gate)
     cuts = [compare(rows[:count], run, against, gate) for count in range(len(rows))]
-    why = "it may have regressed, or is critical and has had too few trials"
-    words = f"the mean passes; PASS is held back by {one}: {why}"
+    words = f"the mean passes; PASS is held back by {one}: it may have regressed"
     held = next(count for count, found in enumerate(cuts) if words in found.reasons)
     assert whole.word == "PASS"
     assert held < whole.trials
@@ -395,6 +396,8 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
         f"{low:z.3f} (99 % confidence), at most {high:.3f} (95 %): undecided, the data fit a drop "
         "of 0.1 and a drop below 0.02"
     )
+    assert found.more is not None
+    assert found.more.endswith("; --resume with more --trials runs them")
     # Intervals take time: they are for a report.
     fast = compare(drawn_rows(run, {"a": [1.0] * 9 + [0.5]}), run, against, GATE)
     assert (fast.interval, fast.curve) == (None, None)
@@ -405,12 +408,22 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
     assert nothing.reasons == ("no trial has been compared with the baseline shipped yet",)
 
 
+@pytest.fixture
+def perfect(make_run: Make, make_bank: Make, make_against: Make) -> Make:
+    """A run of some scenes with so many rounds, against a baseline that never failed there."""
+
+    def make(names: list[str], rounds: int) -> tuple[RunInfo, Any]:
+        run = make_run(names, rounds, **WAYS)
+        return run, make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+
+    return make
+
+
 def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
+    perfect: Make, drawn_rows: Make
 ) -> None:
     names = [f"s{number:02d}" for number in range(30)]
-    run = make_run(names, 2, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    run, against = perfect(names, 2)
     rows = drawn_rows(run, dict.fromkeys(names, 0.0))
     found = compare(rows, run, against, GATE, foresee=True)
     assert (found.word, found.trials) == ("REGRESSED", 2)
@@ -434,15 +447,14 @@ def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
     assert page.bars[lines.index(line)] is None
 
 
-def test_no_pass_before_every_critical_scene_has_been_met(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+def test_no_pass_before_every_critical_scene_has_been_met(perfect: Make, drawn_rows: Make) -> None:
     names = [f"s{number:02d}" for number in range(30)]
-    run = make_run(names, 10, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    run, against = perfect(names, 10)
     rows = drawn_rows(run, dict.fromkeys(names, 1.0))
     free = compare(rows, run, against, GATE)
     assert (free.word, free.trials) == ("PASS", 37)
+    unmet = [item.scene for item in free.scenes if item.trials == 0]
+    assert free.reasons[-1].startswith(f"PASS is on the mean: no trial met {', '.join(unmet[:3])}")
     (last,) = [item.scene for item in free.scenes if item.trials == 0][:1]
     gate = GATE.model_copy(update={"tiers": {last: "critical"}})
     held = compare(rows[:37], run, against, gate, foresee=True)
@@ -453,6 +465,21 @@ def test_no_pass_before_every_critical_scene_has_been_met(
     assert [item.trials for item in found.scenes if item.scene == last] == [CRITICAL_TRIALS]
     failing = drawn_rows(run, {**dict.fromkeys(names, 1.0), last: 0.0})
     assert compare(failing, run, against, gate).word == "REGRESSED"
+
+
+def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
+    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
+) -> None:
+    run = make_run(["a"], 20, **WAYS)
+    against = make_against(make_bank(run, {"a": [0.5] * 60}))
+    found = compare(drawn_rows(run, {"a": [1.0] * 2}), run, against, GATE, foresee=True)
+    assert found.interval is not None
+    low, high = found.interval
+    assert found.reasons[0] == (
+        "mean success rose by 0.500 from the baseline shipped in 2 trials, which leaves a drop of "
+        f"at least {low:.3f} (99 % confidence), at most {high:.3f} (95 %): undecided, the data fit "
+        "a drop of 0.1 and a drop below 0.02"
+    )
 
 
 def test_a_run_of_some_scenes_is_compared_in_those_and_says_so(
@@ -585,7 +612,7 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
     elsewhere = {**here.engine, "cpu": "haswell"}
     run = make_run(["a"], 40, engine=elsewhere, baseline=against.info, **WAYS)
     rows = drawn_rows(run, {"a": 1.0})
-    with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4.*runs some first"):
+    with pytest.raises(IncomparableError, match=r"haswell, the baseline's zen 4.*runs some first"):
         compare(rows, run, against, GATE)
 
     def checked(what: str, by: str = against.info.sha256) -> RunInfo:
@@ -597,7 +624,7 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
     assert alike == compare(rows, here, against, GATE)
     # What was found out is of that file alone; and "scores in line" convinces nobody any more.
     for other in (checked("bits", by="5b" * 32), checked("scores")):
-        with pytest.raises(IncomparableError, match=r"cpu haswell, the bank's zen 4"):
+        with pytest.raises(IncomparableError, match=r"cpu haswell, the baseline's zen 4"):
             compare(rows, other, against, GATE)
 
 

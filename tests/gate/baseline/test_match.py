@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     Make = Callable[..., Any]
 
 RENEW = (
-    "; renew the bank with `nw-eval baseline save hurdles --policy go1-act-rgb --renew "
+    "; renew the baseline with `nw-eval baseline save hurdles --policy go1-act-rgb --renew "
     "--name shipped`"
 )
 
@@ -38,7 +38,7 @@ def refusal(run: RunInfo, bank: SavedBank) -> str:
     with pytest.raises(IncomparableError) as caught:
         check_match(run, bank)
     assert caught.value.exit_code == 5
-    prefix = f"bank shipped does not hold for run {run.id}: "
+    prefix = f"baseline shipped is not compatible with run {run.id}: "
     message = str(caught.value)
     assert message.startswith(prefix)
     assert message.endswith(RENEW)
@@ -57,8 +57,8 @@ def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: SavedBank) -> None
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"seed": 5}, "its seed is 5, the bank's 20261"),
-        ({"protocol": "neverwhere-2026"}, "its protocol is neverwhere-2026, the bank's strict"),
+        ({"seed": 5}, "its seed is 5, the baseline's 20261"),
+        ({"protocol": "neverwhere-2026"}, "its protocol is neverwhere-2026, the baseline's strict"),
     ],
 )
 def test_what_names_the_starts_is_named_with_both_values(
@@ -72,14 +72,17 @@ def test_what_names_the_starts_is_named_with_both_values(
     [
         ({"robot": "go2"}, "robot or episode differ"),
         ({"episode": {"duration": 20.0}}, "robot or episode differ"),
-        ({"perturb": {"friction": (0.6, 1.0)}}, "perturb is friction 0.6, friction 1, the bank's "),
+        (
+            {"perturb": {"friction": (0.6, 1.0)}},
+            "perturb is friction 0.6, friction 1, the baseline's ",
+        ),
     ],
 )
 def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_told(
     make_run: Make, bank: SavedBank, settings: dict[str, Any], words: str
 ) -> None:
     run = make_run(["a", "b"], 10, suite=settings)
-    digests = f"{run.suite_digest[:8]}, the bank's {bank.manifest.key.suite_digest[:8]}"
+    digests = f"{run.suite_digest[:8]}, the baseline's {bank.manifest.key.suite_digest[:8]}"
     assert refusal(run, bank).startswith(f"its suite digest is {digests}: {words}")
 
 
@@ -88,22 +91,22 @@ def test_another_version_of_the_simulator_is_another_world(
     run: RunInfo, bank: SavedBank, name: str
 ) -> None:
     newer = run.model_copy(update={"engine": {**run.engine, name: "9.9"}})
-    assert refusal(newer, bank) == f"its {name} is 9.9, the bank's {run.engine[name]}"
+    assert refusal(newer, bank) == f"its {name} is 9.9, the baseline's {run.engine[name]}"
     without = {key: value for key, value in run.engine.items() if key != name}
     assert refusal(run.model_copy(update={"engine": without}), bank).startswith(
-        f"its {name} is none, the bank's "
+        f"its {name} is none, the baseline's "
     )
 
 
 def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
     run: RunInfo, bank: SavedBank, make_run: Make
 ) -> None:
-    assert refusal(make_run(["a", "b", "c"], 10), bank) == "scene c is not in the bank"
+    assert refusal(make_run(["a", "b", "c"], 10), bank) == "scene c is not in the baseline"
     fewer = make_run(["a"], 10)
-    assert refusal(fewer, bank) == "scene b is in the bank and not in the run"
+    assert refusal(fewer, bank) == "scene b is in the baseline and not in the run"
     changed = {**run.scenes, "b": SceneInfo(digest="99" * 32, task="hurdles", trials=10)}
     assert refusal(run.model_copy(update={"scenes": changed}), bank) == (
-        "scene b has changed (99999999 now, dddddddd in the bank)"
+        "scene b has changed (99999999 now, dddddddd in the baseline)"
     )
 
 
@@ -117,7 +120,7 @@ def test_a_run_that_was_asked_for_some_scenes_is_compared_in_those(
 def test_every_fault_is_told_at_once(make_run: Make, bank: SavedBank) -> None:
     run = make_run(["a", "c"], 10, suite={"seed": 5}, engine={})
     words = refusal(run, bank)
-    for part in ("seed is 5", "scene c is not", "scene b is in the bank", "mujoco is none"):
+    for part in ("seed is 5", "scene c is not", "scene b is in the baseline", "mujoco is none"):
         assert part in words
 
 
@@ -126,7 +129,7 @@ def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
 ) -> None:
     check_match(make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5}), bank)
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
-    assert same == "its seed 20261 is the bank's, so its starts are not fresh"
+    assert same == "its seed 20261 is the baseline's, so its starts are not fresh"
     other = make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5, "robot": "go2"})
     assert refusal(other, bank).endswith("robot or episode differ")
 

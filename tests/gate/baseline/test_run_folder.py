@@ -253,6 +253,37 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentenc
         assert "Traceback" not in err
 
 
+@pytest.mark.parametrize("rounds", [3, 20])
+def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a_sentence(
+    rounds: int,
+    bank: SavedBank,
+    make_run: Make,
+    run_rows: Make,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    keep(bank)
+    scores = like()
+    known = BaselineInfo(
+        name="shipped", path=str(BANK.resolve()), sha256=sha256(BANK.read_bytes()).hexdigest()
+    )
+    fresh = make_run(list(scores), 20, panel="fresh", baseline=known, suite={**GATE, "seed": 1})
+    met = run_rows(fresh, dict.fromkeys(scores, [1.0] * rounds))
+    folder = write_run(fresh.model_copy(update={"panel": "pinned"}), met)
+    # Version 1 said after how many rounds it was settled, in a field that is read no more.
+    write_run_info(
+        Path("run/run.json"),
+        read_run_info(Path("run/run.json")).model_copy(update={"run": 1, "panel": "fresh"}),
+    )
+    (Path("run/bank")).mkdir()
+    keep(bank, Path("run/bank/shipped.parquet"))
+    for words in ((folder, "--baseline", "shipped"), (folder,)):
+        assert gate(*words) == 5
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"run {fresh.id} was drawn round by round by an older nw-eval" in err
+        assert "run it again" in err
+
+
 def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
     run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -263,7 +294,7 @@ def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
     assert gate(folder, "--baseline", "shipped") == 5
     out, err = capsys.readouterr()
     assert out == ""
-    assert "its mujoco is 4.0.0, the bank's 9.9" in err
+    assert "its mujoco is 4.0.0, the baseline's 9.9" in err
     assert "nw-eval baseline save hurdles --policy go1-act-rgb --renew" in err
     assert gate(folder, "--baseline", "other") == 2
     assert gate("nowhere", "--baseline", "shipped") == 2

@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from nw_eval.errors import PrerequisiteError
-from nw_eval.learn.program.curve import Curve, read_curve
-from nw_eval.learn.program.device import device_of
-from nw_eval.learn.program.folder import TrainFolder
-from nw_eval.learn.program.keeper import Keeper
-from nw_eval.learn.program.progress import TrainingProgress
+from nw_eval.learn.config import device_of
+from nw_eval.learn.curve import Curve, read_curve
+from nw_eval.learn.folder import TrainFolder
+from nw_eval.learn.progress import Keeper, TrainingProgress
 
 
 class Clock:

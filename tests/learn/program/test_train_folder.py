@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.learn.program.folder import TrainFolder
+from nw_eval.learn.folder import TrainFolder
 
 
 @pytest.fixture

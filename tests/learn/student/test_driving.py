@@ -9,13 +9,11 @@ from student_parts import small_config
 
 from nw_eval.catalogue import FoundScene
 from nw_eval.learn.student.card import BODY, DEPTH_STEPS
-from nw_eval.learn.student.collect.drive import Pair
-from nw_eval.learn.student.collect.driving import Driving
-from nw_eval.learn.student.collect.round import plan_round
-from nw_eval.learn.student.data.trajectory import read_trajectory
-from nw_eval.learn.student.export import write_policy
-from nw_eval.learn.student.network import StudentNetwork
+from nw_eval.learn.student.drive import Pair
+from nw_eval.learn.student.driving import Driving, plan_round
+from nw_eval.learn.student.network import StudentNetwork, write_policy
 from nw_eval.learn.student.train import body_size
+from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Observer
@@ -183,5 +181,5 @@ def test_driving_goes_on_with_what_is_missing_and_ends_where_the_bytes_do(planne
     assert Driving(trajectories, say=said.append, most=10**9, workers=1).run(lambda: False)
     assert not trajectories.missing
     assert "round 1: 2 of 2 trajectories driven" in said[-1]
-    monkeypatch.setattr("nw_eval.learn.student.collect.round.LocalWorkers", None)
+    monkeypatch.setattr("nw_eval.learn.student.driving.LocalWorkers", None)
     assert Driving(trajectories, say=said.append, most=10**9).run(lambda: False)

@@ -7,12 +7,11 @@ from student_parts import small_config
 
 from nw_eval.cards.file.load import card_of
 from nw_eval.errors import UsageError
-from nw_eval.learn.program.config import load_config
+from nw_eval.learn.config import load_config
 from nw_eval.learn.student.card import check_teacher, student_card
 from nw_eval.learn.student.config import NOTHING, StudentConfig
-from nw_eval.learn.student.export import write_policy
-from nw_eval.learn.student.network import StudentNetwork
-from nw_eval.learn.student.places import training_scenes
+from nw_eval.learn.student.driving import training_scenes
+from nw_eval.learn.student.network import StudentNetwork, write_policy
 from nw_eval.learn.student.train import body_size
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.check_bundle import check_bundle

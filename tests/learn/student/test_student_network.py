@@ -6,8 +6,7 @@ import pytest
 import torch
 from student_parts import small_config
 
-from nw_eval.learn.student.export import graph_of
-from nw_eval.learn.student.network import StudentNetwork
+from nw_eval.learn.student.network import StudentNetwork, graph_of
 from nw_eval.policies.networks.chunks import ChunkQueue
 
 BODY = 20

@@ -11,22 +11,22 @@ import pytest
 from student_parts import SMALL, small_config
 
 from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.learn.program.config import load_config
-from nw_eval.learn.program.curve import read_curve
-from nw_eval.learn.program.folder import TrainFolder
-from nw_eval.learn.program.keeper import Keeper
+from nw_eval.learn.config import load_config
+from nw_eval.learn.curve import read_curve
+from nw_eval.learn.folder import TrainFolder
+from nw_eval.learn.progress import Keeper
 from nw_eval.learn.student.config import StudentConfig
+from nw_eval.learn.student.driving import training_scenes
 from nw_eval.learn.student.fit import Learner
-from nw_eval.learn.student.places import training_scenes
 from nw_eval.learn.student.train import StudentTraining, resume_student
 from nw_eval.policies import load_bundle
 
 PROGRAM = """
 import sys
 from pathlib import Path
-from nw_eval.learn.program.config import load_config
-from nw_eval.learn.program.folder import TrainFolder
-from nw_eval.learn.program.keeper import Keeper
+from nw_eval.learn.config import load_config
+from nw_eval.learn.folder import TrainFolder
+from nw_eval.learn.progress import Keeper
 from nw_eval.learn.student.config import StudentConfig
 from nw_eval.learn.student.train import StudentTraining
 
@@ -95,7 +95,7 @@ def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, mo
             raise Dies
         return step(self, *arguments, **options)
 
-    monkeypatch.setattr("nw_eval.learn.program.curve.draw", lambda *_: None)  # It takes a second.
+    monkeypatch.setattr("nw_eval.learn.curve.draw", lambda *_: None)  # It takes a second.
     with monkeypatch.context() as patched:
         patched.setattr(Learner, "step", deadly)
         patched.setitem(Keeper.__init__.__kwdefaults__, "save_every", 0.0)

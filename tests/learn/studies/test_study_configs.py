@@ -5,18 +5,17 @@ from pathlib import Path
 import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.learn.program.config import find_config, load_config
-from nw_eval.learn.studies.config import (
+from nw_eval.learn.config import find_config, load_config
+from nw_eval.learn.studies.kinds import MultiScene, Observations, SingleScene
+from nw_eval.learn.studies.plan import (
     MultiSceneConfig,
     ObservationsConfig,
     SingleSceneConfig,
     StudyConfig,
+    settled,
+    slug,
 )
-from nw_eval.learn.studies.folder import StudyFolder
-from nw_eval.learn.studies.kinds.multi_scene import MultiScene
-from nw_eval.learn.studies.kinds.observations import Observations
-from nw_eval.learn.studies.kinds.single_scene import SingleScene
-from nw_eval.learn.studies.plan import settled, slug
+from nw_eval.learn.studies.study import StudyFolder
 
 PRESETS = Path(__file__).parents[3] / "training" / "studies"
 KINDS = {

@@ -5,14 +5,15 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from nw_eval.learn.program.config import load_config
-from nw_eval.learn.studies.config import MultiSceneConfig, ObservationsConfig, SingleSceneConfig
-from nw_eval.learn.studies.kinds.multi_scene import MultiScene
-from nw_eval.learn.studies.kinds.observations import Observations
-from nw_eval.learn.studies.kinds.single_scene import SingleScene
-from nw_eval.learn.studies.plan import settled
-from nw_eval.learn.studies.scores import Outcome, difference, score
-from nw_eval.learn.studies.write import write_page, write_scores
+from nw_eval.learn.config import load_config
+from nw_eval.learn.studies.kinds import MultiScene, Observations, SingleScene
+from nw_eval.learn.studies.plan import (
+    MultiSceneConfig,
+    ObservationsConfig,
+    SingleSceneConfig,
+    settled,
+)
+from nw_eval.learn.studies.scores import Outcome, difference, score, write_page, write_scores
 from nw_eval.stats import mean_of_scenes
 
 

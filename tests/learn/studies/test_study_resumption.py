@@ -6,9 +6,8 @@ import pytest
 
 from nw_eval.engine.listener import Silence
 from nw_eval.errors import UsageError
-from nw_eval.learn.studies.kinds.single_scene import SingleScene
-from nw_eval.learn.studies.opening import open_study
-from nw_eval.learn.studies.progress import StudyProgress
+from nw_eval.learn.studies.kinds import SingleScene
+from nw_eval.learn.studies.study import StudyProgress, open_study
 
 
 class Killed(BaseException):

@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from nw_eval.learn.teacher.courses.robot import training_robot
+from nw_eval.learn.teacher.simulation import training_robot
 from nw_eval.learn.teacher.training import train_teacher
 from nw_eval.robots import get_robot
 

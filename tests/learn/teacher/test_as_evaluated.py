@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from nw_eval.catalogue import get_scene
-from nw_eval.learn.teacher.courses.lane import lane_of
-from nw_eval.learn.teacher.world.body import bodies
-from nw_eval.learn.teacher.world.senses import FRAME, SCANDOTS, Senses
-from nw_eval.learn.teacher.world.simulation import Simulation
-from nw_eval.learn.teacher.world.trails import Trails
+from nw_eval.learn.teacher.lanes import lane_of
+from nw_eval.learn.teacher.senses import FRAME, SCANDOTS, Senses, bodies
+from nw_eval.learn.teacher.simulation import Simulation, Trails
 from nw_eval.robots import get_robot
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob

@@ -10,11 +10,9 @@ from onnx import numpy_helper
 
 from nw_eval.errors import PolicyError
 from nw_eval.learn.teacher.config import PpoSettings
-from nw_eval.learn.teacher.ppo.learner import PpoLearner
-from nw_eval.learn.teacher.ppo.networks import Actor, Critic, new_networks
-from nw_eval.learn.teacher.ppo.samples import SampleCollector, Samples, log_probability
-from nw_eval.learn.teacher.weights import read_actor, write_actor
-from nw_eval.learn.teacher.world.privileged import PRIVILEGED
+from nw_eval.learn.teacher.networks import Actor, Critic, new_networks, read_actor, write_actor
+from nw_eval.learn.teacher.ppo import PpoLearner, SampleCollector, Samples, log_probability
+from nw_eval.learn.teacher.senses import PRIVILEGED
 from nw_eval.policies import load_bundle
 from nw_eval.policies.onnx.session import open_session
 

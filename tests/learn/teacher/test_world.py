@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nw_eval.learn.teacher.config import GROUNDS, CourseSettings, RewardWeights, TrainingPhase
-from nw_eval.learn.teacher.world.body import bodies
-from nw_eval.learn.teacher.world.curriculum import Curriculum
-from nw_eval.learn.teacher.world.rewards import POINTS, RobotMoments, rewards
+from nw_eval.learn.teacher.curriculum import Curriculum
+from nw_eval.learn.teacher.episodes import POINTS, RobotMoments, rewards
+from nw_eval.learn.teacher.senses import bodies
 from nw_eval.robots import get_robot
 
 SETTINGS = CourseSettings.model_validate({"variants": 2, "levels": 4, "start": [1, 1]})

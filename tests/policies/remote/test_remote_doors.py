@@ -228,4 +228,5 @@ def test_an_idle_client_is_not_cut_off_when_the_time_to_connect_has_passed(addre
     policy = open_policy(load_bundle(tmp_path))
     threading.Event().wait(0.8)
     policy.reset(3)
+    assert policy.act({"body": np.zeros(53, np.float32)}).shape == (12,)
     policy.close()

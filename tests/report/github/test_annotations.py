@@ -34,8 +34,8 @@ def test_a_regressed_run_annotates_its_gate_and_its_worst_scenes_first(
     ]
     assert [each.properties["title"] for each in shown] == [
         "REGRESSED: hurdles",
-        "regressed: gaps/wide",
-        "regressed: gaps/near",
+        "below the bar: gaps/wide",
+        "below the bar: gaps/near",
     ]
     # A per cent sign and a comma come back as they were.
     assert shown[1].message.startswith(
@@ -64,7 +64,7 @@ def test_a_run_that_passes_warns_of_weak_scenes_only(
     verdict = judge(rows, BAR, run.planned)
     assert verdict.verdict == "PASS"
     (shown,) = runner.commands("\n".join(run_annotations(run, verdict, None)))
-    assert (shown.name, shown.properties["title"]) == ("warning", "weak: bad")
+    assert (shown.name, shown.properties["title"]) == ("warning", "below the bar: bad")
 
 
 def test_every_fault_of_a_suite_is_at_its_own_line(runner: Any, tmp_path: Path) -> None:

@@ -16,14 +16,12 @@ from cmarkgfm.cmark import Options, github_flavored_markdown_to_html
 
 from nw_eval.gate import judge
 from nw_eval.gate.baseline.combine import combined, without_bank
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.reporting.github.comment import comment_page
 from nw_eval.reporting.github.summary import summary_page
 from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.tables import Table
 from nw_eval.results.provenance import PolicyInfo
-from nw_eval.stats import Interval
-from nw_eval.stats.bank import CurvePoint
 from nw_eval.suite import Gate
 
 ROOT = Path(__file__).parents[3]
@@ -446,47 +444,9 @@ def test_words_of_strangers_are_escaped_so_that_they_are_posted_and_do_nothing()
 
 # Comments as nw-eval writes them.
 
-FELL = SceneDrop(
-    scene="hurdles/one",
-    tier="critical",
-    baseline=0.95,
-    candidate=0.4,
-    trials=5,
-    evidence=2.5e6,
-    named=True,
-    waypoint=2,
-)
-FOUND = Comparison(
-    word="REGRESSED",
-    bank="shipped",
-    policy="go1-act-rgb",
-    basis="panel",
-    claim="fresh",
-    trials=80,
-    budget=320,
-    mean_convicts=True,
-    false_alarm=0.07,
-    starts=60,
-    baseline=0.925,
-    drop=0.25,
-    interval=Interval(0.12, 0.41),
-    max_drop=0.1,
-    tolerate=0.02,
-    scene_drop=0.1,
-    alpha_pass=0.05,
-    alpha_regr=0.01,
-    scenes=(FELL,),
-    reasons=("worse than the baseline shipped",),
-    curve=(
-        CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
-        CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
-        CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
-    ),
-)
-
 
 @pytest.fixture
-def comments(make_row: Any, make_run: Any, evil: str) -> dict[str, str]:
+def comments(make_row: Any, make_run: Any, evil: str, regressed: Comparison) -> dict[str, str]:
     """Comments on runs of every verdict, some with words of strangers in every place."""
     scenes = ("hurdles/one", "gaps/a_b", "places/kitchen")
     planned = dict.fromkeys(scenes, 20)
@@ -501,7 +461,7 @@ def comments(make_row: Any, make_run: Any, evil: str) -> dict[str, str]:
     judged = {word: (run, rows, judge(rows, bar, planned)) for word, rows in trials.items()}
     rows = trials["REGRESSED"]
     judged["RAN"] = (run, rows, judge(rows, Gate(), planned))
-    against = combined(judge(rows, Gate(), planned, against=FOUND), FOUND)
+    against = combined(judge(rows, Gate(), planned, against=regressed), regressed)
     judged["baseline"] = (run, rows, against)
     invalid = without_bank(judged["PASS"][2], "bank 0123456789ab is gone: https://x.example @x")
     judged["INVALID"] = (run, trials["PASS"], invalid)

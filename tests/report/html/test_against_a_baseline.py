@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -24,8 +25,12 @@ def page(make_page: Make, make_row: Make, read: Make, compared: Comparison) -> A
 def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> None:
     assert page.one("h1").text == "REGRESSED"
     assert page.one("ul", class_="facts").all("li")[0].text == (
-        "baseline shipped 0.925, drop 0.200 (at least 0.120, at most 0.410) in 10 of 40 trials"
+        "baseline shipped 0.925, drop 0.200 in 10 of 40 trials"
     )
+    # The gauge has the interval, and says in its header how sure its ends are.
+    words = page.one("header").text
+    assert [words.count(end) for end in ("0.120", "0.410")] == [1, 1]
+    assert page.all("figcaption")[0].text == "Drop against shipped (99 % lower, 95 % upper): 0.200"
     drop = page.all("figure", class_="gauge")[0].one("svg")
     assert drop.attributes["aria-label"] == (
         "Mean success fell by 0.200, from 0.925: by at least 0.120 (99 %) and at most 0.410 (95 %)."
@@ -62,4 +67,14 @@ def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: A
     high, low = section.one("table", class_="heat").cells[1:]
     assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 partsbaseline 5 %"]
     assert low[0] == "hurdles/low"
+    assert "the baseline all starts of the baseline." in section.text
     assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]
+
+
+def test_beside_a_control_the_course_is_of_its_trials(
+    make_page: Make, make_row: Make, read: Make, compared: Comparison
+) -> None:
+    rows = [make_row("hurdles/low", index, 4) for index in range(5)]
+    page = read(make_page(rows, against=replace(compared, basis="control")))
+    words = page.one("section", id="course").text
+    assert "the baseline those of its policy that ran beside the candidate." in words

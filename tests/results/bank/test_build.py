@@ -90,13 +90,17 @@ def test_a_run_with_an_error_or_a_hole_is_no_bank(
 
 def test_a_run_whose_starts_were_drawn_is_no_bank(run: RunInfo, rows: list[Row]) -> None:
     drawn = [replace(row, seed_index=2 * row.seed_index) for row in rows]
-    with pytest.raises(IncomparableError, match=r"run r1 makes no bank: .*start 4 is not between"):
+    with pytest.raises(
+        IncomparableError, match=r"run r1 makes no baseline: .*start 4 is not between"
+    ):
         bank_of_run(drawn, run, name="p")
 
 
 def test_a_run_on_fresh_starts_is_no_bank(run: RunInfo, rows: list[Row]) -> None:
     fresh = run.model_copy(update={"panel": "fresh"})
-    with pytest.raises(IncomparableError, match="r1 makes no bank: it met fresh starts of its own"):
+    with pytest.raises(
+        IncomparableError, match="r1 makes no baseline: it met fresh starts of its own"
+    ):
         bank_of_run(rows, fresh, name="p")
 
 

@@ -137,7 +137,10 @@ def test_a_bank_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
         (lambda _, manifest: manifest.update(name="../a"), "'../a' is no name"),
         (lambda _, manifest: manifest.update(note="\x1b[2J"), "is no plain line"),
         (lambda _, manifest: manifest["panels"].append(manifest["panels"][0]), "one class of mach"),
-        (lambda _, manifest: manifest.update(bank=2), "bank of version 2, this nw-eval reads 1"),
+        (
+            lambda _, manifest: manifest.update(bank=2),
+            "baseline of version 2, this nw-eval reads 1",
+        ),
         (lambda _, manifest: manifest.pop("key"), "manifest.key: field required"),
     ],
 )
@@ -187,19 +190,19 @@ def test_the_rows_of_a_run_are_no_bank_and_neither_is_anybodys_table(
     write_rows(rows, [make_row()], {})
     pq.write_table(pa.table({"x": [1]}), foreign)
     for path in (rows, foreign):
-        with pytest.raises(IncomparableError, match="is no bank; save one from a run"):
+        with pytest.raises(IncomparableError, match="is no baseline; save one from a run"):
             reread(path)
 
 
 def test_a_bank_that_is_not_there_or_not_whole_is_named(saved: Path) -> None:
-    with pytest.raises(UsageError, match=r"no bank at .*none\.parquet"):
+    with pytest.raises(UsageError, match=r"no baseline at .*none\.parquet"):
         read_bank(saved.with_name("none.parquet"))
     saved.write_bytes(saved.read_bytes()[:-20])
     with pytest.raises(StoreError, match=r"shipped\.parquet is damaged: .*; restore it from git"):
         read_bank(saved)
     saved.unlink()
     saved.symlink_to("/dev/zero")
-    with pytest.raises(UsageError, match="no bank at"):
+    with pytest.raises(UsageError, match="no baseline at"):
         read_bank(saved)
 
 

@@ -45,9 +45,12 @@ def test_a_path_is_taken_as_it_is(folders: tuple[Path, Path], monkeypatch: pytes
 @pytest.mark.parametrize(
     ("reference", "sentence"),
     [
-        ("go1-parkuor", "suite 'hurdles' has no bank 'go1-parkuor'; did you mean 'go1-parkour'?"),
-        ("./bset.parquet", r"no bank at bset\.parquet; did you mean 'best'\?"),
-        ("a" * 5000, "has no bank"),
+        (
+            "go1-parkuor",
+            "suite 'hurdles' has no baseline 'go1-parkuor'; did you mean 'go1-parkour'?",
+        ),
+        ("./bset.parquet", r"no baseline at bset\.parquet; did you mean 'best'\?"),
+        ("a" * 5000, "has no baseline"),
     ],
 )
 def test_a_bank_that_is_not_there_is_named_with_the_nearest_that_is(
@@ -98,14 +101,16 @@ def test_a_bank_is_found_without_its_suite_by_name_suite_and_name_or_path(
     best = mine / "hurdles/best.parquet"
     for reference in ("best", "hurdles/best", best):
         assert find_any(reference, root=mine) == best
-    with pytest.raises(UsageError, match=r"no bank 'hurdles/bset'; did you mean 'hurdles/best'\?"):
+    with pytest.raises(
+        UsageError, match=r"no baseline 'hurdles/bset'; did you mean 'hurdles/best'\?"
+    ):
         find_any("hurdles/bset", root=mine)
     (shipped / "gaps").mkdir()
     (shipped / "gaps/best.parquet").write_bytes(b"best")
     with pytest.raises(UsageError, match=r"several suites have .*; name one: gaps/best, hurdles/"):
         find_any("best", root=mine)
     assert find_any("best", suite="gaps", root=mine) == shipped / "gaps/best.parquet"
-    with pytest.raises(UsageError, match="suite 'stairs' has no bank 'best'"):
+    with pytest.raises(UsageError, match="suite 'stairs' has no baseline 'best'"):
         find_any("best", suite="stairs", root=mine)
 
 

@@ -145,9 +145,9 @@ def test_a_bank_s_name_means_its_policy_and_only_that(tmp_path):
 def test_where_there_is_no_bank_a_policy_is_meant():
     info = run_of("smoke-of-mine")
     assert baseline_bundle("stand", info, policy=None, checkpoint=None).name == "stand"
-    with pytest.raises(UsageError, match="has no bank 'nobody', and no policy"):
+    with pytest.raises(UsageError, match="has no baseline 'nobody', and no policy"):
         baseline_bundle("nobody", info, policy=None, checkpoint=None)
-    with pytest.raises(UsageError, match="has no bank 'stand'"):
+    with pytest.raises(UsageError, match="has no baseline 'stand'"):
         baseline_bundle("stand", info, policy="go1-parkour", checkpoint=None)
 
 

@@ -9,8 +9,7 @@ from nw_eval.cli import main
 from nw_eval.errors import PrerequisiteError, StoreError, UsageError
 from nw_eval.rollout.mcap.file import McapFile
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.viewing.recording.layout import write_layout
-from nw_eval.viewing.recording.write import write_recording
+from nw_eval.viewing.recording.write import write_layout, write_recording
 
 
 def ends(*arguments):

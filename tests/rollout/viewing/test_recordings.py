@@ -12,7 +12,7 @@ from nw_eval.rollout.mcap.file import McapFile
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.files import read_splat
-from nw_eval.viewing.recording import splat
+from nw_eval.viewing.recording import content
 from nw_eval.viewing.recording.write import write_recording
 
 chunk = pytest.importorskip("rerun.chunk", reason="needs the extra rerun")
@@ -40,7 +40,7 @@ def recorded(walked_log, library, tmp_path_factory):
     """Return what was written of the log, and what is in it."""
     out = tmp_path_factory.mktemp("rerun") / "walked.rrd"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splat, "Library", lambda: library)
+        patch.setattr(content, "Library", lambda: library)
         written = write_recording(walked_log, out)
     return written, entities(out)
 
@@ -138,7 +138,7 @@ def test_a_recording_has_a_layout_and_an_identity_that_stay_the_same(
     recorded, walked_log, library, tmp_path, monkeypatch
 ):
     written, found = recorded
-    monkeypatch.setattr(splat, "Library", lambda: library)
+    monkeypatch.setattr(content, "Library", lambda: library)
     again = write_recording(walked_log, tmp_path / "again.rrd")
     first, second = chunk.RrdReader(written.file), chunk.RrdReader(again.file)
     [one], [other] = first.recordings(), second.recordings()

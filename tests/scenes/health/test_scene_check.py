@@ -9,8 +9,8 @@ from nw_eval.catalogue import get_scene, names
 from nw_eval.catalogue.inspect import inspect_scene
 from nw_eval.errors import SceneError
 from nw_eval.scenes import Box, Plane, Scene, Spawn
-from nw_eval.scenes.health.check import check_scene
-from nw_eval.scenes.health.finding import has_errors
+from nw_eval.scenes.check import check_scene
+from nw_eval.scenes.finding import has_errors
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -26,7 +26,8 @@ class Splat:
         self._path, self._means, self._error = folder / "a.nwsplat", means, error
 
     def store(self, _progress=None):
-        from nw_eval.splat import Gaussians, compile_store
+        from nw_eval.splat.gaussians import Gaussians
+        from nw_eval.splat.store import compile_store
 
         if self._error:
             raise SceneError(self._error)

@@ -10,8 +10,9 @@ from nw_eval.errors import SceneError
 from nw_eval.scenes.neverwhere import inspect_published, load_published
 from nw_eval.scenes.neverwhere.table import PUBLISHED
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.terrain.solids import HeightField, Triangles
-from nw_eval.splat import open_store, read_splat, write_splat
+from nw_eval.scenes.scene import HeightField, Triangles
+from nw_eval.splat.files import read_splat, write_splat
+from nw_eval.splat.store import open_store
 
 
 def codes(folder, severity="error"):

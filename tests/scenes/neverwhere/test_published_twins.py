@@ -9,8 +9,10 @@ from nw_eval.catalogue import get_scene
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.neverwhere import inspect_published, load_published
 from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.terrain.solids import HeightField
-from nw_eval.splat import Camera, CpuRenderer, look_at, memory_store, open_store
+from nw_eval.scenes.scene import HeightField
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store, open_store
 
 NAMES = ("hurdles/one_low_carpet", "hurdles/three_stops_car_park")
 

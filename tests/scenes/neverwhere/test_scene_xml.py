@@ -6,11 +6,9 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes.neverwhere import load_published
-from nw_eval.scenes.neverwhere.places import Places
+from nw_eval.scenes.neverwhere.files import Places, read_xml
 from nw_eval.scenes.neverwhere.tree import read_tree
-from nw_eval.scenes.neverwhere.xml_file import read_xml
-from nw_eval.scenes.scene import Box
-from nw_eval.scenes.terrain.solids import Primitive
+from nw_eval.scenes.scene import Box, Primitive
 
 BOMB = """<?xml version="1.0"?>
 <!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>

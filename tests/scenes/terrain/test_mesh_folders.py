@@ -7,7 +7,7 @@ import trimesh
 from nw_eval.catalogue import get_scene, open_scene, references
 from nw_eval.errors import SceneError
 from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.terrain.solids import HeightField, Triangles
+from nw_eval.scenes.scene import HeightField, Triangles
 
 TEXT = """\
 nw-scene: 1

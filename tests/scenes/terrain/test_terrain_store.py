@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from nw_eval.files.cache import sealed_path
+from nw_eval.scenes import terrain as store
 from nw_eval.scenes.digest import digest
+from nw_eval.scenes.grid import TerrainOptions
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.scenes.terrain import store
-from nw_eval.scenes.terrain.options import TerrainOptions
 
 MESH = merge(
     [

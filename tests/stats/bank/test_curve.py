@@ -245,7 +245,7 @@ def test_progress_after_the_budget_is_the_curve() -> None:
 
 def test_scenes_of_unequal_numbers_of_starts_are_no_bank() -> None:
     seen, rules = few([[0, 10], [0, 12]])
-    with pytest.raises(ValueError, match="10 to 12 starts are no bank"):
+    with pytest.raises(ValueError, match="10 to 12 starts are no baseline"):
         operating_curve(seen, rules, budget=20)
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot
 
 

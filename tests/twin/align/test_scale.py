@@ -10,7 +10,7 @@ from rooms import capture, degrees_off, room, scale_off, similarity, walk
 from tags import picture, texture
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.cameras.camera import look_at
+from nw_eval.splat.camera import look_at
 from nw_eval.twin.align import AlignOptions, KnownLength, align
 from nw_eval.twin.align.scale.exif import gps_positions
 from nw_eval.twin.align.scale.positions import east_north_up

@@ -11,7 +11,7 @@ import trimesh
 from small_capture import PLACE
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat import read_splat
+from nw_eval.splat.files import read_splat
 from nw_eval.twin.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.appearance import stage as the_stage
 from nw_eval.twin.appearance.photos import photos_of

@@ -12,7 +12,7 @@ from nw_eval import cli
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.splat import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.align import read_alignment, write_alignment
 from nw_eval.twin.align.alignment import Alignment
 from nw_eval.twin.building import Build, BuildSettings

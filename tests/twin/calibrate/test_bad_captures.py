@@ -14,7 +14,7 @@ from PIL import Image
 
 from nw_eval import cli
 from nw_eval.errors import UsageError
-from nw_eval.splat import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.align import AlignOptions, align
 from nw_eval.twin.calibrate import CalibrateOptions, calibrate
 from nw_eval.twin.capture import read_capture

@@ -10,7 +10,7 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate import CalibrateOptions, calibrate
 from nw_eval.twin.capture import read_capture, read_picture
 

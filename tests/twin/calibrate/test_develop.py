@@ -9,7 +9,7 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import SceneError
-from nw_eval.splat import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate.develop import Flattening, _developed_mask, develop
 from nw_eval.twin.calibrate.photographs import Photograph
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution

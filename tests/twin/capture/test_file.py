@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from nw_eval.errors import NwEvalError, SceneError
-from nw_eval.splat import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, read_picture, write_capture
 
 

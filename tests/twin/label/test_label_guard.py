@@ -9,7 +9,7 @@ from label_places import opened
 
 from nw_eval.errors import PrerequisiteError, UsageError
 from nw_eval.twin.label.page import LabelPage
-from nw_eval.viewing.browser import guard, library
+from nw_eval.viewing import browser
 
 viser = pytest.importorskip("viser")
 websockets = pytest.importorskip("websockets.asyncio.client")
@@ -71,9 +71,9 @@ def test_a_stranger_s_name_that_was_made_to_point_here_is_turned_away(page, host
 
 
 def test_through_a_tunnel_it_is_reached_under_another_port():
-    assert guard.refusal(["localhost:9000"], ["http://localhost:9000"]) is None
-    assert guard.refusal(["localhost:9000"], ["http://localhost:9001"]) is not None
-    assert guard.refusal(["localhost:9000", "localhost:9000"], []) is not None
+    assert browser.refusal(["localhost:9000"], ["http://localhost:9000"]) is None
+    assert browser.refusal(["localhost:9000"], ["http://localhost:9001"]) is not None
+    assert browser.refusal(["localhost:9000", "localhost:9000"], []) is not None
 
 
 def test_no_other_page_shows_it_in_a_frame(page):
@@ -101,7 +101,7 @@ def test_a_server_that_cannot_be_guarded_is_not_kept(monkeypatch):
 
     monkeypatch.setattr(viser, "ViserServer", Otherwise)
     with pytest.raises(PrerequisiteError, match="could not be kept out"):
-        library.viser_server(0, "a page")
+        browser.viser_server(0, "a page")
     assert len(stopped) == 1
 
 

@@ -16,7 +16,7 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.page import LabelPage
 from nw_eval.twin.label.page.chart import profile_svg
 from nw_eval.twin.label.page.cutaway import let_through
-from nw_eval.viewing.browser.splat_points import splat_points
+from nw_eval.viewing.browser import splat_points
 
 pytest.importorskip("viser")
 

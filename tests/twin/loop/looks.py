@@ -6,7 +6,9 @@ import numpy as np
 from surface import rays_of
 
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat import Camera, CpuRenderer, look_at, open_store
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import open_store
 
 _WIDTH, _HEIGHT, _FOVY = 240, 135, np.radians(60.0)
 _EYE, _DOWN = 0.35, np.radians(5.0)

@@ -8,7 +8,9 @@ from PIL import Image
 from walk import FOCAL_35MM, turned
 
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat import CpuRenderer, composite, open_store
+from nw_eval.splat.image import composite
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import open_store
 
 TAG_EDGE = 0.24
 """Outer edge of the tag's black border: on A3 paper, metres."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 
 EYE = 1.5
 """Height of the phone above the ground, metres."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.terrain.compile import build_terrain
+from nw_eval.scenes.terrain import build_terrain
 from nw_eval.twin.place.lips import without_lips
 
 WIDE = 1.0

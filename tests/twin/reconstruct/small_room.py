@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, write_capture
 from nw_eval.twin.reconstruct import DepthOptions, ReconstructOptions
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot
 from nw_eval.twin.reconstruct.depth.neighbours import depth_range, neighbours_of
 from nw_eval.twin.reconstruct.kernels.smooth import smooth, winners

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.depth.view import WorkingView
 from nw_eval.twin.reconstruct.mesh_file import ColourMesh

@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.cameras.camera import Camera, look_at
+from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.reconstruct.depth.maps import DepthMap
 from nw_eval.twin.reconstruct.depth.view import WorkingView
 from nw_eval.twin.reconstruct.surface.extract import extract

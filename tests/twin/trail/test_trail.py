@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from nw_eval.built_in.entries.gaps import GAPS
-from nw_eval.built_in.entries.hurdles import HURDLES
-from nw_eval.built_in.entries.ramps import RAMPS
-from nw_eval.built_in.entries.stairs import STAIRS
+from nw_eval.built_in.gaps import GAPS
+from nw_eval.built_in.hurdles import HURDLES
+from nw_eval.built_in.ramps import RAMPS
+from nw_eval.built_in.stairs import STAIRS
 from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.twin.trail import propose_trail

@@ -30,6 +30,8 @@ class CheckedBaseline:
     """Why its policy was not looked at, where it is not here."""
     suite: str
     """The suite as it was asked for, or by its name."""
+    policy: str
+    """The bank's policy as it was asked for, or as the bank knows where it lies."""
 
     @property
     def exit_code(self) -> int:
@@ -83,4 +85,5 @@ def check_baseline(
         machine=() if has_panel else machine_changes(bank.panels[0].machine, place.machine),
         unchecked=unchecked,
         suite=wanted,
+        policy=policy or own.typed,
     )

@@ -142,7 +142,7 @@ def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
     gate = saved_suite(run).gate
     if capped := over_the_cap(rows, that_left(rows, gate), gate):
         raise IncomparableError(
-            f"run {run.id} makes no bank: {capped}", fix="photograph the places again"
+            f"run {run.id} makes no baseline: {capped}", fix="photograph the places again"
         )
 
 
@@ -157,7 +157,7 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     from nw_eval.results.bank.find import BANKS
 
     if fault := fault_of_name(name):
-        raise UsageError(f"a bank's name: {fault}", fix="give another with --name")
+        raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
     return (root or BANKS) / suite / (name + SUFFIX)
 
 

@@ -155,7 +155,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
         )
     if info.drawn_from is not None and rounds > info.drawn_from:
         raise UsageError(
-            f"--trials {rounds}: the run drew its starts from the {info.drawn_from} of a bank",
+            f"--trials {rounds}: the run drew its starts from the {info.drawn_from} of a baseline",
             fix=f"give at most {info.drawn_from}",
         )
     return rounds

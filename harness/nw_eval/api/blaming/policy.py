@@ -41,7 +41,7 @@ def baseline_bundle(
         bundle = load_bundle(find_card(policy or own.card or own.name), checkpoint=checkpoint)
         if (bundle.checkpoint_digest, bundle.digest) != (own.checkpoint_digest, own.card_digest):
             raise IncomparableError(
-                f"bank {bank.manifest.name} was saved with {own.name} "
+                f"baseline {bank.manifest.name} was saved with {own.name} "
                 f"({own.checkpoint_digest[:8]}), and {bundle.where} is another one "
                 f"({bundle.checkpoint_digest[:8]})",
                 fix="say where it lies with --policy and --checkpoint, or name the policy itself "

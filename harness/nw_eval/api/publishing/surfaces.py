@@ -1,7 +1,7 @@
 """Where a judged run is shown besides its report: JUnit, GitHub's runner, a comment, trackers.
 
-None of them is worth a verdict. Whatever keeps one from being written is a warning, and changes no
-exit code.
+Reporting never changes the verdict: whatever keeps one from being written is a warning, and
+changes no exit code.
 """
 
 from __future__ import annotations

@@ -108,8 +108,8 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(
-            f"{source} is no run's folder, and without a run no bank is known by its name",
-            fix="name the bank's file",
+            f"{source} is no run's folder, and without a run no baseline is known by its name",
+            fix="name the baseline's file",
         )
     try:
         path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
-    from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.scenes.finding import SceneFinding
     from nw_eval.suite import Draft
     from nw_eval.words import Collision
 
@@ -65,7 +65,7 @@ def open_scenes(
     from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
-    from nw_eval.survey.findings.of_trail import start_finding
+    from nw_eval.survey.trail import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []

@@ -149,6 +149,8 @@ def plan_of(
 def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
     """Return the plan of a bank's own policy from the starts that a candidate meets, in its order.
 
+    Of a part of a run it is that of the whole run.
+
     Args:
         plan: the candidate's.
         bundle: the bank's policy.
@@ -159,19 +161,24 @@ def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.suite import override
+    from nw_eval.suite import expand, override
 
     check_splats(bundle.card, plan.scenes)
     request = replace(
         plan.request, policy=bundle.reference, checkpoint=None, record="none", shard=None
     )
-    order = DrawnOrder(starts=plan.drawn_from, candidate=policy_info(plan.bundle).key)
+    policy, trials = policy_info(plan.bundle), plan.trials
+    if plan.shard is not None:
+        drawn = _drawn(plan.request, plan.suite, plan.scenes, policy, plan.against)
+        trials = expand(plan.suite, plan.scenes, drawn)
     return replace(
         plan,
         request=request,
         suite=override(plan.suite, Request(record="none")),
         bundle=bundle,
-        drawn=order,
+        trials=trials,
+        shard=None,
+        drawn=DrawnOrder(starts=plan.drawn_from, candidate=policy.key),
         is_baseline=False,
         arm="baseline",
     )
@@ -192,7 +199,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
     from nw_eval.gate.baseline.draw import draw_rounds
-    from nw_eval.results.provenance import recheck_key, rounds_key
+    from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
     assert plan.against is not None, "the policy of a bank has one"
@@ -205,7 +212,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
             strata,
             starts,
             plan.suite.trials,
-            candidate=key.removeprefix("rounds/"),
+            candidate=candidate_in(key),
             suite_digest=plan.suite.digest,
         )
         plan = replace(
@@ -221,7 +228,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         again = frozenset(name for names in drawn_names for name in names)
         return replace(plan, is_baseline=False, again=again)
     suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
-    check_rounds(against, suite.trials, suite.name)
+    check_rounds(against, suite.trials, suite, plan.request)
     key = recheck_key(seed)
     drawn = DrawnOrder(starts=starts, candidate=key)
     order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
@@ -269,7 +276,7 @@ def _drawn(
     order = {"candidate": policy.key, "suite_digest": suite.digest}
     if request.panel == "fresh":
         return draw_fresh(strata, suite.trials, **order)
-    check_rounds(against, suite.trials, suite.name)
+    check_rounds(against, suite.trials, suite, request)
     return draw_trials(strata, against.bank.manifest.starts, suite.trials, **order)
 
 

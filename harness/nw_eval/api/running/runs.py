@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.scenes.health.finding import SceneFinding
+    from nw_eval.scenes.finding import SceneFinding
 
 
 def run(
@@ -190,7 +190,7 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     The built-in ones are right.
     """
     from nw_eval.catalogue import is_built_in
-    from nw_eval.survey.findings.of_trail import trail_findings
+    from nw_eval.survey.trail import trail_findings
 
     for place in plan.found:
         if not is_built_in(place.reference):

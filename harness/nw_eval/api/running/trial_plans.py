@@ -112,7 +112,7 @@ def plan_trials(
             if png is not None:
                 raise UsageError(
                     "--png without a baseline: the curve is of drops against one",
-                    fix="name a bank with --baseline, or a run of the suite with --run",
+                    fix="name a baseline with --baseline, or a run of the suite with --run",
                 )
             return _of_bar(resolved, gate.success_rate)
     source, outset = (
@@ -209,7 +209,7 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
         file = find_bank(reference, suite=suite.name)
     bank = read_bank(file)
     manifest = bank.manifest
-    source = f"bank {manifest.name} of {manifest.policy.name}"
+    source = f"baseline {manifest.name} of {manifest.policy.name}"
     _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
     return source, outset_of_bank(bank.panels[0], suite.gate)
 
@@ -227,7 +227,7 @@ def _only_bank(suite: str) -> Path:
         return files[0]
     there = f"has {', '.join(sorted({file.stem for file in files}))}" if files else "has none"
     raise UsageError(
-        f"suite {suite!r} names no bank to plan with, and {there}",
+        f"suite {suite!r} names no baseline to plan with, and {there}",
         fix="name one with --baseline, or a run of the suite with --run",
     )
 

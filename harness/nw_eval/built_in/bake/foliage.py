@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from nw_eval.built_in.bake.materials import colour_of
+from nw_eval.built_in.bake.spots import Array, fractal, linear
 from nw_eval.built_in.bake.surfels import eye_distance, length
-from nw_eval.built_in.paint.noise import Array, fractal
-from nw_eval.built_in.paint.registry import colour_of
-from nw_eval.built_in.paint.spots import linear
 from nw_eval.built_in.places.parts import Crown, Lawn
 from nw_eval.scenes.scene import Vector
 

@@ -11,7 +11,7 @@ from nw_eval.plural import plural
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from nw_eval.viewing.recording.written import WrittenRecording
+    from nw_eval.viewing.recording.track import WrittenRecording
 
 
 def layout_lines(log: Path, layout: Path) -> str:

@@ -25,10 +25,10 @@ class Blame:
     run: tyro.conf.Positional[Path]
     """A run's folder, with its mcap/."""
     baseline: str
-    """Who takes over: the policy of a bank (its name or path), which must be the very one; or,
-    where the run's suite has no such bank, a policy (a bundle's name, folder or card)."""
+    """Who takes over: the policy of a baseline (its name or path), which must be the very one; or,
+    where the run's suite has no such baseline, a policy (a bundle's name, folder or card)."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the bank's policy lies, if not where the bank says."""
+    """Where the baseline's policy lies, if not where the baseline says."""
     checkpoint: Path | None = None
     """Weights in place of those that its card names."""
     at_most: int = 10

@@ -31,7 +31,7 @@ class Run(Publishing, Options):
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
     ledger: Path | None = None
-    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
     in_process: bool = False
     """Run trials in this very process, one after another, so that `breakpoint()` works.
     For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""

@@ -52,7 +52,7 @@ class ViewTrials:
     def __call__(self) -> int:
         from nw_eval.results.moment_link import PORT
         from nw_eval.view.sources import kind_of
-        from nw_eval.viewing.browser.library import check_server, free_port
+        from nw_eval.viewing.browser import check_server, free_port
 
         port = free_port(PORT) if self.port is None else self.port
         check_server(port)

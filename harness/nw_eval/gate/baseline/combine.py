@@ -117,9 +117,11 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
         comparison: of the same rows with the baseline.
     """
     word = _word(verdict.verdict, comparison.word)
-    reasons = (*comparison.reasons, *verdict.reasons)
+    # More trials are of no use once the bar has convicted.
+    more = (comparison.more,) if comparison.more and word == "INCONCLUSIVE" else ()
+    reasons = (*comparison.reasons, *more, *verdict.reasons)
     if verdict.verdict == word != comparison.word:
-        reasons = (*verdict.reasons, *comparison.reasons)
+        reasons = (*verdict.reasons, *comparison.reasons, *more)
     # Where too many trials left the captured volume, both say so.
     once = tuple(dict.fromkeys(reasons))
     return replace(verdict, verdict=word, reasons=once, against=comparison)

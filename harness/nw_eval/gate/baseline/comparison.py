@@ -64,8 +64,9 @@ class SceneDrop:
     scene: str
     perturbation: Settings = ()
     tier: Tier
-    baseline: float
-    """B_s, mean success over all starts of the bank."""
+    baseline: float | None
+    """B_s, mean success over all starts of the bank. Beside a control it is that of the control's
+    trials which were judged: None without any, since the bank's scores are not compared with."""
     candidate: float | None
     """Mean success over the trials judged; None without any."""
     trials: int
@@ -96,7 +97,9 @@ class SceneDrop:
     @property
     def drop(self) -> float | None:
         """How much less the candidate scored; None without a trial."""
-        return None if self.candidate is None else self.baseline - self.candidate
+        if self.candidate is None or self.baseline is None:
+            return None
+        return self.baseline - self.candidate
 
     @property
     def name(self) -> str:
@@ -125,7 +128,8 @@ class Comparison:
     starts: int
     """M."""
     baseline: float
-    """B."""
+    """B, of the scenes that count. Beside a control it is that of the pairs of trials that bear on
+    the drop, and the bank's while there are none."""
     drop: float | None
     """Estimate of the drop; None without a trial."""
     interval: Interval | None
@@ -143,6 +147,8 @@ class Comparison:
     alpha_regr: float
     scenes: tuple[SceneDrop, ...]
     reasons: tuple[str, ...]
+    more: str | None = None
+    """About how many more trials would settle it, where that was simulated."""
     left_aside: int = 0
     """Scenes of the bank that the run was not asked for."""
     control: int = 0

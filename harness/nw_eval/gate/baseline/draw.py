@@ -28,7 +28,8 @@ def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[Dr
     Raises:
         IncomparableError: it was drawn in another way, by an older nw-eval.
     """
-    if run.run < 2 and run.drawn_from is not None:
+    # Of fresh starts no bank drew any, and yet the first ones of each scene were judged.
+    if run.run < 2 and (run.drawn_from is not None or run.baseline is not None):
         raise IncomparableError(
             f"run {run.id} was drawn round by round by an older nw-eval, and this one judges trial "
             "by trial",

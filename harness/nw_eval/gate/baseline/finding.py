@@ -57,6 +57,8 @@ class Finding:
     """Whether the mean itself regressed significantly."""
     drop: float | None = None
     """Estimate of the drop; None without a trial."""
+    control: float | None = None
+    """Mean success of the control in the pairs that `drop` is of; None without a control."""
     interval: Interval | None = None
     """Drops that are not ruled out; None where nothing was tested."""
     alone: Mapping[Stratum, Interval] = field(default_factory=dict)
@@ -178,6 +180,7 @@ def find(
         waits_for=tuple(judged[index] for index in ruling.waits_for),
         mean_convicts=bool((regressed >= 1.0 / rules.alpha_regr).any()),
         drop=_drop(bank, mean),
+        control=_control(mean) if bank.paired else None,
         interval=drop_interval_after(bank, mean, **alphas) if alone else None,
         alone=dict(zip(judged, scene_drop_intervals(bank, seen, **alphas), strict=True))
         if alone and used
@@ -194,3 +197,9 @@ def _drop(bank: Bank, trials: DrawnTrials) -> float | None:
     known = bank.means[trials.scenes] if not bank.paired else trials.baseline
     drops = (known - trials.candidate)[~np.isnan(known - trials.candidate)]
     return float(drops.mean()) if drops.size else None
+
+
+def _control(trials: DrawnTrials) -> float | None:
+    """Return the control's mean success in the pairs of which both trials have a result."""
+    known = trials.baseline[~np.isnan(trials.baseline - trials.candidate)]
+    return float(known.mean()) if known.size else None

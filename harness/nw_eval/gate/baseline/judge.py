@@ -73,10 +73,11 @@ class ComparisonSetup:
             rounds = budget_of(self.run)
             most = max(rounds, min(_FURTHER * rounds, self.bank.manifest.starts))
             order = drawn_order(self.run, self.strata, most)
-        control = None
+        control, left = None, frozenset[str]()
         if self.basis == "control" and self.against.control is not None:
             beside = self.against.control
             control = by_place(beside.rows, beside.run, order, "baseline")
+            left = that_left(beside.rows, self.gate)
         elif self.basis == "control":
             control = [None] * len(order)
         return Met(
@@ -84,6 +85,7 @@ class ComparisonSetup:
             rows=by_place(rows, self.run, order),
             control=control,
             left=that_left(rows, self.gate),
+            control_left=left,
         )
 
     def find(self, met: Met, *, alone: bool = False) -> Finding:
@@ -176,7 +178,7 @@ def compare(
         trials=len(finding.used),
         budget=len(met.places(setup.judged)),
         starts=setup.bank.manifest.starts,
-        baseline=_mean([item.baseline for item in scenes if item.counts]),
+        baseline=_level(finding, panel, setup.judged),
         drop=finding.drop,
         interval=finding.interval,
         mean_convicts=finding.mean_convicts,
@@ -202,10 +204,11 @@ def compare(
     if foresee and basis != "same":
         simulated = foresight(comparison, setup.met(rows, further=True), setup.judged, panel, gate)
     more = None if capped else simulated and simulated.more
-    reasons = in_words(comparison, finding, more)
+    reasons = in_words(comparison, finding)
     return replace(
         comparison,
         reasons=(capped, *reasons) if capped else reasons,
+        more=more,
         curve=simulated.curve if simulated else None,
     )
 
@@ -225,12 +228,16 @@ def _scene(
 ) -> SceneDrop:
     scores = met.scores(stratum, used)
     known = scores[~np.isnan(scores)]
-    beside = [score(row) or 0.0 for row in met.beside(stratum, used)]
+    if met.control is None:
+        baseline = float(scores_of(panel, stratum).mean())
+    else:
+        beside = [score(row) or 0.0 for row in met.beside(stratum, used)]
+        baseline = float(np.mean(beside)) if beside else None
     return SceneDrop(
         scene=stratum[0],
         perturbation=stratum[1],
         tier=gate.tier(stratum[0]),
-        baseline=_mean(beside) if beside else float(scores_of(panel, stratum).mean()),
+        baseline=baseline,
         candidate=float(known.mean()) if known.size else None,
         trials=known.size,
         evidence=finding.evidence.get(stratum, 1.0),
@@ -241,5 +248,8 @@ def _scene(
     )
 
 
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values))
+def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
+    """Return the baseline's mean success: the control's, where one was compared with."""
+    if finding.control is not None:
+        return finding.control
+    return float(np.mean([scores_of(panel, stratum).mean() for stratum in judged]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import isnan, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class Met:
     """Of the baseline's policy from the same starts, where it runs beside the candidate."""
     left: frozenset[str] = frozenset()
     """Trials that left the captured volume (`gate.validity`): nothing is known of their starts."""
+    control_left: frozenset[str] = frozenset()
+    """Those of the control's. Each arm's trials have the same ids, and only one may have left."""
 
     def places(self, judged: Sequence[Stratum]) -> Places:
         """Return the places of the trials of some strata, in order, shape (T,)."""
@@ -52,7 +54,9 @@ class Met:
     ) -> DrawnTrials:
         """Return the trials of some strata as numbers, shape (T,).
 
-        A trial without a result, or that left the captured volume, is NaN.
+        A trial without a result, or that left the captured volume, is NaN; what the other arm did
+        from the same start is not: the unknown side of a pair counts as whatever is worst beside
+        what is known of the other, and a pair would promise less if both sides were unknown.
 
         Args:
             judged: the strata.
@@ -63,7 +67,7 @@ class Met:
         number = {stratum: index for index, stratum in enumerate(judged)}
         strata = [(self.order[place][0], self.order[place][1]) for place in places]
         if self.control is not None:
-            baseline = [self._score(self.control[place]) for place in places]
+            baseline = [self._score_beside(place) for place in places]
         elif isinstance(known, Panel):
             panels = {stratum: scores_of(known, stratum) for stratum in judged}
             baseline = [
@@ -79,9 +83,13 @@ class Met:
         )
 
     def scores(self, stratum: Stratum, places: Collection[int]) -> Floats:
-        """Return c of the trials of a stratum among some places, NaN without a result."""
+        """Return c of the trials of a stratum among some places, NaN without a result.
+
+        Beside a control means are of whole pairs, as the drop is: if the starts from which the
+        candidate left counted for the control alone, means would be of other starts on each side.
+        """
         found = [
-            self._score(self.rows[place])
+            self._score(self.rows[place]) if self._is_whole(place) else nan
             for place in sorted(places)
             if self.order[place][:2] == stratum
         ]
@@ -89,19 +97,27 @@ class Met:
 
     def of(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
         """Return the rows of a stratum among some places that have a result which counts."""
-        found = (self.rows[place] for place in sorted(places) if self.order[place][:2] == stratum)
-        return [row for row in found if row is not None and self.counts(row)]
+        return self._whole(self.rows, stratum, places)
 
     def beside(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
-        """Return the control's rows of a stratum among some places that have a result."""
-        if (rows := self.control) is None:
-            return []
-        found = (rows[place] for place in sorted(places) if self.order[place][:2] == stratum)
-        return [row for row in found if row is not None and row.status == "ok"]
+        """Return the control's rows of a stratum among some places, of pairs that count."""
+        return [] if self.control is None else self._whole(self.control, stratum, places)
 
-    def counts(self, row: Row) -> bool:
-        """Return whether a trial has a result, and one that counts."""
-        return row.status == "ok" and row.trial_id not in self.left
+    def _whole(
+        self, rows: Sequence[Row | None], stratum: Stratum, places: Collection[int]
+    ) -> list[Row]:
+        found = (place for place in sorted(places) if self.order[place][:2] == stratum)
+        return [row for place in found if self._is_whole(place) and (row := rows[place])]
+
+    def _is_whole(self, place: int) -> bool:
+        """Return whether a trial has a result that counts, and its control's has one, too."""
+        known = not isnan(self._score(self.rows[place]))
+        return known and (self.control is None or not isnan(self._score_beside(place)))
+
+    def _score_beside(self, place: int) -> float:
+        row = None if self.control is None else self.control[place]
+        counted = None if row is None or row.trial_id in self.control_left else score(row)
+        return nan if counted is None else counted
 
     def _score(self, row: Row | None) -> float:
         counted = None if row is None or row.trial_id in self.left else score(row)

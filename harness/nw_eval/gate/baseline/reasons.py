@@ -7,17 +7,18 @@ from collections.abc import Iterable, Sequence
 from nw_eval.gate.baseline.comparison import Comparison, SceneDrop, percent_sure
 from nw_eval.gate.baseline.finding import Finding
 from nw_eval.plural import plural
+from nw_eval.stats.bank import CRITICAL_TRIALS, SUSPECT
 
+_NONE_LEFT = "this run has no trial of these scenes left"
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
-def in_words(found: Comparison, finding: Finding, more: str | None) -> tuple[str, ...]:
+def in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
     """Return why a comparison says what it says, and of what it speaks: the main reason first.
 
     Args:
         found: the comparison.
         finding: what it rests on.
-        more: about how many more trials would settle it, where that was simulated.
     """
     if found.basis == "same":
         again = found.again
@@ -31,7 +32,6 @@ def in_words(found: Comparison, finding: Finding, more: str | None) -> tuple[str
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
         *_largest(found),
         *_waiting(found, finding),
-        *((more,) if more else ()),
         *_limits(found),
     )
 
@@ -47,6 +47,8 @@ def _mean(found: Comparison) -> str:
     at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
     if found.word == "PASS":
         worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
+        if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
+            worst = f"less than {found.max_drop:g} worse"
         return (
             f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
             f"{found.max_drop:g} is excluded"
@@ -56,7 +58,11 @@ def _mean(found: Comparison) -> str:
     )
     if found.mean_convicts:
         return f"mean success regressed from {name}: {span} worse {in_trials}"
-    drop = f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}, {span}"
+    change = f"dropped by {found.drop:z.3f} from {name}"
+    if found.drop < 0.0:
+        change = f"rose by {-found.drop:.3f} from {name}"
+        span = f"which leaves a drop of {span}"
+    drop = f"mean success {change} {in_trials}, {span}"
     if drops.high < found.max_drop:
         return f"{drop}: a drop of {found.max_drop:g} is excluded"
     return (
@@ -98,12 +104,20 @@ def _change(item: SceneDrop) -> str:
 
 
 def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
-    suspect = [item.name for item in found.scenes if item.stratum in finding.waits_for]
+    waited = [item for item in found.scenes if item.stratum in finding.waits_for]
+    suspect = [item.name for item in waited if item.evidence >= SUSPECT]
+    critical = [item.name for item in waited if item.evidence < SUSPECT]
     if suspect:
+        which = "it" if len(suspect) == 1 else "they"
+        held = f"the mean passes; PASS is held back by {_listed(suspect)}"
+        yield f"{held}: {which} may have regressed"
+    if critical:
         yield (
-            f"the mean passes; PASS is held back by {_listed(suspect)}: it may have regressed, or "
-            "is critical and has had too few trials"
+            f"the mean passes; PASS is held back by {_listed(critical)}: a critical scene needs "
+            f"{CRITICAL_TRIALS} trials"
         )
+    if waited and not finding.ahead:
+        yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
 
 
 def _limits(found: Comparison) -> Iterable[str]:
@@ -119,6 +133,12 @@ def _limits(found: Comparison) -> Iterable[str]:
             f"{found.policy} ran beside the candidate from the same starts "
             f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
             "saved here saves these trials"
+        )
+    unmet = [item.name for item in found.scenes if item.counts and not item.trials]
+    if found.word == "PASS" and unmet:
+        yield (
+            f"PASS is on the mean: no trial met {_listed(unmet)}; "
+            f"a critical scene is met by {CRITICAL_TRIALS} before a PASS (gate.tiers)"
         )
     if found.left_aside:
         left_aside = plural(found.left_aside, "scene")

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from nw_eval.cards.model import Rate
-from nw_eval.learn.program.config import ConfigModel, TrainingConfig
+from nw_eval.learn.config import ConfigModel, TrainingConfig
 from nw_eval.suite.digest import digest_of
 
 NOTHING = "nothing"

@@ -1,20 +1,39 @@
-"""The student's network: ACT (arXiv 2304.13705) as the adapter `act` runs it, for many at a time.
+"""The student's network, and the network as a policy folder: one ONNX file and its card.
 
-The latent variable, which the paper needs because people demonstrate in many ways, is left at zero
-for good: one teacher answers one way.
+It is ACT (arXiv 2304.13705) as the adapter `act` runs it, for many at a time. The latent variable,
+which the paper needs because people demonstrate in many ways, is left at zero for good: one teacher
+answers one way.
+
+Temporal ensembling is inside the ONNX graph, as recurrent state. Its weights exp(-m i), i = 0 for
+the oldest prediction, are to each other as exp(m age): so sums over all predictions so far are
+enough, which grow by exp(m) with each step that they age.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+import io
+import math
+import warnings
+from copy import deepcopy
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor, nn
 
+from nw_eval.built_in.entries import parted
+from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.catalogue import is_meant, names
+from nw_eval.errors import PrerequisiteError
+from nw_eval.files.cache import atomic_path
+from nw_eval.learn.student.card import NETWORK_FILE, card_text, student_card
 from nw_eval.policies.networks.act import Act, ActSizes, DecoderLayer, image_places
 
 if TYPE_CHECKING:
-    from nw_eval.learn.student.config import NetworkSizes, Sees
+    from pathlib import Path
+
+    from nw_eval.cards import Card
+    from nw_eval.learn.student.config import NetworkSizes, Sees, StudentConfig
 
 JOINTS = 12
 COLOURS = 3
@@ -23,6 +42,9 @@ _KERNELS = (5, 3)
 """Of the first convolution, and of the others."""
 _FARTHEST = 8.0
 """Standard deviations from the mean beyond which a number of the body says no more."""
+
+_OPSET = 17
+_BYTE = 255.0
 
 
 class StudentNetwork(nn.Module):
@@ -44,7 +66,7 @@ class StudentNetwork(nn.Module):
             proprio: numbers of the body.
         """
         super().__init__()
-        channels = image_channels(sees)
+        channels = _image_channels(sees)
         self.act = Act(_sizes(sizes, channels=channels, proprio=proprio))
         self.register_buffer("mean_image", torch.zeros(channels, sees.height, sees.width))
         for moments in (self.act.normalize.proprio, self.act.normalize.action):
@@ -100,7 +122,7 @@ class StudentNetwork(nn.Module):
         return chunks * moments.std + moments.mean
 
 
-def image_channels(sees: Sees) -> int:
+def _image_channels(sees: Sees) -> int:
     """Return the channels of all images that a student is given at a time."""
     return sees.frames * (COLOURS * sees.rgb + sees.depth)
 
@@ -127,3 +149,131 @@ def _sizes(sizes: NetworkSizes, *, channels: int, proprio: int) -> ActSizes:
         backbone=backbone,
         normalized=True,
     )
+
+
+def write_policy(
+    folder: Path,
+    network: StudentNetwork,
+    config: StudentConfig,
+    teacher: Card,
+    *,
+    is_blind: bool = False,
+) -> None:
+    """Write a student as a policy folder; both files appear whole, the card last.
+
+    Args:
+        folder: of the policy.
+        network: trained.
+        config: of the training.
+        teacher: the teacher's card.
+        is_blind: whether it is the network that has the mean image for good, to be compared with
+            the one that sees.
+
+    Raises:
+        PrerequisiteError: as `graph_of`.
+        StoreError: it cannot be written.
+    """
+    graph = graph_of(network, config, is_blind=is_blind)
+    name = f"{config.name}-frozen" if is_blind else config.name
+    digest = sha256(graph).hexdigest()
+    card = student_card(
+        name,
+        config.sees,
+        teacher,
+        sha256=digest,
+        is_blind=is_blind,
+        trained_on=[each for each in config.scenes if _means_built_in(each)],
+    )
+    with atomic_path(folder / NETWORK_FILE) as temporary:
+        temporary.write_bytes(graph)
+    with atomic_path(folder / CARD_FILE) as temporary:
+        temporary.write_text(card_text(card), encoding="utf-8")
+
+
+def _means_built_in(pattern: str) -> bool:
+    """Whether a training's scenes are built-in ones: paths of others are no matter of a card."""
+    return any(is_meant(name, parted(pattern)[0]) for name in names())
+
+
+def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool = False) -> bytes:
+    """Return a network as an ONNX file.
+
+    Raises:
+        PrerequisiteError: the package `onnx`, which torch exports with, is not installed.
+    """
+    acting = _Acting(deepcopy(network).cpu().eval(), config, is_blind=is_blind)
+    inputs = acting.example(config)
+    file: Any = io.BytesIO()  # Its type is said too narrowly there: a file's path.
+    with warnings.catch_warnings(), torch.inference_mode():
+        # Sizes are constant here on purpose, and the exporter that takes no other package is old.
+        warnings.simplefilter("ignore")
+        try:
+            torch.onnx.export(
+                acting,
+                tuple(inputs.values()),
+                file,
+                dynamo=False,
+                opset_version=_OPSET,
+                input_names=list(inputs),
+                output_names=["action", "sums_out"],
+            )
+        except torch.onnx.OnnxExporterError as error:
+            raise PrerequisiteError(
+                f"a student cannot be exported: {error}", fix="pip install nw-eval[train]"
+            ) from None
+    return file.getvalue()
+
+
+class _Acting(nn.Module):
+    """The network in one trial: from what the card gives to an action, step by step.
+
+    Args:
+        network: trained.
+        config: of the training.
+        is_blind: whether the mean image stands for all that would be seen.
+    """
+
+    def __init__(self, network: StudentNetwork, config: StudentConfig, *, is_blind: bool) -> None:
+        super().__init__()
+        self._network = network
+        self._eyes = () if is_blind else config.sees.cameras
+        self._growth = math.exp(config.network.ensemble)
+
+    def forward(self, proprio: Tensor, *rest: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the action, (1, 12), and the sums of predictions, (1, chunk, 13).
+
+        Args:
+            proprio: (1, proprio).
+            rest: the images of the card, (1, channels, rows, columns) each, rgb as bytes; then the
+                sums of the step before, zeros at first: predictions for this step and the next
+                ones, times their weights, and the weights.
+        """
+        *images, sums = rest
+        network = self._network
+        if images:
+            seen = torch.cat([as_numbers(image) for image in images], dim=1)
+        else:
+            seen = network.mean_image[None]
+        none = torch.zeros(1, dtype=torch.long)
+        chunk = network.actions(network(proprio, seen, none))
+        new = torch.cat([chunk, torch.ones_like(chunk[..., :1])], dim=2)
+        older = torch.cat([sums[:, 1:], torch.zeros_like(sums[:, :1])], dim=1)
+        total = new + self._growth * older
+        return total[:, 0, :JOINTS] / total[:, 0, JOINTS:], total
+
+    def example(self, config: StudentConfig) -> dict[str, Tensor]:
+        """Return inputs of the right shapes, by name."""
+        sees, sizes = config.sees, self._network.act.sizes
+        inputs = {"proprio": torch.zeros(1, sizes.proprio)}
+        size = (sees.height, sees.width)
+        for eye in self._eyes:
+            is_colour = eye == "rgb"
+            channels = sees.frames * (COLOURS if is_colour else 1)
+            kind = torch.uint8 if is_colour else torch.float32
+            inputs[eye] = torch.zeros(1, channels, *size, dtype=kind)
+        return inputs | {"sums_in": torch.zeros(1, sizes.chunk, JOINTS + 1)}
+
+
+def as_numbers(image: Tensor) -> Tensor:
+    """Return an image from 0 to 1: bytes are shares of 255, other numbers are so already."""
+    return image.to(torch.float32) / _BYTE if image.dtype == torch.uint8 else image

@@ -6,21 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.cards.file.load import card_of
 from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.learn.program.config import load_config
-from nw_eval.learn.program.curve import Curve
-from nw_eval.learn.program.device import device_of, one_thread
-from nw_eval.learn.program.folder import TrainFolder
-from nw_eval.learn.program.keeper import Keeper
-from nw_eval.learn.program.progress import TrainingProgress
-from nw_eval.learn.program.trained import Trained
+from nw_eval.learn.config import device_of, load_config, one_thread
+from nw_eval.learn.curve import Curve
+from nw_eval.learn.folder import TrainFolder
+from nw_eval.learn.progress import Keeper, Trained, TrainingProgress
 from nw_eval.learn.student.card import BODY, check_teacher, student_card
-from nw_eval.learn.student.collect.driving import Driving
-from nw_eval.learn.student.collect.round import Round, plan_round
 from nw_eval.learn.student.config import NOTHING, StudentConfig
-from nw_eval.learn.student.data.dataset import Dataset
-from nw_eval.learn.student.export import write_policy
+from nw_eval.learn.student.dataset import Dataset
+from nw_eval.learn.student.driving import Driving, Round, make_ready, plan_round, training_scenes
 from nw_eval.learn.student.fit import Learner
-from nw_eval.learn.student.places import make_ready, training_scenes
+from nw_eval.learn.student.network import write_policy
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.vetting import vet_bundle
 from nw_eval.sensors import check_card

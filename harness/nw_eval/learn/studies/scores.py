@@ -1,4 +1,7 @@
-"""From trials to numbers: mean success with its interval, alone and on the same starts."""
+"""From trials to numbers: mean success with its interval, alone and on the same starts.
+
+The numbers of a study's figure are written as Parquet for programs and as Markdown for people.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,33 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
+from nw_eval.plural import plural
+from nw_eval.reporting.markdown import escaped, markdown_table, write_report
+from nw_eval.results.tables.sealed import write_table
 from nw_eval.stats import Estimate, mean_of_scenes
 from nw_eval.stats.interval import Interval
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from nw_eval.reporting.tables import Table
+
+_SCHEMA = pa.schema(
+    [
+        ("student", pa.string()),
+        ("round", pa.int64()),
+        ("group", pa.string()),
+        ("against", pa.string()),
+        ("trials", pa.int64()),
+        ("errors", pa.int64()),
+        ("success", pa.float64()),
+        ("low", pa.float64()),
+        ("high", pa.float64()),
+    ]
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,3 +134,52 @@ def _by_scene(values: Iterable[tuple[str, float]]) -> list[np.ndarray]:
     for scene, value in values:
         groups.setdefault(scene, []).append(value)
     return [np.array(groups[scene]) for scene in sorted(groups)]
+
+
+def write_scores(path: Path, scores: Sequence[Score]) -> None:
+    """Write scores as Parquet, a row each; `success`, `low` and `high` are null without results.
+
+    With `against` they are of differences on the same starts.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    rows = [
+        {
+            "student": each.student,
+            "round": each.round,
+            "group": each.group,
+            "against": each.against,
+            "trials": 0 if each.estimate is None else each.estimate.n,
+            "errors": each.errors,
+            "success": None if each.estimate is None else each.estimate.mean,
+            "low": None if each.estimate is None else each.estimate.interval.low,
+            "high": None if each.estimate is None else each.estimate.interval.high,
+        }
+        for each in scores
+    ]
+    write_table(path, pa.Table.from_pylist(rows, schema=_SCHEMA), {})
+
+
+def write_page(path: Path, tables: Sequence[Table]) -> None:
+    """Write tables as a page of Markdown, the first one's title on top.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    parts: list[str] = []
+    for level, table in enumerate(tables):
+        parts += [f"{'##' if level else '#'} {escaped(table.title)}", markdown_table(table)]
+        parts += [escaped(table.note)] if table.note else []
+    write_report(path, "\n\n".join(parts) + "\n")
+
+
+def cell(score: Score | None) -> str:
+    """Return a score as a cell: its value, its interval, its trials."""
+    if score is None or score.estimate is None:
+        return "none" if score is not None and score.errors else ""
+    found = score.estimate
+    sign = "+z" if score.against else ""
+    low, high = found.interval
+    text = f"{found.mean:{sign}.2f} ({low:{sign}.2f} to {high:{sign}.2f}), {found.n}"
+    return f"{text}, {plural(score.errors, 'error')}" if score.errors else text

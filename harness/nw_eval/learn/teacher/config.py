@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import names
 from nw_eval.errors import nearest
-from nw_eval.learn.program.config import ConfigModel, TrainingConfig
+from nw_eval.learn.config import ConfigModel, TrainingConfig
 
 Ground = Literal["hurdles", "gaps", "ramps", "stairs", "flat"]
 """What a course asks for; `flat` asks for turns alone."""
@@ -132,7 +132,7 @@ class CourseSettings(ConfigModel):
 
 
 class RewardWeights(ConfigModel):
-    """Rewards a second, each times what it names; see `world/rewards.py`."""
+    """Rewards a second, each times what it names; see `episodes.rewards`."""
 
     progress: Weight = 1.5
     heading: Weight = 0.5

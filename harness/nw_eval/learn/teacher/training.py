@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 
 from nw_eval.errors import StoreError
-from nw_eval.learn.program.config import load_config
-from nw_eval.learn.program.curve import Curve
-from nw_eval.learn.program.device import device_of, one_thread
-from nw_eval.learn.program.folder import TrainFolder
-from nw_eval.learn.program.keeper import Keeper
-from nw_eval.learn.program.progress import TrainingProgress
-from nw_eval.learn.program.trained import Trained
+from nw_eval.learn.config import device_of, load_config, one_thread
+from nw_eval.learn.curve import Curve
+from nw_eval.learn.folder import TrainFolder
+from nw_eval.learn.progress import Keeper, Trained, TrainingProgress
 from nw_eval.learn.teacher.config import TeacherConfig
-from nw_eval.learn.teacher.courses.lanes import Lanes
-from nw_eval.learn.teacher.courses.robot import training_robot
-from nw_eval.learn.teacher.export import export_teacher
-from nw_eval.learn.teacher.ppo.learner import PpoLearner
-from nw_eval.learn.teacher.ppo.networks import Actor, Critic, normalise
-from nw_eval.learn.teacher.ppo.samples import Collected, SampleCollector, Samples
-from nw_eval.learn.teacher.start import Beginning, begin, load_network
-from nw_eval.learn.teacher.trees import as_arrays, as_tensors
-from nw_eval.learn.teacher.world.curriculum import Curriculum
-from nw_eval.learn.teacher.world.episodes import Episodes, Sights
+from nw_eval.learn.teacher.curriculum import Curriculum
+from nw_eval.learn.teacher.episodes import Episodes, Sights
+from nw_eval.learn.teacher.lanes import Lanes
+from nw_eval.learn.teacher.networks import Actor, Critic, normalise
+from nw_eval.learn.teacher.policy import Beginning, begin, export_teacher, load_network
+from nw_eval.learn.teacher.ppo import Collected, PpoLearner, SampleCollector, Samples
+from nw_eval.learn.teacher.simulation import training_robot
 from nw_eval.robots import get_robot
 
 Say = Callable[[str], None]
@@ -229,7 +223,7 @@ class _Training:
 
     def state(self) -> dict[str, Any]:
         """Return everything to go on with."""
-        return as_tensors({
+        return _as_tensors({
             "config": self._config.digest,
             "step": self._step,
             "collected": self._collected,
@@ -250,18 +244,18 @@ class _Training:
     def _restore(self, state: dict[str, Any]) -> None:
         for network, name in ((self._actor, "actor"), (self._critic, "critic")):
             load_network(network, state, name, self._folder.state)
-        self._build(generations=as_arrays(state["generations"]))
+        self._build(generations=_as_arrays(state["generations"]))
         self._step, self._collected = int(state["step"]), int(state["collected"])
         self._learner.restore(state["learner"])
-        for name, array in as_arrays(state["curriculum"]).items():
+        for name, array in _as_arrays(state["curriculum"]).items():
             setattr(self._curriculum, name, array)
         config = self._config
         phase = config.phases[config.phase_at(max(self._collected - 1, 0))]
         levels, tasks = self._curriculum.levels, self._curriculum.tasks
         self._curriculum.begin(phase)
         self._curriculum.levels, self._curriculum.tasks = levels, tasks
-        self._episodes.restore(as_arrays(state["episodes"]), phase)
-        self._collector.seen = Sights(**as_arrays(state["seen"]))
+        self._episodes.restore(_as_arrays(state["episodes"]), phase)
+        self._collector.seen = Sights(**_as_arrays(state["seen"]))
         self._pending = Collected(samples=Samples(**state["pending"]), figures=state["figures"])
         self._rng.bit_generator.state = state["rng"]
         self._noise.set_state(state["noise"])
@@ -286,3 +280,19 @@ def _headlines(figures: dict[str, float]) -> dict[str, float]:
         f"level {name.partition('/')[2]}": v for name, v in figures.items() if name[:6] == "level/"
     }
     return {"scenes": figures["scenes/mean"], **levels} if "scenes/mean" in figures else levels
+
+
+def _as_tensors(tree: Any) -> Any:
+    """Return nested mappings with every array as a tensor of its own memory."""
+    if isinstance(tree, Mapping):
+        mapping = cast("Mapping[str, Any]", tree)
+        return {key: _as_tensors(value) for key, value in mapping.items()}
+    return torch.from_numpy(tree.copy()) if isinstance(tree, np.ndarray) else tree
+
+
+def _as_arrays(tree: Any) -> Any:
+    """Return nested mappings with every tensor as an array of its own memory."""
+    if isinstance(tree, Mapping):
+        mapping = cast("Mapping[str, Any]", tree)
+        return {key: _as_arrays(value) for key, value in mapping.items()}
+    return tree.numpy().copy() if isinstance(tree, torch.Tensor) else tree

@@ -37,7 +37,7 @@ def run_annotations(run: RunInfo, verdict: Verdict, lines: SuiteLines | None) ->
     for state in worst_first(scene_states(verdict)):
         if state.state in {"failed", "error", "weak"}:
             line = None if lines is None else lines.scenes.get(state.scene, lines.gate)
-            title = f"{_TITLES[state.state]}: {state.scene}"
+            title = f"{_title(state)}: {state.scene}"
             shown.append(_at(lines, line, _level(state), title, state.sentence))
     return tuple(shown[:MOST])
 
@@ -68,7 +68,11 @@ def _of_problems(problems: Iterable[Problem], root: Path) -> Iterable[str]:
         )
 
 
-_TITLES = {"failed": "regressed", "error": "incomplete", "weak": "weak"}
+def _title(state: SceneState) -> str:
+    """Return what is wrong with a scene; one below the bar did not regress from a baseline."""
+    if state.state == "error":
+        return "incomplete"
+    return "regressed" if any(item.named for item in state.drops) else "below the bar"
 
 
 def _level(state: SceneState) -> str:

@@ -50,7 +50,7 @@ def render_html(
     pictures, pictures_left_out = pictures_that_fit(evidence)
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
-    word, *parts = headline_parts(verdict, run)
+    word, *parts = headline_parts(verdict, run, intervals=False)
     return render(
         "report.html.j2",
         run=run,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop, percent_sure
+from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Bar, Table, per, span
+from nw_eval.reporting.tables.table import Bar, Table, bounds_header, span, uncorrected
 from nw_eval.stats import Interval
 from nw_eval.stats.bank import SUSPECT
 
@@ -37,12 +37,17 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
             "from waypoint",
         ),
         rows=tuple(_line(item, tiers=tiers, alone=alone) for item in items),
-        numbers=frozenset({"trials", "baseline", "candidate", "drop", "evidence", "from waypoint"}),
+        numbers=frozenset(
+            {
+                *("trials", "baseline", "candidate", "drop", "evidence", "from waypoint"),
+                *(() if found is None else (_alone(found),)),
+            }
+        ),
         note="" if found is None else _note(found),
         marked="baseline",
         bars=tuple(
             None
-            if item.candidate is None
+            if item.candidate is None or item.baseline is None
             else Bar(value=item.candidate, mark=item.baseline, interval=_left(item), change=True)
             for item in items
         ),
@@ -51,7 +56,7 @@ def baseline_table(found: Comparison | None, *, brief: bool = False) -> Table:
 
 def _alone(found: Comparison) -> str:
     """Return the header of the intervals of drops."""
-    return per("scene", found.alpha_regr, found.alpha_pass)
+    return bounds_header(found.alpha_regr, found.alpha_pass)
 
 
 def _order(item: SceneDrop) -> tuple[bool, float, float, str]:
@@ -63,7 +68,7 @@ def _line(item: SceneDrop, *, tiers: bool, alone: bool) -> tuple[str, ...]:
         item.name,
         *((item.tier,) if tiers else ()),
         str(item.trials),
-        f"{item.baseline:.3f}",
+        "none" if item.baseline is None else f"{item.baseline:.3f}",
         "none" if item.candidate is None else f"{item.candidate:.3f}",
         "" if item.drop is None else f"{item.drop:z.3f}",
         *((_interval(item),) if alone else ()),
@@ -79,7 +84,7 @@ def _interval(item: SceneDrop) -> str:
 
 def _left(item: SceneDrop) -> Interval | None:
     """Return the candidate's success that the trials of the scene leave possible."""
-    if item.interval is None:
+    if item.interval is None or item.baseline is None:
         return None
     low, high = (item.baseline - drop for drop in reversed(item.interval))
     return Interval(max(0.0, low), min(1.0, high))
@@ -100,10 +105,7 @@ def _note(found: Comparison) -> str:
     )
     if found.basis == "same":
         return means
-    alone = (
-        f"Per-scene interval ({percent_sure(found.alpha_regr)} lower, "
-        f"{percent_sure(found.alpha_pass)} upper), not corrected for the number of scenes. "
-    )
+    alone = f"{uncorrected('scene', _alone(found))} "
     return (
         f"{means} {alone if any(item.interval for item in found.scenes) else ''}"
         f"Evidence is against a drop of at most {found.scene_drop:g} in that scene. Evidence >= "

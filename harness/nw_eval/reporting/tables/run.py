@@ -63,7 +63,8 @@ def provenance_table(run: RunInfo) -> Table:
         "nw-eval": f"{run.code.version}{commit if run.code.commit else ''}",
         "code": run.code.digest[:12],
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),
-        "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}",
+        "machine": f"{run.machine.cpu}, {run.machine.cores} cores, {run.machine.system}, "
+        f"Python {run.machine.python}",
         "rows": run.rows_digest[:12],
         "Merkle root": run.merkle_root,
     }
@@ -95,9 +96,8 @@ def _scenes(run: RunInfo) -> str:
 
 
 def _saved(run: RunInfo) -> str:
-    """Return how many trials need not run, where a part of them was enough."""
+    """Return how many trials of the budget were judged, where not all were."""
     if run.stop is None:
         return ""
     most = sum(scene.trials for scene in run.scenes.values())
-    enough = sum(run.planned.values())
-    return f": {enough} were enough, and {most - enough} of {most} need not run"
+    return f": {sum(run.planned.values())} of at most {most} were judged"

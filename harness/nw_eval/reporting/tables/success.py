@@ -10,15 +10,21 @@ from numpy.typing import NDArray
 
 from nw_eval.gate.verdict import SceneScore, Verdict
 from nw_eval.plural import plural
-from nw_eval.reporting.tables.table import Bar, Table, judged, mean, per, span
+from nw_eval.reporting.tables.table import (
+    Bar,
+    Table,
+    bounds_header,
+    judged,
+    mean,
+    span,
+    uncorrected,
+)
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, lower_bound, upper_bound
 from nw_eval.words import OUTCOMES
 
 _LEFT = "left capture"
 """Trials that left the captured volume, and are counted apart."""
-
-_PER_SCENE, _UNCORRECTED = "Per-scene interval", "not corrected for the number of scenes"
 
 
 def scenes_table(verdict: Verdict) -> Table:
@@ -27,7 +33,7 @@ def scenes_table(verdict: Verdict) -> Table:
     splits = any(item.split for item in scores)
     tiers = any(item.tier != "supporting" for item in scores)
     outside = any(item.outside for item in scores)
-    alone = f"{_PER_SCENE} ({100 * verdict.confidence:.4g} % two-sided), {_UNCORRECTED}"
+    alone = f"{100 * verdict.confidence:.4g} % two-sided"
     shown = [_has_own_interval(item, verdict) for item in scores]
     return Table(
         title="Success by scene",
@@ -54,12 +60,12 @@ def scenes_table(verdict: Verdict) -> Table:
             )
             for item, own in zip(scores, shown, strict=True)
         ),
-        numbers=frozenset({"trials", _LEFT, "success"}),
+        numbers=frozenset({"trials", _LEFT, "success", alone}),
         foot=_of_splits(scores),
         note="Success is the share of the trail's waypoints reached, completed the share of trials "
         "that reached all."
         + (
-            " Each interval is a Bayesian bootstrap of its scene's trials: of many, some miss. The "
+            f" {uncorrected('scene', alone)} It is a Bayesian bootstrap of the scene's trials; the "
             "verdict uses bounds that hold for any distribution."
             if any(shown)
             else ""
@@ -130,7 +136,7 @@ def outcomes_table(rows: Sequence[Row]) -> Table:
 
 def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     """Return success in every cell of the perturbation grid, over all scenes; none without one."""
-    error = 1.0 - verdict.confidence
+    header = bounds_header(1.0 - verdict.confidence, 1.0 - verdict.confidence)
     cells = sorted({row.perturbation for row in rows} - {()})
     lines: list[tuple[str, ...]] = []
     for cell in cells:
@@ -150,10 +156,11 @@ def perturbations_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         title="Success by perturbation",
         columns=(
             *("perturbation", "trials", "success"),
-            *((per("cell", error, error),) if len(cells) > 1 else ()),
+            *((header,) if len(cells) > 1 else ()),
         ),
         rows=tuple(lines),
-        numbers=frozenset({"trials", "success"}),
+        numbers=frozenset({"trials", "success", header}),
+        note=uncorrected("cell", header) if len(cells) > 1 else "",
     )
 
 

@@ -74,16 +74,24 @@ def judged(rows: Sequence[Row], verdict: Verdict) -> list[Row]:
     return [row for row in rows if row.trial_id not in verdict.left]
 
 
-def per(noun: str, low: float, high: float) -> str:
-    """Return the header of intervals that each speak of one line of a table alone.
+def bounds_header(low: float, high: float) -> str:
+    """Return the header of a column of intervals; `uncorrected` says the rest, in the table's note.
 
     Args:
-        noun: what a line is of, such as `scene`.
         low: probability with which the low end errs, one-sided.
         high: likewise, of the high end.
     """
-    lower, upper = f"{100 * (1 - low):.4g} % lower", f"{100 * (1 - high):.4g} % upper"
-    return f"Per-{noun} interval ({lower}, {upper}), not corrected for the number of {noun}s"
+    return f"{100 * (1 - low):.4g} % lower, {100 * (1 - high):.4g} % upper"
+
+
+def uncorrected(noun: str, header: str) -> str:
+    """Return a sentence on intervals that each speak of one line of a table alone.
+
+    Args:
+        noun: what a line is of, such as `scene`.
+        header: of their column.
+    """
+    return f"Per-{noun} interval ({header}), not corrected for the number of {noun}s."
 
 
 def span(interval: Interval) -> str:

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.tables.success import bounds_of
-from nw_eval.reporting.tables.table import Bar, Table, judged, per, span
+from nw_eval.reporting.tables.table import (
+    Bar,
+    Table,
+    bounds_header,
+    judged,
+    span,
+    uncorrected,
+)
 from nw_eval.results.row import Row
 
 
@@ -25,7 +32,8 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     tasks = sorted({row.task for row in rows if row.success is not None})
     groups = {task: _groups(rows, task) for task in tasks}
     # The mean of the only task is the run's, and has the bounds of the verdict.
-    several, error = len(tasks) > 1, 1.0 - verdict.confidence
+    several = len(tasks) > 1
+    header = bounds_header(1.0 - verdict.confidence, 1.0 - verdict.confidence)
     bounds = {
         task: bounds_of(found, verdict) if several else verdict.interval
         for task, found in groups.items()
@@ -38,7 +46,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         title="Tasks",
         columns=(
             *("task", "scenes", "trials", "success"),
-            *((per("task", error, error),) if several else ()),
+            *((header,) if several else ()),
             *(("baseline", "drop") if against else ()),
         ),
         rows=tuple(
@@ -52,7 +60,8 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
             )
             for task in tasks
         ),
-        numbers=frozenset({"scenes", "trials", "success", "baseline", "drop"}),
+        numbers=frozenset({"scenes", "trials", "success", "baseline", "drop", header}),
+        note=uncorrected("task", header) if several else "",
         bars=tuple(Bar(value=means[task], interval=bounds[task]) for task in tasks),
     )
 
@@ -85,5 +94,6 @@ def _drop(verdict: Verdict, scenes: Sequence[str] | None) -> tuple[str, str]:
     drops = [item.drop for item in items if item.drop is not None]
     if not items:
         return "", ""
-    baseline = f"{np.mean([item.baseline for item in items]):.3f}"
+    known = [item.baseline for item in items if item.baseline is not None]
+    baseline = f"{np.mean(known):.3f}" if len(known) == len(items) else ""
     return baseline, f"{np.mean(drops):z.3f}" if len(drops) == len(items) else ""

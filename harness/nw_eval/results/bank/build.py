@@ -35,7 +35,7 @@ def bank_of_run(
     """
     if run.panel != "pinned":
         raise IncomparableError(
-            f"run {run.id} makes no bank: it met fresh starts of its own, as no other run does",
+            f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
             fix="save one from a run on the pinned panel",
         )
     if errors := [row for row in rows if row.status == "error"]:
@@ -77,7 +77,7 @@ def bank_of_run(
     bank = SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),))
     if fault := fault_of(bank):
         raise IncomparableError(
-            f"run {run.id} makes no bank: {fault}",
+            f"run {run.id} makes no baseline: {fault}",
             fix="save one from a run without a baseline, of all of the suite's scenes",
         )
     return bank

@@ -42,7 +42,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     from nw_eval.results.bank.table import bank_table
 
     if fault := fault_of(bank) or _misnamed(path, bank.manifest):
-        raise StoreError(f"cannot write {path}: {fault}", fix="save the bank anew from a run")
+        raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = bank.manifest.model_dump(mode="json")
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
@@ -59,7 +59,9 @@ def read_bank(path: Path) -> SavedBank:
             says, or another name than its file.
     """
     if what_is(path) != "file":
-        raise UsageError(f"no bank at {path}", fix="`nw-eval baseline list` says which there are")
+        raise UsageError(
+            f"no baseline at {path}", fix="`nw-eval baseline list` says which there are"
+        )
     return bank_of(read_small_table(path, fix=_RESTORE), path)
 
 
@@ -92,7 +94,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
     if fault := _misnamed(path, manifest):
         raise IncomparableError(
             f"{path} cannot be compared with: {fault}",
-            fix=f"call the file {manifest.name}{SUFFIX}, or save a bank of the other name",
+            fix=f"call the file {manifest.name}{SUFFIX}, or save a baseline of the other name",
         )
     return bank
 
@@ -100,7 +102,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
 def _manifest(text: str | None, path: Path) -> Manifest:
     if text is None:
         raise IncomparableError(
-            f"{path} is no bank",
+            f"{path} is no baseline",
             fix="save one from a run with `nw-eval baseline save SUITE --from RUN`",
         )
     try:
@@ -108,7 +110,7 @@ def _manifest(text: str | None, path: Path) -> Manifest:
         version = content.get("bank") if isinstance(content, dict) else None
         if version != VERSION:
             raise IncomparableError(
-                f"{path} is a bank of version {clean(version, at_most=40)}, "
+                f"{path} is a baseline of version {clean(version, at_most=40)}, "
                 f"this nw-eval reads {VERSION}",
                 fix="use the version of nw-eval that wrote it, or save it again",
             )

@@ -32,7 +32,7 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
     if "/" in name or name.endswith(SUFFIX):
         path = Path(name)
         if what_is(path) != "file":
-            raise UsageError(f"no bank at {path}", fix=_hint(path.stem, suite, root))
+            raise UsageError(f"no baseline at {path}", fix=_hint(path.stem, suite, root))
         return path
     found = [
         path
@@ -40,10 +40,10 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
         if what_is(path := folder / (name + SUFFIX)) == "file"
     ]
     if not found:
-        raise UsageError(f"suite {suite!r} has no bank {name!r}", fix=_hint(name, suite, root))
+        raise UsageError(f"suite {suite!r} has no baseline {name!r}", fix=_hint(name, suite, root))
     if len(found) > 1 and found[0].read_bytes() != found[1].read_bytes():
         raise IncomparableError(
-            f"two banks of suite {suite!r} are called {name!r}: {found[0]} and {found[1]}",
+            f"two baselines of suite {suite!r} are called {name!r}: {found[0]} and {found[1]}",
             fix="name one of them by its path",
         )
     return found[0]
@@ -73,10 +73,10 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
         suites = [each for each in suites if each == folder]
     if len(suites) > 1:
         listed = ", ".join(f"{each}/{name}" for each in suites)
-        raise UsageError(f"several suites have a bank {name!r}", fix=f"name one: {listed}")
+        raise UsageError(f"several suites have a baseline {name!r}", fix=f"name one: {listed}")
     if not suites:
         known = [f"{path.parent.name}/{path.stem}" for path in banks]
-        raise UsageError(f"no bank {text!r}", fix=nearest(text, known))
+        raise UsageError(f"no baseline {text!r}", fix=nearest(text, known))
     return find_bank(name, suite=suites[0], root=root)
 
 

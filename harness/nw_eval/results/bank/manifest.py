@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from nw_eval.files.shipped import available
 from nw_eval.results.provenance import RunInfo
 
 _SIMULATOR = ("mujoco", "embreex", "renderer")
@@ -38,6 +39,13 @@ class BankPolicy(_Part):
     card: str = ""
     """Where its card was, for a machine that the bank has not seen: a shipped bundle's name, or a
     path from the folder of the run."""
+
+    @property
+    def typed(self) -> str:
+        """What a command's --policy is to say: PATH where it lay outside the project."""
+        if self.card or self.name in available("policies"):
+            return self.card or self.name
+        return "PATH"
 
 
 class PanelInfo(_Part):

@@ -101,7 +101,7 @@ def _sealed(
 def _of_what(info: RunInfo, sealed: Digests) -> Iterator[Discrepancy]:
     """Yield that run.json is of something else than the root."""
     if sealed.run != run_leaf(info):
-        about = "its suite, policy, scenes, bank or engine are not those of the root"
+        about = "its suite, policy, scenes, baseline or engine are not those of the root"
         yield Discrepancy(what="changed", file="run.json", about=about)
 
 

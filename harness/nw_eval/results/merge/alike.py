@@ -7,9 +7,11 @@ from typing import Any
 
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.results.merge.source import MergeSource
+from nw_eval.results.row import Row
 
 _NAMED = 3  # fields that a sentence names before it says "and more"
 _LONGEST = 60  # characters of a value
+_ONE_KIND = "run all parts with one suite, policy and nw-eval on one kind of machine"
 
 
 def check_parts(sources: Sequence[MergeSource]) -> None:
@@ -37,12 +39,61 @@ def check_parts(sources: Sequence[MergeSource]) -> None:
             for name, (one, two) in both.items()
             if one != two
         ]
+        if len(differing) == 1 and differing[0].startswith("baseline.checked"):
+            _check_bits(first, other)
         if differing:
             more = f"; and {len(differing) - _NAMED} more" if len(differing) > _NAMED else ""
             raise IncomparableError(
                 f"not of one run: {'; '.join(differing[:_NAMED])}{more}",
-                fix="run all parts with one suite, policy and nw-eval on one kind of machine",
+                fix=_ONE_KIND,
             )
+
+
+def check_beside(arms: Sequence[tuple[MergeSource, Sequence[Row]]]) -> None:
+    """Refuse parts whose machines gave the baseline's policy different bits in one trial.
+
+    All parts ran its first trials, so that such machines show, whatever they are called.
+
+    Args:
+        arms: parts, with the rows of the baseline's policy that ran beside them.
+
+    Raises:
+        IncomparableError: two differ; naming both, and the trial.
+    """
+    seen: dict[str, tuple[MergeSource, Row]] = {}
+    for source, rows in arms:
+        for row in rows:
+            earlier, known = seen.setdefault(row.trial_id, (source, row))
+            if known.digest != row.digest:
+                raise IncomparableError(
+                    f"not of one run: trial {row.trial_id} of the baseline's policy "
+                    f"{row.policy} has other bits in {earlier} than in {source}",
+                    fix=_ONE_KIND,
+                )
+
+
+def _check_bits(one: MergeSource, two: MergeSource) -> None:
+    """Refuse two parts that differ in what the baseline's policy showed on their machines.
+
+    Raises:
+        IncomparableError: naming both.
+    """
+    found = {
+        source.info.baseline.checked: source
+        for source in (one, two)
+        if source.info.baseline is not None
+    }
+    if None in found:
+        raise IncomparableError(
+            f"{found[None]} ended before the baseline's policy had run on its machine",
+            fix=f"--resume {found[None].folder.path} goes on with it",
+        )
+    if {"bits", "control"} <= set(found):
+        raise IncomparableError(
+            f"not of one run: the baseline's policy repeats its bits in {found['bits']} and has "
+            f"others in {found['control']}, and only with others a part has a control",
+            fix=_ONE_KIND,
+        )
 
 
 def _fields(source: MergeSource) -> Mapping[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,6 +32,17 @@ from nw_eval.results.row import rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
 
 _LAYOUT_BYTES = 4 * 2**20
+
+
+@dataclass(frozen=True, kw_only=True)
+class MergedArm:
+    """What is written of one policy."""
+
+    info: RunInfo
+    held: Sequence[SourcedRow]
+    """Its rows, in the order of the run."""
+    sources: Sequence[MergeSource]
+    """Of which it is merged."""
 
 
 def merged_info(
@@ -94,11 +105,7 @@ def _place(info: RunInfo) -> tuple[int, str, str]:
 
 
 def write_merged(
-    out: Path,
-    info: RunInfo,
-    held: Sequence[SourcedRow],
-    sources: Sequence[MergeSource],
-    against: Against | None,
+    out: Path, arm: MergedArm, against: Against | None, beside: MergedArm | None = None
 ) -> tuple[RunInfo, tuple[str, ...]]:
     """Write the folder of a merged run; return its run.json, and sentences about what is lost.
 
@@ -106,23 +113,25 @@ def write_merged(
 
     Args:
         out: the folder, which holds nothing yet.
-        info: its run.json.
-        held: its rows, in the order of the run.
-        sources: of which it is merged.
-        against: the bank that they were begun against.
+        arm: the run.
+        against: the bank that its parts were begun against.
+        beside: the run of the bank's own policy beside them, if there is one.
 
     Raises:
         UsageError: it holds something else.
         StoreError: it cannot be written.
     """
-    if (there := _there(out, info, held)) is not None:
+    if (there := _there(out, arm.info, arm.held)) is not None:
         return there, ()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as beside:
-            folder = RunFolder(path=Path(beside) / "run")
+        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as near:
+            folder = RunFolder(path=Path(near) / "run")
             folder.path.mkdir()
-            ended, lost = _fill(folder, info, held, sources, against)
+            if beside is not None:
+                folder.baseline.path.mkdir()
+                _fill(folder.baseline, beside, against)
+            ended, lost = _fill(folder, arm, against)
             folder.path.rename(out.resolve())  # A link to an empty folder stays a link.
     except OSError as error:
         raise StoreError(
@@ -134,23 +143,20 @@ def write_merged(
 
 
 def _fill(
-    folder: RunFolder,
-    info: RunInfo,
-    held: Sequence[SourcedRow],
-    sources: Sequence[MergeSource],
-    against: Against | None,
+    folder: RunFolder, arm: MergedArm, against: Against | None
 ) -> tuple[RunInfo, tuple[str, ...]]:
-    lost = take_logs(held, folder)
+    info = arm.info
+    lost = take_logs(arm.held, folder)
     if against is not None:
         path = folder.bank(against.info.name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(against.content)
-    for source in sources:
+    for source in arm.sources:
         with suppress(OSError, ValueError):  # Whoever lacks it draws the logs as they like.
             layout = inside(source.folder.path, source.folder.layout.name)
             folder.layout.write_bytes(bounded_bytes(layout, _LAYOUT_BYTES))
             break
-    rows = [one.row for one in held]
+    rows = [one.row for one in arm.held]
     header = JournalHeader(
         suite_digest=info.suite_digest,
         policy_digest=info.policy.card_digest,

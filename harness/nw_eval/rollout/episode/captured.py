@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.results.row import VIEW_RATE
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 
 _STEPS = CONTROL_RATE // VIEW_RATE
 

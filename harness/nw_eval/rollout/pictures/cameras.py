@@ -85,7 +85,7 @@ class LogCamera:
         return self._world.robot.cameras[LOG_CAMERA].fovy
 
     def _render(self, T_world_camera: NDArray[np.float64]) -> Bytes:
-        from nw_eval.splat.cameras.camera import Camera
+        from nw_eval.splat.camera import Camera
 
         width, height = LOG_SIZE
         camera = Camera.from_fovy(

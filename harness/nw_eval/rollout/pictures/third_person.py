@@ -15,8 +15,7 @@ from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.mesh_picture import MeshPicture
 from nw_eval.sensors.drawing.overlay import draw, ray_directions
-from nw_eval.splat.cameras.camera import Camera, look_at
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels, look_at
 
 if TYPE_CHECKING:
     from nw_eval.scenes import Scene

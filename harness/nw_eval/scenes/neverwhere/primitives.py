@@ -17,12 +17,10 @@ from nw_eval.scenes.mesh import (
     quad_mesh,
     rotation_matrix,
 )
-from nw_eval.scenes.neverwhere.pose import moved, numbers
-from nw_eval.scenes.neverwhere.tree import PlacedGeom
-from nw_eval.scenes.scene import Box, Plane
-from nw_eval.scenes.terrain.features.plates import quaternion
-from nw_eval.scenes.terrain.mesh_file import checked_mesh
-from nw_eval.scenes.terrain.solids import Friction, Primitive
+from nw_eval.scenes.mesh_file import checked_mesh
+from nw_eval.scenes.neverwhere.tree import PlacedGeom, moved, numbers
+from nw_eval.scenes.plates import quaternion
+from nw_eval.scenes.scene import Box, Friction, Plane, Primitive
 
 _GROUND_REACH = 60.0
 # MuJoCo's own, where nothing else is said.

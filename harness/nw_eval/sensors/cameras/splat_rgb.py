@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations.cameras import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import CameraMount, RobotSpec
-from nw_eval.scenes.captures import Nearness
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.cameras.splat_image import Arrange, average_blocks
 from nw_eval.sensors.cameras.view import require_camera
 from nw_eval.sensors.drawing.cones import TrailCones
@@ -19,10 +19,8 @@ from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
 from nw_eval.sensors.measurement import Measurement
 from nw_eval.sensors.place import CLEAR, TrialPlace
 from nw_eval.sensors.sensor import Moment
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.composite import paste
-from nw_eval.splat.image import Image
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.image import Image, paste
 from nw_eval.splat.render import Renderer
 
 # The published image: 80 x 45 from the middles of the 16 x 16 cells of a 1280 x 720 view.

@@ -9,8 +9,7 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.sensor import Moment
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels
 
 Array = NDArray[np.float64]
 

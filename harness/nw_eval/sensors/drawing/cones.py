@@ -7,13 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.cone import BASE, HEIGHT, cone_mesh
-from nw_eval.scenes.mesh import TriangleMesh, merge
+from nw_eval.scenes.mesh import CONE_BASE, CONE_HEIGHT, TriangleMesh, cone_mesh, merge
 from nw_eval.scenes.rays import RayScene
 
 # Share of the light that reaches a face from everywhere; the rest comes from above.
 _AMBIENT = 0.5
-_BOUND = 1.05 * math.hypot(BASE / math.sqrt(2.0), HEIGHT / 2)
+_BOUND = 1.05 * math.hypot(CONE_BASE / math.sqrt(2.0), CONE_HEIGHT / 2)
 """Radius of a sphere around a cone's middle that holds all of it, m."""
 
 
@@ -35,7 +34,7 @@ class Cones:
                 ]
             )
         )
-        self._middles = waypoints + np.array([0.0, 0.0, HEIGHT / 2])
+        self._middles = waypoints + np.array([0.0, 0.0, CONE_HEIGHT / 2])
         corners = cone.mesh.triangles
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1)

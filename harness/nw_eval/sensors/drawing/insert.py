@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.light import light_around
 from nw_eval.sensors.drawing.overlay import Overlay
-from nw_eval.splat.composite import composite
-from nw_eval.splat.image import Image
+from nw_eval.splat.image import Image, composite
 
 _LOOSE = 0.05
 """Metres: so near to a surface of the geometry, above or below, the splat shows that surface."""

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.drawing.palette import FACE_CLASSES, NOTHING, PALETTE
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels
 from nw_eval.splat.image import Image
 
 _LIGHT = np.array([-0.35, -0.25, 0.9])

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import Cones, shade
 from nw_eval.sim import World
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
+from nw_eval.splat.camera import Camera, Pixels
 
 _THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
 _NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])

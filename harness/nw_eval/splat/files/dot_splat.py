@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.files.quantise import logit, sigmoid, to_byte, unit_quats
-from nw_eval.splat.gaussians import SH0, Gaussians, check_count
+from nw_eval.splat.gaussians import SH0, Gaussians, check_count, logit, sigmoid, to_byte, unit_quats
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _LEAST_SCALE = 1e-12

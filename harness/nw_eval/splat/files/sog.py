@@ -24,8 +24,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
 from nw_eval.files.pictures import open_picture
-from nw_eval.splat.files.quantise import logit
-from nw_eval.splat.gaussians import Gaussians, check_count
+from nw_eval.splat.gaussians import Gaussians, check_count, logit
 from nw_eval.words import RasterizeMode
 
 META = "meta.json"

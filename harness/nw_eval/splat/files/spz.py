@@ -25,8 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.splat.files.quantise import logit, sigmoid, to_byte, unit_quats
-from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count
+from nw_eval.splat.gaussians import (
+    SH_COUNTS,
+    Gaussians,
+    check_count,
+    logit,
+    sigmoid,
+    to_byte,
+    unit_quats,
+)
 from nw_eval.splat.transform import harmonics as harmonics_at
 from nw_eval.splat.transform import transformed
 

@@ -4,7 +4,8 @@ For a pixel with transmittance T and a splat with alpha: when T (1 - alpha) <= 1
 finished and the splat is not added; otherwise colour += T alpha c, T -= T alpha. Splats with
 alpha < 1/255 are skipped. This is gsplat's rule, in gsplat's order.
 
-The framebuffer has the light that each pixel still lets through, T, and beside it its paint: red,
+The framebuffer is two arrays, row by row with `stride` pixels in a row; `place` counts pixels.
+`light` has one float for each pixel: the light T that it still lets through. `paint` has four: red,
 green, blue, depth. A finished pixel holds -T. Pixels outside the window hold -1.
 
 What lies behind finished pixels is left out, a half to two thirds of a large splat's vectors and a
@@ -19,20 +20,32 @@ others. All evaluate the same expression in the same order, so a pixel's bits do
 shape.
 """
 
+# ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
 
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.bits import bits_of, count_bits, pack_range, word_at
-from nw_eval.splat.kernels.math8 import EXP2, exp2, taken_below
+from nw_eval.splat.kernels.math8 import (
+    EXP2,
+    bits_of,
+    count_bits,
+    exp2,
+    pack_range,
+    taken_below,
+    word_at,
+)
 from nw_eval.splat.kernels.memory import elements, load, peek, poke, prefetch, store
 from nw_eval.splat.kernels.project import (
     COLUMNS,
     LOG_OPACITY,
+    RECORD,
     RED,
     ROWS,
     THRESHOLD,
@@ -42,13 +55,18 @@ from nw_eval.splat.kernels.project import (
     U,
     V,
 )
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, LaneShape, repeat4
 from nw_eval.splat.kernels.simd import (
+    FLOAT,
+    I64,
+    Floats16,
+    address,
     broadcast,
+    call_llvm,
     ceil,
     floor,
     fma,
+    intrinsic,
+    lane_list,
     mask_bits,
     maximum,
     minimum,
@@ -57,6 +75,9 @@ from nw_eval.splat.kernels.simd import (
     sqrt,
     where,
 )
+
+PIXELS = 16
+CHANNELS = 4
 
 FINISHED = 1e-4
 """Transmittance at which a pixel takes no more splats."""
@@ -75,6 +96,144 @@ SLACK_COLUMNS, SLACK_ROWS = 16, 4
 
 CURVE = np.array([THRESHOLD, FINISHED, *EXP2], dtype=np.float32)
 """Numbers that `blend` keeps in registers; `math8.exp2` says why they are none of its constants."""
+
+
+def _vector(lanes: int) -> Any:
+    return ir.VectorType(FLOAT, lanes)
+
+
+def _floats_at(builder: Any, pointer: Any, lanes: int) -> Any:
+    return builder.bitcast(pointer, _vector(lanes).as_pointer())
+
+
+def _joined(builder: Any, parts: list[Any]) -> Any:
+    """Return the lanes of equal vectors, a power of two of them, one behind the other."""
+    while len(parts) > 1:
+        lanes = lane_list(list(range(2 * parts[0].type.count)))
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        parts = [builder.shuffle_vector(a, b, lanes) for a, b in pairs]
+    return parts[0]
+
+
+def _spread(builder: Any, vector: Any, lanes: list[int]) -> Any:
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), lane_list(lanes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneShape:
+    """What is done to a block of pixels; each member is an intrinsic.
+
+    Attributes:
+        columns: (array, x): the columns' values, from x on, of all pixels.
+        rows: (array, y): likewise of the rows.
+        load: (light, place, stride): the light of the pixels.
+        store: (light, place, stride, value): write it.
+        add: (paint, place, stride, weight, colour): add weight * colour to the paint; `colour`
+            holds the four channels four times, as `repeat4` returns them.
+    """
+
+    columns: Any
+    rows: Any
+    load: Any
+    store: Any
+    add: Any
+
+
+def _row_places(builder: Any, place: Any, stride: Any, rows: int) -> list[Any]:
+    places = [place]
+    for _ in range(1, rows):
+        places.append(builder.add(places[-1], stride))
+    return places
+
+
+def _laying(count: int, lanes: list[int]) -> Any:
+    """Return the intrinsic that takes `count` floats of an array to lanes."""
+
+    @intrinsic
+    def lay(_typing: Any, array: Any, index: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            place = address(context, builder, signature.args[0], args[0], args[1])
+            return _spread(builder, builder.load(_floats_at(builder, place, count), align=4), lanes)
+
+        return Floats16(array, types.intp), generate
+
+    return lay
+
+
+def _loading(rows: int) -> Any:
+    @intrinsic
+    def load(_typing: Any, light: Any, place: Any, stride: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            parts: list[Any] = []
+            for start in _row_places(builder, args[1], args[2], rows):
+                pointer = address(context, builder, signature.args[0], args[0], start)
+                parts.append(builder.load(_floats_at(builder, pointer, PIXELS // rows), align=4))
+            return _joined(builder, parts)
+
+        return Floats16(light, types.intp, types.intp), generate
+
+    return load
+
+
+def _storing(rows: int) -> Any:
+    width = PIXELS // rows
+
+    @intrinsic
+    def store(_typing: Any, light: Any, place: Any, stride: Any, value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            for row, start in enumerate(_row_places(builder, args[1], args[2], rows)):
+                pointer = address(context, builder, signature.args[0], args[0], start)
+                part = _spread(builder, args[3], list(range(row * width, (row + 1) * width)))
+                builder.store(part, _floats_at(builder, pointer, width), align=4)
+            return context.get_dummy_value()
+
+        return types.void(light, types.intp, types.intp, Floats16), generate
+
+    return store
+
+
+def _adding(rows: int) -> Any:
+    width = PIXELS // rows
+
+    @intrinsic
+    def add(_typing: Any, paint: Any, place: Any, stride: Any, weight: Any, colour: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            first, step = (builder.mul(value, ir.Constant(I64, CHANNELS)) for value in args[1:3])
+            starts = _row_places(builder, first, step, rows)
+            for pixel in range(0, PIXELS, CHANNELS):
+                column = ir.Constant(I64, CHANNELS * (pixel % width))
+                start = builder.add(starts[pixel // width], column)
+                place = address(context, builder, signature.args[0], args[0], start)
+                pointer = _floats_at(builder, place, PIXELS)
+                lanes = [pixel + lane // CHANNELS for lane in range(PIXELS)]
+                there = builder.load(pointer, align=4)
+                share = _spread(builder, args[3], lanes)
+                value = call_llvm(builder, "fmuladd", share, args[4], there)
+                builder.store(value, pointer, align=4)
+            return context.get_dummy_value()
+
+        return types.void(paint, types.intp, types.intp, Floats16, Floats16), generate
+
+    return add
+
+
+def _shape(rows: int) -> LaneShape:
+    width = PIXELS // rows
+    return LaneShape(
+        columns=_laying(width, list(range(width)) * rows),
+        rows=_laying(rows, [lane // width for lane in range(PIXELS)]),
+        load=_loading(rows),
+        store=_storing(rows),
+        add=_adding(rows),
+    )
+
+
+repeat4 = _laying(CHANNELS, list(range(CHANNELS)) * (PIXELS // CHANNELS))
+"""(array, index): array[index : index + 4] four times."""
+
+
+SQUARE, FLAT, LINE = _shape(4), _shape(2), _shape(1)
+"""4x4, 8x2 and 16x1 pixels."""
 
 
 def _drawing(shape: LaneShape) -> Any:

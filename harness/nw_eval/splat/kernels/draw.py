@@ -15,13 +15,11 @@ import numpy as np
 
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.bits import bits_of, clock_nanoseconds, float_of
-from nw_eval.splat.kernels.blend import SLACK_COLUMNS, blend, clear
+from nw_eval.splat.kernels.blend import CHANNELS, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
+from nw_eval.splat.kernels.math8 import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.memory import load, peek, poke, store
-from nw_eval.splat.kernels.project import project_chunk
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS
+from nw_eval.splat.kernels.project import RECORD, project_chunk
 from nw_eval.splat.kernels.sort import note_depths, sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.

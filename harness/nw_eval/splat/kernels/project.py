@@ -11,26 +11,40 @@ with (A, B, C) = log2(e) / 2 * (conic xx, 2 conic xy, conic yy). The pixels with
 lie within sqrt(q cov_xx) by sqrt(q cov_yy) of the centre, q = 2 ln 2 (lo - log2(1/255)): a box
 that encloses the ellipse exactly. It is widened a little, since the blend tests each pixel and
 its verdict alone must count.
+
+A record is one cache line for each splat on the screen; records are written eight at a time.
+
+The colour of sixteen Gaussians, each seen along its own direction, is a sum of real spherical
+harmonics with the signs and the order of 3DGS (Condon-Shortley phase), as in "Efficient Spherical
+Harmonic Evaluation" (Sloan 2013) and gsplat. With d = (x, y, z): degree 1: -c y, c z, -c x; degree
+2 and 3: see the code, one line each.
 """
 
+# ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
 from __future__ import annotations
 
 import math
 from typing import Any
 
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
 from nw_eval.machine_code.jit import inlined, kernel
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.bits import pack_range
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
-from nw_eval.splat.kernels.harmonics import CHUNK, GROUP, shade
-from nw_eval.splat.kernels.math8 import log2, taken_below
-from nw_eval.splat.kernels.memory import elements, load_group, prefetch_early
-from nw_eval.splat.kernels.records import append_lower, append_upper
+from nw_eval.splat.kernels.math8 import log2, pack_range, taken_below
+from nw_eval.splat.kernels.memory import elements, load_group, load_halves, prefetch_early
 from nw_eval.splat.kernels.simd import (
+    F8,
+    I64,
     LANES,
+    address,
     ceil,
     floor,
     fma,
+    intrinsic,
+    lane_list,
     mask_bits,
     maximum,
     minimum,
@@ -52,12 +66,11 @@ _LOG2E = 1.4426950408889634
 _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
 
+CHUNK, GROUP = 256, 16
+"""Gaussians in a chunk and in a group of it; a group holds each value sixteen times in a row."""
 
-@inlined
-def _fetch(array: Any, first: Any, count: Any, line: Any) -> None:
-    """Ask for `count` elements from `first` on, `line` of them in a cache line."""
-    for place in range(first, first + count, line):
-        prefetch_early(array, place)
+RECORD = 16
+"""Floats in a record: one cache line."""
 
 
 @kernel
@@ -230,3 +243,122 @@ def project_chunk(
         if bits >> LANES:
             count = append_upper(records, count, bits, fields)
     return count
+
+
+@inlined
+def _fetch(array: Any, first: Any, count: Any, line: Any) -> None:
+    """Ask for `count` elements from `first` on, `line` of them in a cache line."""
+    for place in range(first, first + count, line):
+        prefetch_early(array, place)
+
+
+@inlined
+def shade(sh: Any, place: Any, count: Any, x: Any, y: Any, z: Any, colour: Any) -> Any:
+    """Add the harmonics of degree 1 and above to a colour.
+
+    Args:
+        sh: float16 bits; for each group, channel by channel, coefficient by coefficient.
+        place: index of the group's first coefficient, red.
+        count: coefficients per channel with the constant one: 4, 9 or 16.
+        x: with y and z, unit directions from the eye (Floats16).
+        y: see x.
+        z: see x.
+        colour: (r, g, b) Floats16, the constant part.
+
+    Returns:
+        (r, g, b), not clamped.
+    """
+    channel = GROUP * (count - 1)
+    colour = _add(sh, place, channel, y * -0.4886025119029199, colour)
+    colour = _add(sh, place + GROUP, channel, z * 0.4886025119029199, colour)
+    colour = _add(sh, place + 2 * GROUP, channel, x * -0.4886025119029199, colour)
+    if count > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        place += 3 * GROUP
+        colour = _add(sh, place, channel, x * y * 1.0925484305920792, colour)
+        colour = _add(sh, place + GROUP, channel, y * z * -1.0925484305920792, colour)
+        basis = zz * 0.9461746957575601 - 0.3153915652525201
+        colour = _add(sh, place + 2 * GROUP, channel, basis, colour)
+        colour = _add(sh, place + 3 * GROUP, channel, x * z * -1.0925484305920792, colour)
+        colour = _add(sh, place + 4 * GROUP, channel, (xx - yy) * 0.5462742152960396, colour)
+        if count > 9:
+            place += 5 * GROUP
+            basis = y * -0.5900435899266435 * (xx * 3.0 - yy)
+            colour = _add(sh, place, channel, basis, colour)
+            basis = x * y * z * 2.890611442640554
+            colour = _add(sh, place + GROUP, channel, basis, colour)
+            ring = zz * -2.2852289973223288 + 0.4570457994644658
+            colour = _add(sh, place + 2 * GROUP, channel, ring * y, colour)
+            basis = z * (zz * 1.865881662950577 - 1.119528997770346)
+            colour = _add(sh, place + 3 * GROUP, channel, basis, colour)
+            colour = _add(sh, place + 4 * GROUP, channel, ring * x, colour)
+            basis = z * 1.445305721320277 * (xx - yy)
+            colour = _add(sh, place + 5 * GROUP, channel, basis, colour)
+            basis = x * -0.5900435899266435 * (xx - yy * 3.0)
+            colour = _add(sh, place + 6 * GROUP, channel, basis, colour)
+    return colour
+
+
+@inlined
+def _add(sh: Any, place: Any, channel: Any, basis: Any, colour: Any) -> Any:
+    r, g, b = colour
+    return (
+        fma(basis, load_halves(sh, place), r),
+        fma(basis, load_halves(sh, place + channel), g),
+        fma(basis, load_halves(sh, place + channel + channel), b),
+    )
+
+
+def _transpose(builder: Any, rows: list[Any]) -> list[Any]:
+    """Transpose an 8x8 matrix held in eight vectors: three rounds of pairwise shuffles."""
+
+    def mix(a: Any, b: Any, lanes: list[int]) -> Any:
+        return builder.shuffle_vector(a, b, lane_list(lanes))
+
+    pairs: list[Any] = []
+    for i in range(0, LANES, 2):
+        pairs.append(mix(rows[i], rows[i + 1], [0, 8, 1, 9, 4, 12, 5, 13]))
+        pairs.append(mix(rows[i], rows[i + 1], [2, 10, 3, 11, 6, 14, 7, 15]))
+    quads: list[Any] = []
+    for base in (0, 4):
+        for i in (0, 1):
+            a, b = pairs[base + i], pairs[base + i + 2]
+            quads.append(mix(a, b, [0, 1, 8, 9, 4, 5, 12, 13]))
+            quads.append(mix(a, b, [2, 3, 10, 11, 6, 7, 14, 15]))
+    low = [mix(quads[i], quads[i + 4], [0, 1, 2, 3, 8, 9, 10, 11]) for i in range(4)]
+    high = [mix(quads[i], quads[i + 4], [4, 5, 6, 7, 12, 13, 14, 15]) for i in range(4)]
+    return low + high
+
+
+def _appending(first_lane: int) -> Any:
+    @intrinsic
+    def append(_typing: Any, records: Any, count: Any, bits: Any, fields: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            lanes = lane_list(list(range(first_lane, first_lane + LANES)))
+            values: list[Any] = [
+                builder.shuffle_vector(value, value, lanes)
+                for value in cgutils.unpack_tuple(builder, args[3])
+            ]
+            values += [ir.Constant(F8, ir.Undefined)] * (RECORD - len(values))
+            first, second = _transpose(builder, values[:8]), _transpose(builder, values[8:])
+            end, one = args[1], ir.Constant(I64, 1)
+            for lane in range(LANES):
+                start = builder.shl(end, ir.Constant(I64, 4))
+                place = address(context, builder, signature.args[0], args[0], start)
+                builder.store(first[lane], builder.bitcast(place, F8.as_pointer()), align=4)
+                place = builder.gep(place, [ir.Constant(I64, LANES)])
+                builder.store(second[lane], builder.bitcast(place, F8.as_pointer()), align=4)
+                place = ir.Constant(I64, first_lane + lane)
+                end = builder.add(end, builder.and_(builder.lshr(args[2], place), one))
+            return end
+
+        return types.int64(records, types.int64, types.int64, fields), generate
+
+    return append
+
+
+append_lower, append_upper = _appending(0), _appending(LANES)
+"""(records, count, bits, fields): write one record of 16 floats behind `count` records for each
+lane that is set in `bits`, of the lower or the upper eight; return the new count. `fields` are
+twelve Floats16, the first twelve floats of a record. Every lane is written and the end advances for
+the set ones only: no branch. Leave eight records of slack."""

@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 from nw_eval.machine_code.jit import inlined, kernel
-from nw_eval.splat.kernels.bits import bits_of
+from nw_eval.splat.kernels.math8 import bits_of
 from nw_eval.splat.kernels.memory import peek, poke
-from nw_eval.splat.kernels.project import DEPTH
-from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.project import DEPTH, RECORD
 
 DIGIT = 13
 """Most bits of a digit."""

@@ -43,10 +43,10 @@ class Bank:
 
     def __post_init__(self) -> None:
         if self.means.ndim < 1 or not self.means.shape[-1]:
-            raise ValueError("a bank needs the mean of one scene at least")
+            raise ValueError("a baseline needs the mean of one scene at least")
         check_successes(self.means)
         if not self.starts >= 1:
-            raise ValueError(f"{self.starts} starts in each scene; a bank needs one at least")
+            raise ValueError(f"{self.starts} starts in each scene; a baseline needs one at least")
 
     @classmethod
     def of(cls, scores: Floats) -> Bank:

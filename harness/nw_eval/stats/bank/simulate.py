@@ -77,7 +77,7 @@ def draw(
     rng, waypoints = _rng(seen), np.array([len(course.counts) - 1 for course in seen])
     known = {course.trials for course in seen}
     if starts is None and len(known) > 1:
-        raise ValueError(f"scenes with {min(known)} to {max(known)} starts are no bank")
+        raise ValueError(f"scenes with {min(known)} to {max(known)} starts are no baseline")
     size = known.pop() if starts is None else starts
     pairs = size * len(seen)
     if budget > pairs:

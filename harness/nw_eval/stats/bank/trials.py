@@ -484,4 +484,4 @@ def _check(bank: Bank, rules: TrialRules) -> None:
 
 def _check_baseline(bank: Bank, trials: DrawnTrials) -> None:
     if not bank.paired and np.isnan(trials.baseline).any():
-        raise ValueError("a bank has a result from every start; one is missing")
+        raise ValueError("a baseline has a result from every start; one is missing")

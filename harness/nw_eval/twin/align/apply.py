@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
-from nw_eval.scenes.neverwhere.similarity import check_similarity
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.scenes.neverwhere.scan import check_similarity
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.transform import quaternions, transformed
 from nw_eval.twin.capture import Capture

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
-from nw_eval.scenes.neverwhere.similarity import check_similarity
+from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.twin.align.alignment import Alignment, GravityCue, ScaleCue
 
 ALIGN_FILE = "align.json"

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError
+from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.health.finding import SceneFinding, has_errors
-from nw_eval.survey.lines import survey_lines
+from nw_eval.survey import survey_lines
 from nw_eval.twin.align import align, read_alignment, write_alignment
 from nw_eval.twin.align.apply import moved_capture, moved_mesh
 from nw_eval.twin.appearance import train_splat

@@ -14,7 +14,7 @@ from PIL import Image
 
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.files.pictures import open_picture
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package
 from nw_eval.twin.calibrate.photographs import Photograph

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import open_picture
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.capture.capture import Capture, PlacedShot
 
 _JSON, _POINTS = "capture.json", "points.npz"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from nw_eval.errors import UsageError
-from nw_eval.splat.cameras.presets import PresetName
+from nw_eval.splat.camera import PresetName
 from nw_eval.twin.gaussians.densify.settings import Default, Mcmc
 
 PAPER_ITERATIONS = 30_000

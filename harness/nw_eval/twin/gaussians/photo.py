@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.gaussians.raster.images import F32
 
 

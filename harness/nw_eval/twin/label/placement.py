@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.mesh import rotation_matrix
-from nw_eval.scenes.neverwhere.similarity import check_similarity
+from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.splat.transform import quaternions
 
 Point = tuple[float, float, float]

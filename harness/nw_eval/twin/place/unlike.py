@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.scenes.health.finding import SceneFinding
+from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.align.apply import moved_points

@@ -16,7 +16,7 @@ from nw_eval.errors import SceneError
 from nw_eval.files.cache import atomic_path
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
-from nw_eval.scenes.name import checked_name
+from nw_eval.scenes.limits import checked_name
 from nw_eval.splat.transform import quaternions
 from nw_eval.suite.ready import write_ready_suite
 from nw_eval.twin.align.apply import moved_capture, moved_points, similarity_entry

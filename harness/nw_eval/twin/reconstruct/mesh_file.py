@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.ply import Ply
-from nw_eval.scenes.terrain.mesh_file import read_mesh
+from nw_eval.scenes.mesh_file import read_mesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +61,7 @@ def read_colour_mesh(path: Path) -> ColourMesh:
     """Read a mesh; one without colours is grey.
 
     Raises:
-        SceneError: as `nw_eval.scenes.terrain.mesh_file.read_mesh`.
+        SceneError: as `nw_eval.scenes.mesh_file.read_mesh`.
     """
     mesh = read_mesh(path)  # Everything is checked there; colours are all that is left to read.
     colours = np.full((len(mesh.vertices), 3), 128, np.uint8)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.splat.files import read_splat
 from nw_eval.view.live.page import LivePage
 from nw_eval.view.live.stage import open_stage
-from nw_eval.viewing.browser.splat_points import SplatPoints, splat_points
+from nw_eval.viewing.browser import SplatPoints, splat_points
 
 if TYPE_CHECKING:
     from nw_eval.scenes.scene import Scene

@@ -27,7 +27,7 @@ from nw_eval.view.panel import STEP, enlarged, plain
 from nw_eval.view.served import ServedPage
 
 if TYPE_CHECKING:
-    from nw_eval.viewing.browser.splat_points import SplatPoints
+    from nw_eval.viewing.browser import SplatPoints
 
 _TICK = 0.002
 """Seconds between two looks at what is to be done."""

@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.viewing.recording.sdk import APPLICATION, rerun_sdk
+from nw_eval.viewing.recording.track import APPLICATION, rerun_sdk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,21 +1,28 @@
-"""One recording in the making: entities with what stays, what changes, and numbers over time."""
+"""One recording of Rerun: entities with what stays, what changes, and numbers over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.viewing.recording.sdk import APPLICATION, rerun_sdk
+from nw_eval.errors import PrerequisiteError
 
 TIME = "sim_time"
 """The timeline: simulated seconds since the trial's start."""
 
 Times = Sequence[int]
 """Nanoseconds of simulated time."""
+
+APPLICATION = "nw-eval"
+"""The application of recordings and layouts; Rerun keeps one layout for each."""
+
+_FIX = "pip install 'nw-eval[rerun]'"
 
 
 class Track:
@@ -84,3 +91,32 @@ class Track:
             raise OSError("Rerun could not write all of it") from lost
         finally:
             self._stream.disconnect()
+
+
+def rerun_sdk() -> Any:
+    """Return the package `rerun`, with its blueprints.
+
+    Raises:
+        PrerequisiteError: it is missing, too old, or another package of that name.
+    """
+    try:
+        sdk: Any = import_module("rerun")
+        import_module("rerun.blueprint")
+    except ImportError as error:
+        raise PrerequisiteError(f"Rerun's files need the package {error.name}", fix=_FIX) from error
+    if not hasattr(sdk, "GaussianSplats3D"):
+        found = getattr(sdk, "__version__", "another package")
+        raise PrerequisiteError(f"Rerun's files need rerun-sdk 0.41, not {found}", fix=_FIX)
+    return sdk
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenRecording:
+    """A recording of Rerun that was written."""
+
+    file: Path
+    bytes: int
+    gaussians: int
+    """Of the place's splat; 0 = it is not in the recording."""
+    no_splat: str
+    """Why it is not; empty if it is."""

@@ -1,4 +1,4 @@
-"""Writes a trial's log as a recording of Rerun: a file that shows itself."""
+"""Writes a trial's log as a recording of Rerun, a file that shows itself; and its layout alone."""
 
 from __future__ import annotations
 
@@ -10,25 +10,40 @@ from typing import TYPE_CHECKING, Any
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path, followed
+from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.viewing.recording.blueprint import PlaceScreen, blueprint, plot_of_entities
-from nw_eval.viewing.recording.pictures import picture_entity, picture_topics, write_pictures
-from nw_eval.viewing.recording.place import WORLD, first_pose, write_place
-from nw_eval.viewing.recording.sdk import rerun_sdk
-from nw_eval.viewing.recording.series import term_entities, write_series
-from nw_eval.viewing.recording.splat import place_splat, splat_archetype
-from nw_eval.viewing.recording.track import TIME, Track
-from nw_eval.viewing.recording.written import WrittenRecording
+from nw_eval.viewing.recording.blueprint import (
+    PlaceScreen,
+    blueprint,
+    plot_of_entities,
+    save_layout,
+)
+from nw_eval.viewing.recording.content import (
+    WORLD,
+    first_pose,
+    picture_entity,
+    picture_topics,
+    place_splat,
+    splat_archetype,
+    term_entities,
+    write_pictures,
+    write_place,
+    write_series,
+)
+from nw_eval.viewing.recording.track import TIME, Track, WrittenRecording, rerun_sdk
+from nw_eval.viewing.shown import shown_in_log
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from nw_eval.rollout.replaying.logged import LoggedTrial
-    from nw_eval.viewing.recording.place import Messages
+    from nw_eval.viewing.recording.content import Messages
 
 SUFFIX = ".rrd"
 _MOST_PICTURES, _MOST_TERMS = 3, 2
 _UNSHOWN = ("/nw/state", "/points/")  # states are for replays, points for viewers without meshes
+
+_LAYOUT_SUFFIX = ".rbl"
 
 
 def write_recording(log: Path, out: Path) -> WrittenRecording:
@@ -121,3 +136,20 @@ def _layout(
 
 def _level(line: Any) -> str:
     return "ERROR" if line.level == line.ERROR else "INFO"
+
+
+def write_layout(log: Path, out: Path) -> Path:
+    """Write how Rerun is to show a log that it has converted itself; return `out`.
+
+    Raises:
+        PrerequisiteError: Rerun is not installed.
+        UsageError: `out` has another suffix than `.rbl`.
+        StoreError: the log cannot be read or is damaged, or the layout not written.
+    """
+    rerun_sdk()
+    if out.suffix.lower() != _LAYOUT_SUFFIX:
+        raise UsageError(f"{out}: Rerun knows its layouts by {_LAYOUT_SUFFIX}", fix="name it so")
+    shown = shown_in_log(LogReader(log))
+    with atomic_path(followed(out)) as temporary:
+        save_layout(shown, temporary)
+    return out

@@ -68,8 +68,8 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
             against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
             return _beside(against, folder, info)
     raise IncomparableError(
-        f"run {info.id} is compared with bank {info.baseline.name}, and neither its copy of it nor "
-        f"{info.baseline.path} is there as it was",
+        f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
+        f"nor {info.baseline.path} is there as it was",
         fix="restore the file",
     )
 
@@ -108,10 +108,14 @@ def judging_bank(
     Raises:
         UsageError, StoreError: as `wanted_bank`.
         IncomparableError: as `kept_bank`.
+        TrialError: a trial of the control is an error.
     """
     if reference is None and info.baseline is not None:
         return kept_bank(folder, info)
-    return wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
+    against = wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
+    if against and info.baseline and against.info.sha256 == info.baseline.sha256:
+        return _beside(against, folder, info)
+    return against
 
 
 def resumed_bank(
@@ -137,25 +141,28 @@ def resumed_bank(
         return wanted
     now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
     raise IncomparableError(
-        f"run {info.id} was begun against bank {kept.info.name} ({kept.info.sha256[:8]}), not "
+        f"run {info.id} was begun against baseline {kept.info.name} ({kept.info.sha256[:8]}), not "
         f"{now}",
         fix="start a new run without --resume",
     )
 
 
-def check_rounds(against: Against, rounds: int, suite: str) -> None:
+def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) -> None:
     """Refuse more trials of each scene than a bank has starts.
 
     Raises:
         IncomparableError: it has fewer.
     """
+    from nw_eval.gate.baseline.holding.match import saving
+
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
+        policy = request.baseline_policy or against.bank.manifest.policy.typed
+        words = (str(request.suite or suite.name), policy, "--starts", str(rounds))
         raise IncomparableError(
-            f"bank {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of each "
-            "draw more",
-            fix=f"--trials {starts}, or more starts: `nw-eval baseline save {suite} --starts "
-            f"{rounds}`",
+            f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
+            "each draw more",
+            fix=f"--trials {starts}, or more starts: `{saving(against.bank, *words)}`",
         )
 
 

@@ -4,6 +4,9 @@ They are a run of their own, `baseline/` in the folder of the candidate's: the b
 the starts that the candidate meets, in its order. The first of them show whether bits are the
 bank's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
 every start (a concurrent control), and the bank's numbers take no part in the comparison.
+
+A part of a run looks at the first trials of the whole run, so that all parts find the same without
+hearing of each other, and what the run would have found. Its control runs from its own starts.
 """
 
 from __future__ import annotations
@@ -77,7 +80,7 @@ class Beside:
 
     @property
     def order(self) -> list[int]:
-        """Places of all trials that there are to run, in order; of a part of a run, its own."""
+        """Places of all trials that there are to run, in order; of a part, those of its run."""
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
@@ -173,7 +176,7 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
 
 
 def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
-    """Return the bank's policy: where the request says, or the bank.
+    """Return the baseline's policy: where the request says, or the bank.
 
     Raises:
         IncomparableError: it is not there, cannot be used, or is another one.
@@ -201,11 +204,11 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
             return bundle
         fault = (
             f"{reference} is another one: checkpoint {ours[0][:8]} and card {ours[1][:8]}, the "
-            f"bank's {theirs[0][:8]} and {theirs[1][:8]}"
+            f"baseline's {theirs[0][:8]} and {theirs[1][:8]}"
         )
     raise IncomparableError(
-        f"bank {against.info.name} has not seen this class of machine, and its policy {own.name} "
-        f"cannot be run on it: {fault}",
+        f"baseline {against.info.name} has not seen this class of machine, and its policy "
+        f"{own.name} cannot be run on it: {fault}",
         fix="say where it lies with --baseline-policy PATH, or save a panel here: "
         f"`{renewing(run, against.bank)}`",
     )

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nw_eval.api.running.plans import rechecks
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.rounds import RunStanding
-from nw_eval.errors import IncomparableError
 from nw_eval.gate.absolute import word_of_bar
 from nw_eval.gate.baseline.holding.basis import is_baseline
 from nw_eval.gate.baseline.holding.known import recheck
-from nw_eval.gate.baseline.holding.match import renewing
 from nw_eval.gate.baseline.judge import setup_of
 from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_of
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.gate.baseline.finding import Finding
     from nw_eval.gate.baseline.judge import ComparisonSetup
     from nw_eval.gate.verdict import Word
+    from nw_eval.results.bank import Stratum
     from nw_eval.results.bank.against import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -83,8 +82,7 @@ class Contest:
             run: its run.json.
 
         Raises:
-            IncomparableError: the bank's policy is not here; or the run is a part of one, on a
-                class of machine with other bits.
+            IncomparableError: the bank's policy is not here.
             TrialError: a trial of the bank's policy came to no result.
         """
         name, own = self._against.info.name, self._plan.bundle.name
@@ -101,13 +99,13 @@ class Contest:
         return run
 
     def end(self, run: RunInfo) -> None:
-        """Keep of a control the trials that are judged, and no more.
+        """Keep of a control the trials that are judged, and no more; of a part's, all.
 
         Args:
             run: its run.json, once its trials have ended.
         """
         beside = self._beside
-        if beside is None or beside.is_interrupted or run.interrupted:
+        if beside is None or beside.is_interrupted or run.interrupted or run.shard is not None:
             return
         if run.baseline is not None and run.baseline.checked == "control":
             every = range(len(self._plan.trials))
@@ -140,18 +138,17 @@ class Contest:
         if isinstance(alike, tuple):
             known = self._against.info.model_copy(update={"moved": alike})
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
-        if not alike and self._plan.shard is not None:
-            raise IncomparableError(
-                f"baseline {name} has not seen this class of machine, bits are others here, and a "
-                "part of a run has no control",
-                fix="run it whole, or save a panel of this machine: "
-                f"`{renewing(run, self._against.bank)}`",
-            )
         if not alike:
             self._listener.message(
                 f"bits are others here than in baseline {name}: its policy runs beside "
                 f"{self._plan.bundle.name} from the same starts, and is compared with it"
             )
+        if not alike and self._plan.shard is not None:
+            # A part has all its trials, so that nothing is gained by waiting for the candidate's.
+            beside.run([trial.place for trial in self._plan.trials if trial.place is not None])
+            if beside.is_interrupted:
+                return run.model_copy(update={"interrupted": True})
+            self._against = replace(self._against, control=beside.control)
         checked = "bits" if alike else "control"
         known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
         return run.model_copy(update={"baseline": known})
@@ -211,6 +208,7 @@ class Contest:
             first=first,
             followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
             ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+            waits_for=_names(finding.waits_for) if passes else (),
         )
 
     def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
@@ -250,6 +248,11 @@ class Contest:
         if self._against.bank.panel_of(machine_of(run)) is not None:
             return True
         return is_baseline(run.policy, self._against.bank)
+
+
+def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
+    """Return the scenes of strata, each once."""
+    return tuple(dict.fromkeys(scene for scene, _ in strata))
 
 
 def _first_missing(ended: Mapping[int, Row]) -> int:

@@ -1,4 +1,4 @@
-"""What differs between banks, or between a bank and what it would be here, in lines."""
+"""What differs between baselines, or between a baseline and what it would be here, in lines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FLIPPED = 8  # indexes of starts that a cell names
 
 
 def change_page(change: BankChange) -> str:
-    """Return what differs between two banks: fields, then scenes, then whose doing it is."""
+    """Return what differs between two baselines: fields, then scenes, then whose doing it is."""
     fields = [*change.fields, *change.machine]
     scenes = [_HEADING, *(_scene(each) for each in change.scenes), _mean(change)]
     parts = [field_lines(fields), aligned(scenes, right={1, 2, 3}), [whose_doing(change)]]
@@ -50,17 +50,17 @@ def whose_doing(change: BankChange) -> str:
         return "Only the policy differs: what moved is its doing."
     return (
         f"The policy differs, and so does the {' and '.join(others)}: what moved can be charged to "
-        "none of them alone. Renew the bank with the earlier policy first, and compare that."
+        "none of them alone. Renew the baseline with the earlier policy first, and compare that."
     )
 
 
 def saved_page(saved: SavedBaseline) -> str:
-    """Return what became of a bank that was to be saved."""
+    """Return what became of a baseline that was to be saved."""
     return "\n".join(_saved(saved))
 
 
 def checked_page(checked: CheckedBaseline) -> str:
-    """Return whether a bank holds here, with a line for each field that does not match."""
+    """Return whether a baseline holds here, with a line for each field that does not match."""
     return "\n".join(_checked(checked))
 
 
@@ -147,16 +147,15 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
     manifest = checked.bank.manifest
-    policy = manifest.policy.card or manifest.policy.name
-    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(policy)}"
+    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(checked.policy)}"
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"
     if checked.changes:
-        yield f"INVALID: bank {clean(manifest.name)} does not hold here"
+        yield f"INVALID: baseline {clean(manifest.name)} does not hold here"
         yield from field_lines(checked.changes)
         yield f"renew it with `{clean(save)} --renew`"
         return
-    yield f"bank {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
+    yield f"baseline {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
         ", policy" if checked.unchecked is None else ""
     )
     if checked.unchecked is not None:

@@ -19,10 +19,10 @@ _NOTE = 60  # characters of a note in a table
 
 
 def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
-    """Return a line for each bank: name, policy, starts, mean, when, machines, note."""
+    """Return a line for each baseline: name, policy, starts, mean, when, machines, note."""
     if not baselines:
         return "no baselines: neither shipped, nor in reports/baselines"
-    heading = ("bank", "policy", "starts", "mean", "saved", "machines", "note")
+    heading = ("baseline", "policy", "starts", "mean", "saved", "machines", "note")
     names = Counter(_name(each) for each in baselines)
     rows = [
         heading,
@@ -36,7 +36,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
 
 
 def baseline_page(shown: ShownBaseline) -> str:
-    """Return all that a bank says of itself, and its scenes as a table."""
+    """Return all that a baseline says of itself, and its scenes as a table."""
     return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.bank)), right={1})])
 
 
@@ -75,7 +75,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
     policy = manifest.policy
     digests = f"checkpoint {policy.checkpoint_digest[:16]}, card {policy.card_digest[:16]}"
-    yield f"bank       {clean(manifest.name)}"
+    yield f"baseline   {clean(manifest.name)}"
     yield f"file       {clean(shown.file)}"
     yield f"suite      {clean(manifest.suite)}"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cli.text.table import aligned
 from nw_eval.gate.baseline.comparison import percent_sure
 from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
@@ -16,7 +17,10 @@ if TYPE_CHECKING:
 
 def series_page(series: BisectedSeries) -> str:
     """Return the checkpoints that were judged, and which of the series was flagged first."""
-    head = ["", "checkpoint", "against the good one", "drop", "trials", "fell in"]
+    known = (run.verdict.against for run in series.runs.values())
+    found = next((each for each in known if each is not None), None)
+    sure = "" if found is None else f" ({bounds_header(found.alpha_regr, found.alpha_pass)})"
+    head = ["", "checkpoint", "against the good one", f"drop{sure}", "trials", "regressed in"]
     lines = [
         [str(place + 1), name, *_cells(series.runs.get(place))]
         for place, name in enumerate(series.checkpoints)
@@ -45,7 +49,7 @@ def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
     if fallen is None:
         opened = [names[place] for place, word in found.words.items() if word == "INCONCLUSIVE"]
         if opened:
-            return [f"no checkpoint was flagged; left open: {', '.join(opened)}"]
+            return [f"no checkpoint was flagged; undecided: {', '.join(opened)}"]
         return [f"none was flagged: {names[-1]} passed{_up_to(series.runs.get(len(names) - 1))}"]
     words = [f"the first flagged: {names[fallen]}{_worse(series.runs.get(fallen))}"]
     if good is not None:

@@ -10,7 +10,7 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene
-    from nw_eval.scenes.figures import SceneFigures
+    from nw_eval.scenes.overview import SceneFigures
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:
@@ -48,7 +48,7 @@ def scene_page(scene: SceneFigures) -> str:
 
 def findings_text(scenes: Sequence[CheckedScene]) -> str:
     """Return a line for each figure and finding of each scene, and one where nothing is wrong."""
-    from nw_eval.survey.lines import survey_lines
+    from nw_eval.survey import survey_lines
 
     lines: list[str] = []
     for scene in scenes:

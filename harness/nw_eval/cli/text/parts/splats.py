@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from nw_eval.api import WrittenSplat
-    from nw_eval.splat.describe import SplatFigures
+    from nw_eval.splat.gaussians import SplatFigures
 
 _BAR = 40
 """Characters of the longest bar of the histogram."""

@@ -15,7 +15,7 @@ class Agree:
     real: tyro.conf.Positional[Path]
     """A CSV with the columns policy, scene, trials, success."""
     runs: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, and banks, of those policies."""
+    """Folders of runs, and baselines, of those policies."""
     confidence: float = 0.95
     """Of each interval."""
 

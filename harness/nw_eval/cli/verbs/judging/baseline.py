@@ -13,10 +13,10 @@ from nw_eval.words import Backend
 
 @dataclass(frozen=True, kw_only=True)
 class Save:
-    """Run what is missing of a bank, and save it as reports/baselines/<suite>/<name>.parquet.
+    """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
 
     Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
-    is given again, and writes the same results. A bank that is there gets this
+    is given again, and writes the same results. A baseline that is there gets this
     class of machine, too. One that holds for something else is replaced with --renew only, after
     what moved is shown (exit code 5 without it).
     """
@@ -28,15 +28,15 @@ class Save:
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     starts: int | None = None
-    """Starts in each scene; as many as the bank has, and 60 for a new one, when absent."""
+    """Starts in each scene; as many as the baseline has, and 60 for a new one, when absent."""
     name: str | None = None
-    """The bank's name; the policy's when absent."""
+    """The baseline's name; the policy's when absent."""
     note: str = ""
     """Why it is saved."""
     from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """The folder of a finished run to save as a bank; nothing is run."""
+    """The folder of a finished run to save as a baseline; nothing is run."""
     renew: bool = False
-    """Replace the bank that is there, with its panels of all classes of machine."""
+    """Replace the baseline that is there, with its panels of all classes of machine."""
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
     time_limit: float | None = None
@@ -80,7 +80,7 @@ class Save:
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """List the banks of the project and those that are shipped."""
+    """List the baselines of the project and those that are shipped."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -92,34 +92,34 @@ class List:
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """Say what a bank holds for, who saved it and why, and what it holds, scene by scene."""
+    """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
-    """The suite's name, where several have a bank of that name."""
+    """The suite's name, where several have a baseline of that name."""
 
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.cli.text.judging.baselines import baseline_page
 
-        print(baseline_page(api.show_baseline(self.bank, suite=self.suite)))
+        print(baseline_page(api.show_baseline(self.baseline, suite=self.suite)))
         return 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Say whether a bank still holds here: suite, scenes, protocol, simulator, policy.
+    """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
 
     Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     suite: str | None = None
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the bank's policy lies; where the bank says when absent."""
+    """Where the baseline's policy lies, if not where the baseline says."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     render: Backend | None = None
@@ -132,7 +132,7 @@ class Check:
         from nw_eval.cli.text.judging.baseline_changes import checked_page
 
         checked = api.check_baseline(
-            self.bank,
+            self.baseline,
             suite=self.suite,
             policy=self.policy,
             checkpoint=self.checkpoint,
@@ -145,13 +145,13 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Verify:
-    """Run starts of a bank again by its own policy, and name each row that is not as the bank says.
+    """Run starts of a baseline again by its own policy, and name each row that differs.
 
     Which starts is drawn by a seed that nobody can foresee. Exit code 5 if a row differs, 4 if a
     trial comes to no result. Nothing is written into the project.
     """
 
-    bank: tyro.conf.Positional[str]
+    baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
     share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
     """Share of all its starts, at least one; 10% when absent."""
@@ -162,7 +162,7 @@ class Verify:
     suite: str | None = None
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the bank's policy lies; where the bank says when absent."""
+    """Where the baseline's policy lies, if not where the baseline says."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     render: Backend | None = None
@@ -181,7 +181,7 @@ class Verify:
 
         with RunProgress() as progress:
             verified = api.verify_baseline(
-                self.bank,
+                self.baseline,
                 share=self.share,
                 trials=self.trials,
                 seed=self.seed,
@@ -202,14 +202,14 @@ class Verify:
 
 @dataclass(frozen=True, kw_only=True)
 class Diff:
-    """Compare two banks: what they hold for, means scene by scene, starts that went another way."""
+    """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
 
     then: tyro.conf.Positional[str]
     """The earlier one: a name, suite/name, or a path."""
     now: tyro.conf.Positional[str]
     """The later one."""
     suite: str | None = None
-    """The suite's name, where several have a bank of such a name."""
+    """The suite's name, where several have a baseline of such a name."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -221,7 +221,7 @@ class Diff:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Save what a policy scores from every start; list, show, check, verify, compare such banks."""
+    """Save what a policy scores from every start; list, show, check, verify, compare baselines."""
 
     action: (
         Annotated[Save, tyro.conf.subcommand("save")]

@@ -14,10 +14,10 @@ class BisectSeries:
     """Find the first checkpoint of a series that the gate flags as worse than a good one.
 
     Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
-    that is asked for is judged against the bank of the good one, as `run --baseline` does, but for
-    the suite's bar. One before the first flagged may already be worse by less than the gate sees:
-    the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was not, 3
-    if nothing was decided.
+    that is asked for is judged against the baseline of the good one, as `run --baseline` does, but
+    for the suite's bar. One before the first flagged may already be worse by less than the gate
+    sees: the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was
+    not, 3 if nothing was decided.
     """
 
     suite: tyro.conf.Positional[str]
@@ -25,7 +25,7 @@ class BisectSeries:
     checkpoints: tyro.conf.Positional[tuple[str, ...]]
     """The series between the good and the bad one."""
     good: str
-    """A bank, or the checkpoint before the series, of which a bank is saved first."""
+    """A baseline, or the checkpoint before the series, of which a baseline is saved first."""
     bad: str
     """The checkpoint after the series."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
@@ -38,7 +38,7 @@ class BisectSeries:
     """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
     when absent."""
     starts: int | None = None
-    """Starts in each scene of a bank that is saved; 60 when absent."""
+    """Starts in each scene of a baseline that is saved; 60 when absent."""
     allow_code: bool = False
     """Let the policy's card import Python code."""
     out: Path | None = None

@@ -10,10 +10,10 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Put the policies of runs or banks side by side: ranks, scenes, where they part."""
+    """Put the policies of runs or baselines side by side: ranks, scenes, where they part."""
 
     runs: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, and banks; each is compared with the first by waypoints."""
+    """Folders of runs, and baselines; each is compared with the first by waypoints."""
     out: Path | None = None
     """A Markdown page to write."""
     picture: Path | None = None

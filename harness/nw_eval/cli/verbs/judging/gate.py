@@ -21,16 +21,16 @@ class GateRun(Publishing):
     run: tyro.conf.Positional[Path]
     """A run's folder."""
     baseline: str | None = None
-    """The bank to compare with: its name, its file, or none. When absent, that which the run was
-    begun against, or else the one that its suite names for its own policy."""
+    """The baseline to compare with: its name, its file, or none; when absent that which the run
+    was begun against, or else the one that its suite names for its own policy."""
     max_drop: float | None = None
     """Drop of mean success against the baseline that must not pass; the suite's own when absent."""
     tolerate: float | None = None
-    """Drop against the baseline that must not be convicted; the suite's own when absent."""
+    """Drop against the baseline that must not be REGRESSED; the suite's own when absent."""
     out: Path | None = None
     """Where to write the report in Markdown, with a page in HTML beside it; nowhere when absent."""
     ledger: Path | None = None
-    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
 
     def __call__(self) -> int:
         return self.publishing(str(self.run), self._judge)

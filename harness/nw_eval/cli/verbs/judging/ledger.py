@@ -10,7 +10,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Ledger:
-    """Reckon up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
+    """Sum up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
 
     file: tyro.conf.Positional[Path]
     """The ledger."""

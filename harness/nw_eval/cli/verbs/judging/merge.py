@@ -29,10 +29,10 @@ class MergeRuns(Publishing):
     out: Path
     """The folder of the merged run."""
     baseline: str | None = None
-    """The bank to compare with: its name, its file, or none. When absent, that which the parts were
-    begun against, or else the one that the suite names for its own policy."""
+    """The baseline to compare with: its name, its file, or none; when absent that which the
+    parts were begun against, or else the one that the suite names for its own policy."""
     ledger: Path | None = None
-    """Add the verdict to this ledger of verdicts (`nw-eval ledger` reckons it up)."""
+    """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
 
     def __call__(self) -> int:
         return self.publishing(str(self.out), self._merge)

@@ -11,27 +11,27 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class PlanTrials:
-    """Say how many trials convict a drop against a baseline, and what else the gate would see.
+    """Say how many trials detect a drop against a baseline, and what else the gate would see.
 
-    Simulates the gate from the scores of a bank, or of a run of the suite. Of a suite with a bar
-    and no bank it says how many trials the bar needs, and who passes. Runs no physics. `check`
-    says what would run; this one what it would show. With --shards it says instead into which parts
-    a run goes, each of which a machine of its own runs (`run --shard`).
+    Simulates the gate from the scores of a baseline, or of a run of the suite. Of a suite with a
+    bar and no baseline it says how many trials the bar needs, and who passes. Runs no physics.
+    `check` says what would run; this one what it would show. With --shards it says instead into
+    which parts a run goes, each of which a machine of its own runs (`run --shard`).
     """
 
     suite: tyro.conf.Positional[str]
     """A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."""
     detect: float | None = None
-    """Drop of mean success to convict; the suite's gate.max_drop when absent."""
+    """Drop of mean success to detect; the suite's gate.max_drop when absent."""
     baseline: str | None = None
-    """The bank to compare with, by name or path; when absent the suite's gate.baseline, or the only
-    one that there is of the suite."""
+    """The baseline to compare with, by name or path; when absent the suite's gate.baseline, or the
+    only one that there is of the suite."""
     run: Path | None = None
-    """In place of a bank, a run of the suite: its scores are taken for the baseline's."""
+    """In place of a baseline, a run of the suite: its scores are taken for the baseline's."""
     png: Path | None = None
     """Draw the curve into this file."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes to reckon minutes with; the number of cores when absent."""
+    """Worker processes to estimate minutes with; the number of cores when absent."""
 
     shards: int | None = None
     """Cut a run into so many parts."""

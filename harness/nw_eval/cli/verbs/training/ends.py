@@ -8,7 +8,7 @@ from nw_eval.clean import clean
 from nw_eval.cli.terminal.interruption import INTERRUPTED
 
 if TYPE_CHECKING:
-    from nw_eval.learn.program.trained import Trained
+    from nw_eval.learn.progress import Trained
 
 
 def end_of_training(trained: Trained) -> int:

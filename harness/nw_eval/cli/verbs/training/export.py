@@ -21,7 +21,7 @@ class Export:
 
     def __call__(self) -> int:
         from nw_eval.clean import clean
-        from nw_eval.learn.teacher.export import export_checkpoint
+        from nw_eval.learn.teacher.policy import export_checkpoint
 
         print(clean(f"{export_checkpoint(self.folder, self.checkpoint, self.out)} -> {self.out}"))
         return 0

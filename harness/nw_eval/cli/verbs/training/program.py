@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 if TYPE_CHECKING:
-    from nw_eval.learn.program.trained import Trained
+    from nw_eval.learn.progress import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Program:
     def __call__(self) -> int:
         from nw_eval.cli.verbs.training.ends import end_of_training
         from nw_eval.errors import UsageError
-        from nw_eval.learn.program.config import find_config
+        from nw_eval.learn.config import find_config
 
         if self.resume is not None:
             if self.config is not None or self.out is not None:

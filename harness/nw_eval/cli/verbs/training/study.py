@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from nw_eval.learn.studies.kinds.kind import Kind
+    from nw_eval.learn.studies.kinds import Kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +31,8 @@ class _Options:
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.learn.program.config import find_config
-        from nw_eval.learn.studies.opening import open_study
+        from nw_eval.learn.config import find_config
+        from nw_eval.learn.studies.study import open_study
 
         study = open_study(
             kind,
@@ -56,7 +56,7 @@ class SingleSceneStudy(_Options):
     """A student for each scene of a list, each evaluated in all of them: a matrix of success."""
 
     def __call__(self) -> int:
-        from nw_eval.learn.studies.kinds.single_scene import SingleScene
+        from nw_eval.learn.studies.kinds import SingleScene
 
         return self.carry_out(SingleScene())
 
@@ -66,7 +66,7 @@ class MultiSceneStudy(_Options):
     """A student of many scenes, evaluated after each round of its training, in new scenes too."""
 
     def __call__(self) -> int:
-        from nw_eval.learn.studies.kinds.multi_scene import MultiScene
+        from nw_eval.learn.studies.kinds import MultiScene
 
         return self.carry_out(MultiScene())
 
@@ -76,7 +76,7 @@ class ObservationsStudy(_Options):
     """Students that are given different things (colours, depth, cones, direction), compared."""
 
     def __call__(self) -> int:
-        from nw_eval.learn.studies.kinds.observations import Observations
+        from nw_eval.learn.studies.kinds import Observations
 
         return self.carry_out(Observations())
 

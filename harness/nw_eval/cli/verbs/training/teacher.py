@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cli.verbs.training.program import Program
 
 if TYPE_CHECKING:
-    from nw_eval.learn.program.trained import Trained
+    from nw_eval.learn.progress import Trained
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,7 @@ def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis,
         return "same", panel or bank.panels[0]
     if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
-            f"bank {bank.manifest.name} has no panel of this class of machine "
+            f"baseline {bank.manifest.name} has no panel of this class of machine "
             f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
             fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add a panel "
             f"with `{renewing(run, bank)}`",
@@ -58,7 +58,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
     if basis != "same" and has < needs:
         raise IncomparableError(
-            f"bank {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
+            f"baseline {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
             fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
             "--trials",
         )
@@ -68,7 +68,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
         return "panel"
     raise IncomparableError(
         f"gate.claim is panel, and the candidate did not meet starts that were drawn for it from "
-        f"all {has} of bank {bank.manifest.name} on a machine that it knows",
+        f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
         fix="write `claim: fresh`",
     )
 
@@ -84,11 +84,11 @@ def is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
 
 
 def _unlike(run: RunInfo, bank: SavedBank) -> str:
-    """Return in what this class of machine differs from the bank's nearest one."""
+    """Return in what this class of machine differs from the baseline's nearest one."""
     ours = machine_of(run)
     differing = [
         [
-            f"{name} {ours.get(name, 'none')}, the bank's {panel.machine.get(name, 'none')}"
+            f"{name} {ours.get(name, 'none')}, the baseline's {panel.machine.get(name, 'none')}"
             for name in sorted({*ours, *panel.machine})
             if ours.get(name) != panel.machine.get(name)
         ]

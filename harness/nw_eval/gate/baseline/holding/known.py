@@ -141,7 +141,7 @@ def contradictions(rows: Iterable[Row], bank: SavedBank, panel: Panel) -> tuple[
     if not found:
         return ()
     own = bank.manifest.policy.name
-    first = f"the bank is not what its own policy {own} does: the same bits, other results"
+    first = f"the baseline is not what its own policy {own} does: the same bits, other results"
     return (first, *found[:_NAMED])
 
 

@@ -62,6 +62,8 @@ class FailingCourse:
 
     scenes: tuple[SceneCourse, ...]
     together: tuple[Waypoint, ...]
+    baseline: str = ""
+    """What the baseline is, in words; empty without one."""
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -97,7 +99,16 @@ def course(rows: Sequence[Row], verdict: Verdict) -> FailingCourse:
         ]
         together = _together(list(ends.values()))
     scenes.sort(key=lambda scene: (-_lost(scene), scene.name))
-    return FailingCourse(scenes=tuple(scenes), together=together)
+    return FailingCourse(
+        scenes=tuple(scenes), together=together, baseline=_baseline(verdict) if judged else ""
+    )
+
+
+def _baseline(verdict: Verdict) -> str:
+    """Return which trials of the baseline the candidate's stand beside."""
+    if verdict.against is not None and verdict.against.basis == "control":
+        return "those of its policy that ran beside the candidate"
+    return "all starts of the baseline"
 
 
 def survived(ends: Sequence[Ends], waypoint: int) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 
 Values = NDArray[np.float64]
 

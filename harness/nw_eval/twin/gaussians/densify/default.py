@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.gaussians.densify.density import Density
 from nw_eval.twin.gaussians.densify.settings import Default

@@ -23,15 +23,23 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code.jit import inlined
-from nw_eval.splat.kernels.bits import bits_of
-from nw_eval.splat.kernels.blend import SLACK_COLUMNS, SLACK_ROWS
-from nw_eval.splat.kernels.math8 import exp2
+from nw_eval.splat.kernels.blend import (
+    CHANNELS,
+    FLAT,
+    LINE,
+    SLACK_COLUMNS,
+    SLACK_ROWS,
+    SQUARE,
+    LaneShape,
+)
+from nw_eval.splat.kernels.math8 import bits_of, exp2
 from nw_eval.splat.kernels.memory import peek, poke
 from nw_eval.splat.kernels.project import (
     BLUE,
     COLUMNS,
     GREEN,
     LOG_OPACITY,
+    RECORD,
     RED,
     ROWS,
     THRESHOLD,
@@ -41,8 +49,6 @@ from nw_eval.splat.kernels.project import (
     U,
     V,
 )
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, FLAT, LINE, SQUARE, LaneShape
 from nw_eval.splat.kernels.simd import (
     broadcast,
     fma,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from nw_eval.splat.kernels.bits import bits_of, float_of
+from nw_eval.splat.kernels.math8 import bits_of, float_of
 from nw_eval.splat.kernels.memory import load, peek, poke, store
-from nw_eval.splat.kernels.project import COLUMNS
-from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.project import COLUMNS, RECORD
 from nw_eval.twin.gaussians.kernels.jit import kernel
 
 

@@ -17,12 +17,13 @@ import numpy as np
 
 from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.bits import float_of
+from nw_eval.splat.kernels.math8 import float_of
 from nw_eval.splat.kernels.memory import poke
 from nw_eval.splat.kernels.project import (
     COLUMNS,
     DEPTH,
     LOG_OPACITY,
+    RECORD,
     RED,
     ROWS,
     THRESHOLD,
@@ -32,7 +33,6 @@ from nw_eval.splat.kernels.project import (
     U,
     V,
 )
-from nw_eval.splat.kernels.records import RECORD
 from nw_eval.twin.gaussians.kernels.ellipsoid import rotation
 from nw_eval.twin.gaussians.kernels.harmonics import basis
 from nw_eval.twin.gaussians.kernels.jit import kernel

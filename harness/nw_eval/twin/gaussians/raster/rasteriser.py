@@ -16,13 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.cameras.presets import PresetName, get_preset
+from nw_eval.splat.camera import Camera, Pixels, PresetName, get_preset, view_vector
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
-from nw_eval.splat.kernels.records import RECORD
+from nw_eval.splat.kernels.project import RECORD
 from nw_eval.splat.kernels.sort import HISTOGRAM, sort_nearer
-from nw_eval.splat.kernels.view import view_vector
 from nw_eval.twin.gaussians.kernels.blend_back import G_U, GRADIENT
 from nw_eval.twin.gaussians.kernels.project import project
 from nw_eval.twin.gaussians.kernels.project_back import project_back

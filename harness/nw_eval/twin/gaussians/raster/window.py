@@ -7,12 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.splat.cameras.camera import Camera
-from nw_eval.splat.cameras.pixels import Pixels
-from nw_eval.splat.kernels.blend import CURVE, SLACK_COLUMNS, SLACK_ROWS, blend, clear
-from nw_eval.splat.kernels.records import RECORD
-from nw_eval.splat.kernels.shapes import CHANNELS, PIXELS
-from nw_eval.splat.kernels.view import view_vector
+from nw_eval.splat.camera import Camera, Pixels, view_vector
+from nw_eval.splat.kernels.blend import (
+    CHANNELS,
+    CURVE,
+    PIXELS,
+    SLACK_COLUMNS,
+    SLACK_ROWS,
+    blend,
+    clear,
+)
+from nw_eval.splat.kernels.project import RECORD
 from nw_eval.twin.gaussians.kernels.blend_back import (
     GRADIENT,
     PLANES,

@@ -13,7 +13,7 @@ from nw_eval.errors import SceneError, StoreError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
-from nw_eval.scenes.name import name_of
+from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.suite.ready import write_ready_suite

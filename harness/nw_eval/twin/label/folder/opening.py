@@ -13,7 +13,7 @@ from nw_eval.files.yaml_file import YamlProblems, read_yaml
 from nw_eval.scenes.capture_file import CameraPose, read_poses
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.terrain.mesh_file import MESH_SUFFIXES, read_mesh
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.twin.label.placement import Placement, as_point
 from nw_eval.twin.label.state import LabelState, StartPose
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.neverwhere.similarity import check_similarity
+from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.twin.label.folder.scene_xml import scene_xml

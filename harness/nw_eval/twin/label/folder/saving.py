@@ -19,7 +19,7 @@ from nw_eval.files.inside import what_is
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
-from nw_eval.scenes.neverwhere.similarity import check_similarity
+from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.splat.transform import quaternions
 from nw_eval.twin.label.folder.opening import OpenedPlace
 from nw_eval.twin.label.folder.scene_text import SceneText

@@ -24,8 +24,8 @@ _HELP = """\
 2. Look at the start (green box) and at the hints.
 3. Save.
 
-Drag turns the view, right drag shifts it, the wheel zooms. Keys stand in brackets and rest while a
-number is typed; Ctrl+K lists all.
+Drag turns the view, right drag shifts it, the wheel zooms. Shortcuts are shown in brackets;
+they are off while you type. Ctrl+K lists all.
 """
 
 

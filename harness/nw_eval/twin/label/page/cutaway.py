@@ -13,7 +13,7 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.twin.label.course.ground import Ground
 from nw_eval.twin.label.crop import CropBox, cropped
 from nw_eval.twin.label.placement import Placement, Point, as_point, mapped
-from nw_eval.viewing.browser.splat_points import SplatPoints
+from nw_eval.viewing.browser import SplatPoints
 
 _FAR = 1e9  # m
 _OVERHEAD = 1.2  # m above a start; what hangs higher there is a ceiling

@@ -13,7 +13,7 @@ from nw_eval.twin.label.crop import CropBox
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.cutaway import Cutaway
 from nw_eval.twin.label.placement import Point, as_point
-from nw_eval.viewing.browser.splat_points import SplatPoints
+from nw_eval.viewing.browser import SplatPoints
 
 _ORANGE, _BLUE, _GREEN, _PINK = (232, 89, 12), (28, 100, 242), (43, 138, 62), (214, 51, 132)
 _ROBOT = (0.6, 0.3, 0.3)  # m, of a Go1 that stands

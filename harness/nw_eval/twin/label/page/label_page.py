@@ -17,8 +17,7 @@ from nw_eval.twin.label.page.controls import CLICKS, Controls
 from nw_eval.twin.label.page.cutaway import first_level
 from nw_eval.twin.label.page.drawing import Drawing
 from nw_eval.twin.label.placement import Point, as_point
-from nw_eval.viewing.browser.library import HOST, stop, viser_server
-from nw_eval.viewing.browser.splat_points import splat_points
+from nw_eval.viewing.browser import HOST, splat_points, stop, viser_server
 
 PUBLISHED = "published"
 """The folder, in the scene's, in which the published XML pair appears."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nw_eval.files.cache import atomic_path
-from nw_eval.splat.cameras.camera import Camera
+from nw_eval.splat.camera import Camera
 from nw_eval.twin.capture import Capture, read_picture
 
 

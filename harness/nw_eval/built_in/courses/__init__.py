@@ -1,1 +1,0 @@
-"""Obstacles and the trail over them, by task."""

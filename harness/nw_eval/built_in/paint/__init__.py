@@ -1,1 +1,0 @@
-"""Materials: colour as a function of where one looks, procedural and seeded."""

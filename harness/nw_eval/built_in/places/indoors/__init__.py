@@ -1,1 +1,0 @@
-"""Places under a roof."""

@@ -1,1 +1,0 @@
-"""Places under the sky."""

@@ -1,1 +1,0 @@
-"""What every training program shares: its config, its folder, its curve, what it says."""

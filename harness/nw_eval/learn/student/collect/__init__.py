@@ -1,1 +1,0 @@
-"""Driving trajectories: who drives, who looks on, where they run."""

@@ -1,1 +1,0 @@
-"""What students learn from: trajectories on disk, and the samples made of them."""

@@ -1,0 +1,216 @@
+"""One trajectory: what the student was given on its way, and what the teacher would have done.
+
+`Watcher` collects it as somebody drives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import StoreError
+from nw_eval.learn.student.card import BODY, DEPTH_STEPS
+from nw_eval.policies import open_policy
+from nw_eval.rollout.episode import Observer
+from nw_eval.sensors import build_sensors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.policies import Bundle, Observation
+    from nw_eval.rollout.episode import Decision
+    from nw_eval.rollout.library import Library
+    from nw_eval.rollout.prepare import OpenTrial
+    from nw_eval.sensors.sensor import Sensor
+
+# What a damaged file may cause in the library that reads it.
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, MemoryError, BadZipFile)
+
+Bytes = NDArray[np.uint8]
+Rows = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """T control steps with F images of each camera, of which one is held for some steps."""
+
+    body: Rows
+    """(T, numbers) what the student was told of its body."""
+    labels: Rows
+    """(T, 12) the teacher's raw actions in the same states."""
+    frame_of: NDArray[np.int32]
+    """(T,) the newest image of each step; from 0, never falling."""
+    rgb: Bytes
+    """(F, 3, rows, columns); none of them where the student sees no colours."""
+    depth: Bytes
+    """(F, 1, rows, columns) shares of the clipping distance in 255 steps; likewise."""
+    success: float
+    """Share of waypoints that whoever drove has reached."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps."""
+        return len(self.body)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(np.asarray(getattr(self, field.name)).nbytes for field in fields(self))
+
+    def write(self, path: Path) -> None:
+        """Write it, whole or not at all; a fenced process may.
+
+        Raises:
+            StoreError: it cannot be written.
+        """
+        arrays = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        part = path.with_suffix(".part")
+        try:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise StoreError(
+                f"cannot write {path}: {error.strerror}", fix="free disk space"
+            ) from error
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory; a file that is none runs no code.
+
+    Raises:
+        StoreError: it is missing, damaged or something else.
+    """
+    try:
+        with ZipFile(path) as archive:  # Ours are as large as what is in them: no bomb is one.
+            if any(member.compress_type != ZIP_STORED for member in archive.infolist()):
+                raise ValueError("its arrays are compressed")
+        with np.load(path, allow_pickle=False) as file:
+            arrays: dict[str, Any] = {each.name: file[each.name] for each in fields(Trajectory)}
+        arrays["success"] = float(arrays["success"])
+        read = Trajectory(**arrays)
+        _check(read)
+    except _DAMAGE as error:
+        raise StoreError(
+            f"{path} is no trajectory: {error}", fix="remove it; it will be driven again"
+        ) from None
+    return read
+
+
+def _check(read: Trajectory) -> None:
+    """Refuse arrays that do not belong together.
+
+    Raises:
+        ValueError: naming what is wrong.
+    """
+    kinds = {"body": "f4", "labels": "f4", "frame_of": "i4", "rgb": "u1", "depth": "u1"}
+    for name, kind in kinds.items():
+        if getattr(read, name).dtype != np.dtype(kind):
+            message = f"`{name}` is {getattr(read, name).dtype}"
+            raise ValueError(message)
+    steps, frames = read.steps, max(len(read.rgb), len(read.depth))
+    if not (len(read.labels) == len(read.frame_of) == steps > 0):
+        raise ValueError("its rows are of different numbers of steps")
+    if int(read.frame_of.min()) < 0 or int(read.frame_of.max()) >= frames:
+        raise ValueError("a step has an image that is not there")
+
+
+class Watcher(Observer):
+    """Collects a trajectory of a trial that one of two policies drives.
+
+    The one that does not drive has its own sensors in the same world; if that is the teacher, it is
+    asked in every state what it would do.
+
+    Args:
+        trial: stands at its first control step.
+        library: of this process.
+        student: its card.
+        teacher: card and checkpoint.
+    """
+
+    def __init__(
+        self, trial: OpenTrial, library: Library, *, student: Bundle, teacher: Bundle
+    ) -> None:
+        self._student_drives = trial.bundle.reference == student.reference
+        other = teacher if self._student_drives else student
+        self._others = _sensors(trial, library, other)
+        self._eyes: Mapping[str, Sensor] = (
+            trial.episode.sensors if self._student_drives else self._others
+        )
+        self._teacher = open_policy(teacher) if self._student_drives else None
+        if self._teacher is not None:
+            self._teacher.reset(_seed(trial, "teacher"))
+        self._body: list[NDArray[Any]] = []
+        self._labels: list[NDArray[Any]] = []
+        self._frame_of: list[int] = []
+        self._frames: dict[str, list[NDArray[np.uint8]]] = {"rgb": [], "depth": []}
+
+    def decided(self, decision: Decision) -> None:
+        """Take down a state: before anything moves."""
+        moment = decision.moment
+        assert moment is not None, "trials of this protocol begin with an observation"
+        others = {name: sensor.read(moment) for name, sensor in self._others.items()}
+        seen = decision.observation if self._student_drives else others
+        label = decision.action if self._teacher is None else self._teacher.act(others)
+        self._body.append(np.concatenate([seen[name] for name in BODY], dtype=np.float32))
+        self._labels.append(label.astype(np.float32))
+        self._look(seen)
+
+    def trajectory(self, success: float) -> Trajectory:
+        """Return what was collected; at least one step."""
+        return Trajectory(
+            body=np.stack(self._body),
+            labels=np.stack(self._labels),
+            frame_of=np.array(self._frame_of, np.int32),
+            rgb=_stacked(self._frames["rgb"]),
+            depth=_stacked(self._frames["depth"]),
+            success=success,
+        )
+
+    def close(self) -> None:
+        """Free the teacher."""
+        if self._teacher is not None:
+            self._teacher.close()
+
+    def _look(self, seen: Observation) -> None:
+        """Keep the newest image of each camera, if it is new: those before it have been kept."""
+        for name, frames in self._frames.items():
+            if name in seen and self._eyes[name].fresh:
+                frames.append(newest(name, seen[name]))
+        count = max(len(frames) for frames in self._frames.values())
+        self._frame_of.append(count - 1)
+
+
+def newest(name: str, image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the newest image of a stack as bytes, (channels, rows, columns)."""
+    if name == "rgb":
+        return image[-3:].copy()
+    return np.rint(image[-1:] * DEPTH_STEPS).astype(np.uint8)
+
+
+def _stacked(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    return np.stack(frames) if frames else np.empty((0, 0, 0, 0), np.uint8)
+
+
+def _sensors(trial: OpenTrial, library: Library, bundle: Bundle) -> dict[str, Sensor]:
+    """Return the sensors of a card in the world of a trial that another one drives."""
+    job = trial.job
+    sensors = build_sensors(
+        bundle.card,
+        trial.episode.world,
+        rays=lambda: library.rays(job.scene, job.collision),
+        renderer=lambda _scene: trial.renderer(),
+    )
+    for name, sensor in sensors.items():
+        sensor.reset(_seed(trial, f"{bundle.name} sensor {name}"))
+    return sensors
+
+
+def _seed(trial: OpenTrial, stream: str) -> int:
+    return int(trial.job.trial.seed_sequence(stream).generate_state(1, np.uint32)[0])

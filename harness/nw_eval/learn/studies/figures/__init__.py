@@ -1,1 +1,0 @@
-"""Figures of studies: no screen is needed, and colours differ for everybody."""

@@ -1,0 +1,222 @@
+"""All lanes of a training: random courses by task and level, and the training scenes.
+
+A lane is a scene as the physics and the sensors of a training need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.catalogue import get_scene, names
+from nw_eval.errors import SceneError
+from nw_eval.learn.teacher.config import GROUNDS, CourseSettings
+from nw_eval.learn.teacher.courses import draw_course
+from nw_eval.protocol import STRICT
+from nw_eval.robots import RobotSpec
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Box, Scene
+from nw_eval.sim.actuators import Actuators
+from nw_eval.sim.binding import MjModel, mujoco
+from nw_eval.sim.model import compile_model
+
+_FLAT = GROUNDS.index("flat")
+_STREAM = 1
+"""Of the seed, from which courses are drawn."""
+
+CELL = 0.025
+"""Of a lane's grid of heights, metres."""
+ORIGIN = (-1.5, -2.5)
+SHAPE = (480, 200)
+"""Cells ahead and across: 12 by 5 m. Points beyond have the height of the nearest cell."""
+SOLIDS = 28
+"""Boxes of every lane, so that all of them make models of one size."""
+WAYPOINTS = 8
+_REACH = 1.0
+"""Metres from the trail within which solids can be touched; a robot further away is lost."""
+_EDGE = 0.05
+"""Metres: that a step is high at least, and that a foot is near it at most."""
+_NOWHERE = -50.0
+
+
+class Lanes:
+    """Lanes by number: of each task those of level 0, 1, ..., then flat ones, then scenes.
+
+    Args:
+        settings: from the config.
+        robot: a `training_robot`.
+        seed: of the training.
+        generations: how often each lane was drawn anew before, (L,); None = never.
+        say: is told how far it is.
+
+    Attributes:
+        scenes: names of the training scenes, in the order of their lanes.
+        heights: (L, X, Y) float32, m.
+        edges: (L, X, Y) uint8.
+        grounds: (L,) indices into `GROUNDS`.
+        levels: (L,) level of each random course; the top one for scenes.
+        generations: (L,) how often each lane was drawn anew.
+
+    Raises:
+        SceneError: a scene does not fit a lane.
+    """
+
+    def __init__(
+        self,
+        settings: CourseSettings,
+        robot: RobotSpec,
+        seed: int,
+        *,
+        generations: NDArray[np.int64] | None = None,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        self._settings, self._robot, self._seed = settings, robot, seed
+        self.scenes = names("train") if settings.scenes is None else settings.scenes
+        flat_from = _FLAT * settings.levels * settings.variants
+        self.random_count = flat_from + settings.variants
+        count = self.random_count + len(self.scenes)
+        drawn = np.arange(self.random_count)
+        of_scenes = [GROUNDS.index(get_scene(name).task) for name in self.scenes]
+        per_ground = settings.levels * settings.variants
+        self.grounds = np.concatenate([drawn // per_ground, of_scenes]).astype(np.intp)
+        levels = np.where(drawn < flat_from, drawn // settings.variants % settings.levels, 0)
+        self.levels = np.concatenate([levels, np.full(len(self.scenes), settings.levels - 1)])
+        self.generations = (
+            np.zeros(count, dtype=np.int64) if generations is None else generations.copy()
+        )
+        self.heights = np.zeros((count, *SHAPE), dtype=np.float32)
+        self.edges = np.zeros((count, *SHAPE), dtype=np.uint8)
+        self.floors = np.zeros(count)
+        self.trails: list[NDArray[np.float64]] = []
+        self.noises = np.zeros((count, 2))
+        self.models: list[MjModel] = []
+        for number in range(count):
+            if say is not None and number % 100 == 0:
+                say(f"{number} of {count} courses")
+            lane = self._lane(number)
+            self.models.append(lane.model)
+            self.trails.append(lane.trail)
+            self._fill(number, lane)
+
+    def redraw(self, number: int) -> MjModel:
+        """Draw a random course anew, and return its model."""
+        self.generations[number] += 1
+        lane = self._lane(number)
+        self.models[number], self.trails[number] = lane.model, lane.trail
+        self._fill(number, lane)
+        return lane.model
+
+    def of_level(self, ground: int, level: int) -> slice:
+        """Return the numbers of the random courses of a task and a level."""
+        variants = self._settings.variants
+        first = (ground * self._settings.levels + (0 if ground == _FLAT else level)) * variants
+        return slice(first, first + variants)
+
+    def _lane(self, number: int) -> Lane:
+        if number >= self.random_count:
+            scene = get_scene(self.scenes[number - self.random_count])
+        else:
+            key = (_STREAM, number, int(self.generations[number]))
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
+            ground = GROUNDS[self.grounds[number]]
+            scene = draw_course(ground, int(self.levels[number]), rng)
+        return lane_of(scene, self._robot)
+
+    def _fill(self, number: int, lane: Lane) -> None:
+        self.heights[number], self.edges[number] = lane.heights, lane.edges
+        self.floors[number], self.noises[number] = lane.floor, lane.noise
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lane:
+    """One place to train in.
+
+    Attributes:
+        model: robot and solids; every lane's has the same sizes.
+        heights: (X, Y) float32 of the ground in the world, m, at the middles of the cells.
+        edges: (X, Y) uint8, 1 within 5 cm of an edge across the trail.
+        trail: (K, 2) waypoints, m.
+        noise: half widths by which an episode moves them, (2,) m.
+        floor: height of the lowest ground, m.
+    """
+
+    model: MjModel
+    heights: NDArray[np.float32]
+    edges: NDArray[np.uint8]
+    trail: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    floor: float
+
+
+def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
+    """Return the lane of a scene of boxes.
+
+    Args:
+        scene: its spawn is at the origin and looks along x, as those of all built-in scenes.
+        robot: a `training_robot`.
+
+    Raises:
+        SceneError: it has other solids than boxes, too many of them, or too many waypoints.
+    """
+    corners = np.vstack([np.zeros((1, 2)), scene.trail[:, :2]])
+    boxes = [solid for solid in scene.solids if isinstance(solid, Box)]
+    between = np.linspace(corners[:-1], corners[1:], 30).reshape(-1, 2)
+    solids = [box for box in boxes if _is_near(box, between)]
+    if len(boxes) < len(scene.solids) or len(solids) > SOLIDS or len(scene.trail) > WAYPOINTS:
+        raise SceneError(
+            f"{scene.name} has {len(solids)} boxes near its {len(scene.trail)} waypoints, "
+            f"{SOLIDS} and {WAYPOINTS} fit, and no other solids",
+            fix="leave it out of `courses.scenes`",
+        )
+    parked = [
+        Box(center=(0.0, 3.0 * number, _NOWHERE), half_size=(0.1, 0.1, 0.1))
+        for number in range(SOLIDS - len(solids))
+    ]
+    model = compile_model(
+        robot,
+        replace(scene, solids=(*solids, *parked)),
+        protocol=STRICT,
+        actuators=Actuators.of(robot),
+        friction=None,
+        payload=0.0,
+        timestep=0.005,
+    )
+    heights = _heights(scene)
+    return Lane(
+        model=model,
+        heights=heights,
+        edges=_edges(heights),
+        trail=scene.trail[:, :2].copy(),
+        noise=np.array(scene.waypoint_noise),
+        floor=scene.ground.z,
+    )
+
+
+def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
+    """Say whether a box, seen from above, is within reach of any point (P, 2) of the trail."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, np.array(box.quat))
+    half = np.abs(rotation.reshape(3, 3)) @ np.array(box.half_size)
+    # Along the trail every few centimetres: how far outside the box's outline each point is.
+    outside = np.maximum(np.abs(points - np.array(box.center[:2])) - half[:2], 0.0)
+    return bool((np.hypot(*outside.T) < _REACH).any())
+
+
+def _heights(scene: Scene) -> NDArray[np.float32]:
+    axes = [start + CELL * (np.arange(n) + 0.5) for start, n in zip(ORIGIN, SHAPE, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    found = RayScene(scene.mesh()).height(points)
+    return np.maximum(found, scene.ground.z - 1.0).astype(np.float32).reshape(SHAPE)
+
+
+def _edges(heights: NDArray[np.float32]) -> NDArray[np.uint8]:
+    steps = np.abs(np.diff(heights, axis=0)) > _EDGE
+    edges = np.zeros(heights.shape, dtype=np.uint8)
+    reach = round(_EDGE / CELL)
+    for shift in range(-reach, reach):
+        low, high = max(0, -shift), min(len(steps), len(edges) - 1 - shift)
+        edges[low + shift + 1 : high + shift + 1] |= steps[low:high]
+    return edges

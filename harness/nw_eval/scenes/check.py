@@ -1,0 +1,227 @@
+"""What `nw-eval scenes check` looks at in any scene."""
+
+from __future__ import annotations
+
+from itertools import starmap
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes.finding import SceneFinding
+from nw_eval.scenes.mesh import rotation_matrix
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Box, HeightField, Scene
+
+Values = NDArray[np.float64]
+
+# A floor this far from z = 0 under the spawn is worth a word, metres.
+_FLOOR = 0.02
+# A waypoint is a point on top of an obstacle; it may lie this far below the surface, or above it.
+_UNDER = 0.05
+_OVER = 1.0
+# The body of a robot that stands at the spawn: half extents along x and y, and what is under it.
+_BODY = (0.25, 0.15)
+_CLEARANCE = 0.2
+_BODY_TOP = 0.45
+# Around the spawn the ground's usual height is told from that of an obstacle there, metres.
+_ROUND = 0.8
+# Terrain has a surface of its own where it is this much above the plane that catches, metres.
+_ABOVE_VOID = 0.4
+# Shares of a splat in or near the box of the mesh that are too little to be the same place.
+_LEAST_INSIDE = 0.02
+_AROUND = 2.0
+
+
+def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
+    """Return what is wrong or remarkable about a scene.
+
+    Args:
+        scene: built in, from a folder, or published.
+        read_splat: look into the splat as well; a splat file of a gigabyte takes seconds.
+    """
+    rays = RayScene(scene.mesh())
+    findings = [*_spawn(scene, rays), *_waypoints(scene, rays)]
+    if read_splat and scene.splat is not None:
+        findings += _splat(scene)
+    return tuple(findings)
+
+
+def _heights(scene: Scene, rays: RayScene, xy: Values) -> Values:
+    """Return the ground under points, as the sensors see it or else as physics has it."""
+    heights = rays.height(xy)
+    fields = [solid.height(xy) for solid in scene.solids if isinstance(solid, HeightField)]
+    if not fields:
+        return heights
+    # Small holes of the mesh are closed in physics; where it has no surface it lies deep down.
+    field = np.max(fields, axis=0)
+    return np.where(np.isneginf(heights) & (field > scene.ground.z + _ABOVE_VOID), field, heights)
+
+
+def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
+    x, y, z = scene.spawn.position
+    here = np.array([[x, y]])
+    floor = float(_heights(scene, rays, here)[0])
+    place = (x, y, z)
+    if _looks_down(scene, rays, x, y, z):
+        return [
+            SceneFinding(
+                code="inside_out",
+                severity="error",
+                message=f"the faces under the spawn ({x:.2f}, {y:.2f}) look down: the mesh is "
+                "mirrored or inside out",
+                fix="flip its faces, or undo the negative scale that made it",
+                place=place,
+            )
+        ]
+    if not np.isfinite(floor):
+        return [
+            SceneFinding(
+                code="no_floor_under_spawn",
+                severity="error",
+                message=f"there is no surface under the spawn ({x:.2f}, {y:.2f})",
+                fix="move the mesh so that the robot starts on it",
+                place=place,
+            )
+        ]
+    findings: list[SceneFinding] = []
+    if abs(floor) > _FLOOR:
+        findings.append(
+            SceneFinding(
+                code="floor_offset",
+                severity="warning",
+                message=f"the floor under the spawn is at z = {floor:.3f} m, not at 0",
+                fix="the published robot starts 0.4 m above z = 0; align the scene's height",
+                value=floor,
+                place=place,
+            )
+        )
+    # A centimetre apart: a panel is as much in the way as a block.
+    sides = [np.linspace(-half, half, 1 + round(2 * half / 0.01)) for half in _BODY]
+    body = np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
+    c, s = np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)
+    points = here + body @ np.array([[c, s], [-s, c]])
+    under = _heights(scene, rays, points)
+    highest = float(np.max(under))
+    steps = np.linspace(-_ROUND, _ROUND, 17)
+    nearby = here + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    ground = _heights(scene, rays, nearby)
+    usual = float(np.median(ground[np.isfinite(ground)]))
+    # A narrow block may stand on lower ground: where it is level under the robot, it carries it.
+    level = max(usual, min(z, float(np.min(under))))
+    inside = _inside_a_box(scene, points, max(z, usual))
+    if highest > level + _CLEARANCE or inside:
+        found = "a solid" if inside else f"something {highest - level:.2f} m high"
+        findings.append(
+            SceneFinding(
+                code="spawn_blocked",
+                severity="error",
+                message=f"{found} is where the robot starts, at ({x:.2f}, {y:.2f})",
+                fix="move the spawn or the scene",
+                value=highest,
+                place=place,
+            )
+        )
+    return findings
+
+
+def _looks_down(scene: Scene, rays: RayScene, x: float, y: float, z: float) -> bool:
+    """Return whether the first face below the robot's body is seen from behind."""
+    origin = np.array([[x, y, z + 0.4]])
+    _, face = rays.cast(origin, np.array([[0.0, 0.0, -1.0]]))
+    if face[0] < 0:
+        return False
+    a, b, c = scene.mesh().triangles[face[0]]
+    return bool(np.cross(b - a, c - a)[2] < 0)
+
+
+def _inside_a_box(scene: Scene, points: Values, z: float) -> bool:
+    heights = np.linspace(z + _CLEARANCE, z + _BODY_TOP, 6)
+    body = np.concatenate([np.column_stack([points, np.full(len(points), h)]) for h in heights])
+    for solid in scene.solids:
+        if isinstance(solid, Box):
+            local = (body - solid.center) @ rotation_matrix(solid.quat)
+            if (np.abs(local) < solid.half_size).all(axis=1).any():
+                return True
+    return False
+
+
+def _waypoints(scene: Scene, rays: RayScene) -> list[SceneFinding]:
+    heights = _heights(scene, rays, scene.trail[:, :2])
+    rows = enumerate(zip(scene.trail.tolist(), heights.tolist(), strict=True))
+    found = starmap(lambda index, row: _waypoint(index, row[0], row[1]), rows)
+    return [finding for finding in found if finding is not None]
+
+
+def _waypoint(index: int, point: list[float], ground: float) -> SceneFinding | None:
+    x, y, z = point
+    name = f"waypoint {index} at ({x:.2f}, {y:.2f}, {z:.2f})"
+    if not np.isfinite(ground):
+        return SceneFinding(
+            code="waypoint_off_mesh",
+            severity="error",
+            message=f"{name} has no surface under it",
+            fix="move it onto the mesh",
+            place=(x, y, z),
+        )
+    if z < ground - _UNDER:
+        return SceneFinding(
+            code="waypoint_below_surface",
+            severity="error",
+            message=f"{name} lies {ground - z:.3f} m below the surface",
+            fix="put it on top of the obstacle",
+            value=ground - z,
+            place=(x, y, z),
+        )
+    if z > ground + _OVER:
+        return SceneFinding(
+            code="waypoint_above_surface",
+            severity="warning",
+            message=f"{name} hangs {z - ground:.2f} m above the surface",
+            fix="put it on top of the obstacle",
+            value=z - ground,
+            place=(x, y, z),
+        )
+    return None
+
+
+def _splat(scene: Scene) -> list[SceneFinding]:
+    try:
+        means = _means(scene)
+    except SceneError as error:
+        empty = any(word in str(error) for word in ("empty", "none of", "no Gaussian"))
+        code = "splat_empty" if empty else "splat_invalid"
+        return [SceneFinding(code=code, severity="error", message=str(error))]
+    if len(means) == 0:
+        message = "the splat has no Gaussians"
+        return [SceneFinding(code="splat_empty", severity="error", message=message)]
+    mesh = scene.mesh()
+    # The trail's surroundings: a ground plane may reach far beyond what was photographed.
+    path = np.vstack([[scene.spawn.position], scene.trail])
+    low = np.maximum(path.min(axis=0) - _AROUND, mesh.vertices.min(axis=0) - 0.5)
+    high = np.minimum(path.max(axis=0) + _AROUND, mesh.vertices.max(axis=0) + 0.5)
+    T = scene.T_world_splat
+    world = means @ T[:3, :3].T + T[:3, 3]
+    share = float(((world > low) & (world < high)).all(axis=1).mean())
+    if share >= _LEAST_INSIDE:
+        return []
+    middle = np.median(world, axis=0).round(2).tolist()
+    return [
+        SceneFinding(
+            code="splat_elsewhere",
+            severity="error",
+            message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie round the trail; "
+            f"their middle is at {middle}",
+            fix="check T_world_splat: scale, rotation and data_transforms.json",
+            value=share,
+        )
+    ]
+
+
+def _means(scene: Scene) -> Values:
+    """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame."""
+    from nw_eval.splat.store import GEOMETRY, GROUP, open_store
+
+    layout = open_store(scene.splat_store()).layout
+    centers = layout.geometry.reshape(-1, GEOMETRY, GROUP)[:, :3].transpose(0, 2, 1)
+    return centers.reshape(-1, 3)[: layout.count].astype(np.float64)

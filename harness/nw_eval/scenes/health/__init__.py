@@ -1,1 +1,0 @@
-"""What is wrong with a place, said before a robot finds out."""

@@ -1,0 +1,296 @@
+"""Contacts of one shape with one scanned surface, as MuJoCo's table of collision functions asks.
+
+The shape is moved into the surface's own frame, met there, and the contacts are moved back. A
+height field's pairs are given to one function, of MuJoCo's type mjfCollision.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numba import types
+
+from nw_eval.machine_code.jit import c_function, inlined, kernel
+from nw_eval.scenes.narrowphase.ground import (
+    field_height,
+    field_top,
+    field_triangles,
+    mesh_triangles,
+)
+from nw_eval.scenes.narrowphase.install import CARRIER_BASE
+from nw_eval.scenes.narrowphase.shape import CAPSULE, SPHERE, radius_of, reach_of, shape_samples
+from nw_eval.scenes.narrowphase.triangles import (
+    CONTACT,
+    fewest,
+    signed_distance,
+    sphere_contacts,
+    write_contact,
+    write_records,
+)
+
+# How far into the ground a way out is looked for, metres. At 4 m/s a landing foot gets 3 cm deep.
+_DEEPEST = 0.08
+_MOST = 6
+
+# Its declared types know no array whose length is read from another.
+carray: Any = numba.carray  # pyright: ignore[reportPrivateImportUsage]
+
+_MESH = 7  # mjGEOM_MESH
+_MOST_RECORDS = 50  # mjMAXCONPAIR
+_RECORD = 10  # numbers of an mjPreContact
+
+
+def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any:
+    """Compile the function; see `c_function`.
+
+    Args:
+        model_at: numbers of the words of mjModel that point at its arrays.
+        data_at: likewise of mjData.
+    """
+    word = types.CPointer(types.voidptr)
+    numbers = types.CPointer(types.float64)
+    geom_type, geom_dataid, geom_size = (
+        model_at["geom_type"],
+        model_at["geom_dataid"],
+        model_at["geom_size"],
+    )
+    hfield_size, hfield_nrow, hfield_ncol, hfield_adr, hfield_data = (
+        model_at[f"hfield_{name}"] for name in ("size", "nrow", "ncol", "adr", "data")
+    )
+    mesh_vertadr, mesh_vert, mesh_faceadr, mesh_face, mesh_bvhadr = (
+        model_at[f"mesh_{name}"] for name in ("vertadr", "vert", "faceadr", "face", "bvhadr")
+    )
+    bvh_aabb, bvh_child, bvh_nodeid = (
+        model_at["bvh_aabb"],
+        model_at["bvh_child"],
+        model_at["bvh_nodeid"],
+    )
+    geom_xpos, geom_xmat = data_at["geom_xpos"], data_at["geom_xmat"]
+
+    def collide(m: Any, d: Any, con: Any, g1: Any, g2: Any, margin: Any) -> Any:
+        geoms = max(g1, g2) + 2
+        types_of = carray(m[geom_type], (geoms,), np.int32)
+        data_of = carray(m[geom_dataid], (geoms,), np.int32)
+        sizes = carray(m[geom_size], (geoms, 3), np.float64)
+        places = carray(d[geom_xpos], (geoms, 3), np.float64)
+        turns = carray(d[geom_xmat], (geoms, 3, 3), np.float64)
+        records = carray(con, (_MOST_RECORDS, _RECORD), np.float64)
+        field = data_of[g1]
+        rows = carray(m[hfield_nrow], (field + 1,), np.int32)[field]
+        columns = carray(m[hfield_ncol], (field + 1,), np.int32)[field]
+        half = carray(m[hfield_size], (field + 1, 4), np.float64)[field]
+        # Every field of this process comes here: one of another model may be small, too.
+        if half[3] != CARRIER_BASE or types_of[g1 + 1] != _MESH:
+            start = carray(m[hfield_adr], (field + 1,), np.int32)[field]
+            shares = carray(m[hfield_data], (start + rows * columns,), np.float32)[start:]
+            return collide_with_field(
+                shares.reshape((rows, columns)),
+                half,
+                places[g1],
+                turns[g1],
+                types_of[g2],
+                sizes[g2],
+                places[g2],
+                turns[g2],
+                margin,
+                records,
+            )
+        mesh = data_of[g1 + 1]
+        vertices = carray(m[mesh_vertadr], (mesh + 1,), np.int32)[mesh]
+        faces = carray(m[mesh_faceadr], (mesh + 1,), np.int32)[mesh]
+        tree = carray(m[mesh_bvhadr], (mesh + 1,), np.int32)[mesh]
+        # Their lengths are not looked up: only what the tree names is read.
+        far = 1 << 28
+        return collide_with_mesh(
+            carray(m[mesh_vert], (far, 3), np.float32)[vertices:],
+            carray(m[mesh_face], (far, 3), np.int32)[faces:],
+            carray(m[bvh_aabb], (far, 6), np.float64)[tree:],
+            carray(m[bvh_child], (far, 2), np.int32)[tree:],
+            carray(m[bvh_nodeid], (far,), np.int32)[tree:],
+            places[g1 + 1],
+            turns[g1 + 1],
+            types_of[g2],
+            sizes[g2],
+            places[g2],
+            turns[g2],
+            margin,
+            records,
+        )
+
+    arguments = (word, word, numbers, types.int32, types.int32, types.float64)
+    return c_function(collide, arguments, types.int32)
+
+
+@kernel
+def collide_with_field(
+    heights: Any,
+    half: Any,
+    origin: Any,
+    frame: Any,
+    kind: Any,
+    size: Any,
+    position: Any,
+    turn: Any,
+    margin: Any,
+    records: Any,
+) -> Any:
+    """Write the contacts of a shape with a height field; return how many.
+
+    Args:
+        heights: (R, C) float32 shares of `half[2]`.
+        half: half extents along x and y, and the height of a share of 1, metres.
+        origin: (3,) the field's place in the world, metres.
+        frame: (3, 3) its rotation to the world.
+        kind: the shape, by MuJoCo's mjtGeom.
+        size: (3,) as in MJCF, metres.
+        position: (3,) of the shape in the world, metres.
+        turn: (3, 3) its rotation to the world.
+        margin: distance below which there is a contact, metres.
+        records: (50, 10) out: mjPreContact, normals from the ground to the shape.
+    """
+    if _clears(heights, half, origin, frame, position, radius_of(kind, size) + margin):
+        return 0
+    center, turned = _local(position, turn, origin, frame)
+    contacts = _field_contacts(heights, half, kind, size, turned, center, margin)
+    return write_records(contacts, origin, frame, records)
+
+
+@kernel
+def collide_with_mesh(
+    vertices: Any,
+    faces: Any,
+    boxes: Any,
+    children: Any,
+    leaves: Any,
+    origin: Any,
+    frame: Any,
+    kind: Any,
+    size: Any,
+    position: Any,
+    turn: Any,
+    margin: Any,
+    records: Any,
+) -> Any:
+    """Write the contacts of a shape with a mesh; return how many. Arguments as the others'."""
+    center, turned = _local(position, turn, origin, frame)
+    contacts = _mesh_contacts(
+        vertices, faces, boxes, children, leaves, kind, size, turned, center, margin
+    )
+    return write_records(contacts, origin, frame, records)
+
+
+@kernel
+def _clears(heights: Any, half: Any, origin: Any, frame: Any, position: Any, radius: Any) -> Any:
+    """Tell whether a sphere is above all ground below it: most of a robot is, at most times."""
+    dx, dy, dz = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
+    x = frame[0, 0] * dx + frame[1, 0] * dy + frame[2, 0] * dz
+    y = frame[0, 1] * dx + frame[1, 1] * dy + frame[2, 1] * dz
+    z = frame[0, 2] * dx + frame[1, 2] * dy + frame[2, 2] * dz
+    return field_top(heights, half, x, y, radius, radius) < z - radius
+
+
+@inlined
+def _around(x: Any, y: Any, z: Any, reach: Any) -> Any:
+    low, high = np.empty(3), np.empty(3)
+    low[0], low[1], low[2] = x - reach, y - reach, z - reach
+    high[0], high[1], high[2] = x + reach, y + reach, z + reach
+    return low, high
+
+
+@kernel
+def _field_contacts(
+    heights: Any, half: Any, kind: Any, size: Any, turn: Any, center: Any, margin: Any
+) -> Any:
+    """Return the contacts of a shape with a height field in the field's frame, (N, CONTACT)."""
+    reach = reach_of(kind, size, turn) + margin
+    top = field_top(heights, half, center[0], center[1], reach[0], reach[1])
+    if top < center[2] - reach[2]:
+        return np.empty((0, CONTACT))
+    if kind == SPHERE:
+        height = field_height(heights, half, center[0], center[1])[0]
+        if height == -math.inf:
+            return np.empty((0, CONTACT))
+        depth = min(max(height - center[2], 0.0), _DEEPEST)
+        low, high = _around(center[0], center[1], center[2], max(size[0] + margin, depth + margin))
+        triangles = field_triangles(heights, half, low, high)
+        return sphere_contacts(triangles, center[0], center[1], center[2], size[0], margin)
+    points = shape_samples(kind, size, turn, center)
+    radius = size[0] if kind == CAPSULE else 0.0
+    contacts = np.empty((len(points), CONTACT))
+    count = 0
+    for index in range(len(points)):
+        x, y, z = points[index, 0], points[index, 1], points[index, 2]
+        height, nx, ny, nz = field_height(heights, half, x, y)
+        if height == -math.inf:
+            continue
+        depth = height - z
+        if depth <= 0.0 and radius == 0.0:
+            away, qx, qy, qz = -depth * nz, x, y, height
+        else:
+            low, high = _around(x, y, z, max(radius, min(depth, _DEEPEST)) + margin)
+            triangles = field_triangles(heights, half, low, high)
+            away, qx, qy, qz, nx, ny, nz = signed_distance(triangles, x, y, z)
+            if depth > _DEEPEST and away > _DEEPEST:
+                away, qx, qy, qz, nx, ny, nz = -_DEEPEST, x, y, height, 0.0, 0.0, 1.0
+        if away - radius < margin:
+            write_contact(contacts[count], away - radius, qx, qy, qz, nx, ny, nz)
+            count += 1
+    return fewest(contacts[:count], _MOST)
+
+
+@kernel
+def _mesh_contacts(
+    vertices: Any,
+    faces: Any,
+    boxes: Any,
+    children: Any,
+    leaves: Any,
+    kind: Any,
+    size: Any,
+    turn: Any,
+    center: Any,
+    margin: Any,
+) -> Any:
+    """Return the contacts of a shape with a mesh in the mesh's frame, (N, CONTACT)."""
+    reach = reach_of(kind, size, turn) + _DEEPEST
+    triangles = mesh_triangles(
+        vertices, faces, boxes, children, leaves, center - reach, center + reach
+    )
+    if len(triangles) == 0:
+        return np.empty((0, CONTACT))
+    if kind == SPHERE:
+        return sphere_contacts(triangles, center[0], center[1], center[2], size[0], margin)
+    points = shape_samples(kind, size, turn, center)
+    radius = size[0] if kind == CAPSULE else 0.0
+    contacts = np.empty((len(points), CONTACT))
+    count = 0
+    for index in range(len(points)):
+        away, qx, qy, qz, nx, ny, nz = signed_distance(
+            triangles, points[index, 0], points[index, 1], points[index, 2]
+        )
+        if away > -_DEEPEST and away - radius < margin:
+            write_contact(contacts[count], away - radius, qx, qy, qz, nx, ny, nz)
+            count += 1
+    return fewest(contacts[:count], _MOST)
+
+
+@kernel
+def _local(position: Any, turn: Any, origin: Any, frame: Any) -> Any:
+    """Return a pose (3,), (3, 3) of the world in a frame of the world."""
+    center, turned = np.empty(3), np.empty((3, 3))
+    for row in range(3):
+        center[row] = (
+            frame[0, row] * (position[0] - origin[0])
+            + frame[1, row] * (position[1] - origin[1])
+            + frame[2, row] * (position[2] - origin[2])
+        )
+        for column in range(3):
+            turned[row, column] = (
+                frame[0, row] * turn[0, column]
+                + frame[1, row] * turn[1, column]
+                + frame[2, row] * turn[2, column]
+            )
+    return center, turned

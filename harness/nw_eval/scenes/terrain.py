@@ -1,0 +1,361 @@
+"""A triangle mesh as terrain: height fields, boxes, and what there is to know about the mesh.
+
+Compiled terrain is kept in the user's cache, by content.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.files.cache import cache_dir, read_sealed, sealed_path
+from nw_eval.plural import plural
+from nw_eval.scenes.digest import digest
+from nw_eval.scenes.edges import edge_plates, lower_under
+from nw_eval.scenes.finding import SceneFinding
+from nw_eval.scenes.grid import COMPILER_VERSION, Grid, TerrainOptions, shifted
+from nw_eval.scenes.mending import close_holes, raise_walls
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.plates import Plate, overhang_plates
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Box, HeightField, Triangles
+from nw_eval.scenes.surface import Surface
+
+Values = NDArray[np.float64]
+
+# How far the ground lies below the lowest surface, where there is none, metres.
+_VOID = 0.5
+# The coarse field hides this far below the lowest surface where the fine one is.
+_SUNK = 0.25
+# Boxes for what hangs over the ground.
+_NEAR_SLABS = 300
+_FAR_SLABS = 60
+_PROBES = 4000
+_PROBED_WIDTH = 0.4
+# Heights are kept to this step, metres, so that the last bits of a CPU change no digest.
+_STEP = 1e-5
+
+_META = "meta"
+
+
+def compiled_terrain(
+    mesh: TriangleMesh,
+    *,
+    trail: NDArray[np.float64],
+    spawn: NDArray[np.float64],
+    options: TerrainOptions | None = None,
+    rays: RayScene | None = None,
+) -> Terrain:
+    """Return the terrain of a mesh from the cache; compile it on first use.
+
+    Arguments as `build_terrain`. A damaged file in the cache is written again.
+
+    Raises:
+        StoreError: the cache cannot be written.
+    """
+    chosen = TerrainOptions() if options is None else options
+    key = terrain_key(mesh, trail=trail, spawn=spawn, options=chosen)
+    path = cache_dir("scenes", "terrain") / f"{key[:32]}.npz"
+    kept = _read_terrain(path, key, mesh, chosen)
+    if kept is not None:
+        return kept
+    terrain = build_terrain(mesh, trail=trail, spawn=spawn, options=chosen, rays=rays)
+    _write_terrain(path, key, terrain)
+    return terrain
+
+
+def terrain_key(
+    mesh: TriangleMesh,
+    *,
+    trail: NDArray[np.float64],
+    spawn: NDArray[np.float64],
+    options: TerrainOptions,
+) -> str:
+    """Return the hex digest of everything that terrain is compiled from."""
+    return digest(COMPILER_VERSION, mesh.vertices, mesh.faces, trail, spawn, options)
+
+
+def _tuples(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(part) if isinstance(part, list) else part for name, part in record.items()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Accuracy:
+    """How far the solids' upper side is from the mesh near the trail, metres."""
+
+    median: float
+    p99: float
+    worst: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Terrain:
+    """What physics touches.
+
+    Attributes:
+        solids: height fields first, then boxes.
+        floor: z of the plane that catches what leaves the terrain, metres; lies below all of it.
+        spawn_height: z of the ground under the spawn, metres; nan where there is none.
+        accuracy: of the height fields and boxes against the mesh.
+        findings: what the mesh lacks, and where it is more than a height field.
+    """
+
+    solids: tuple[HeightField | Box | Triangles, ...]
+    floor: float
+    spawn_height: float
+    accuracy: Accuracy
+    findings: tuple[SceneFinding, ...]
+
+
+def build_terrain(
+    mesh: TriangleMesh,
+    *,
+    trail: Values,
+    spawn: Values,
+    options: TerrainOptions | None = None,
+    rays: RayScene | None = None,
+) -> Terrain:
+    """Compile a mesh; `compiled_terrain` of `store` does so once and remembers.
+
+    Args:
+        mesh: any triangles, closed or open, in world metres.
+        trail: (K, 3) waypoints on top of the surface, metres.
+        spawn: (3,) where the robot starts, metres.
+        options: lengths.
+        rays: of the same mesh, if the caller has them already.
+    """
+    chosen = TerrainOptions() if options is None else options
+    path = np.vstack([spawn[None], trail])
+    surface = Surface(mesh, path, chosen, rays)
+    low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
+    mesh_low, mesh_high = (part[:2] for part in (mesh.vertices.min(axis=0), mesh.vertices.max(0)))
+    near_low, near_high = low - chosen.corridor, high + chosen.corridor
+    far_low = np.minimum(np.maximum(low - chosen.reach, mesh_low), near_low)
+    far_high = np.maximum(np.minimum(high + chosen.reach, mesh_high), near_high)
+    near = _field(mesh, surface, Grid.over(near_low, near_high, chosen.spacing), chosen, fine=True)
+    far = _field(mesh, surface, Grid.over(far_low, far_high, chosen.far_spacing), chosen)
+    floor = _lowest(near, far) - _VOID
+    hidden = np.array([*near.grid.center, *near.grid.half_size])
+    fields = [_solid(near, floor, chosen), _solid(_sunk(far, hidden, floor), floor, chosen)]
+    outside = [plate for plate in far.slabs if not _inside(plate.origin, hidden)]
+    plates = [*near.edges, *near.slabs, *outside]
+    boxes = [plate.box(friction=chosen.friction) for plate in plates]
+    spawn_height = float(surface.ground(spawn[None, :2])[0])
+    findings = [*near.findings, *_sheet_findings(surface, near.grid), *_plate_findings(near)]
+    accuracy = _accuracy(surface, path, fields[0], near)
+    solids: tuple[HeightField | Box | Triangles, ...] = (*fields, *boxes)
+    if chosen.collision == "triangles":
+        own = Triangles(vertices=mesh.vertices, faces=mesh.faces, friction=chosen.friction)
+        solids = (own,)
+    return Terrain(
+        solids=solids,
+        floor=floor,
+        spawn_height=spawn_height,
+        accuracy=accuracy,
+        findings=tuple(findings),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Field:
+    """One compiled grid: heights with nan where there is nothing, and its plates.
+
+    `invented` marks samples that are not the mesh's own: walls and closed holes.
+    """
+
+    grid: Grid
+    heights: Values
+    edges: tuple[Plate, ...]
+    slabs: tuple[Plate, ...]
+    invented: NDArray[np.bool_]
+    findings: tuple[SceneFinding, ...]
+
+
+def _field(
+    mesh: TriangleMesh, surface: Surface, grid: Grid, options: TerrainOptions, *, fine: bool = False
+) -> _Field:
+    columns = surface.columns(grid.points())
+    ground = columns.ground.reshape(grid.shape)
+    heights, closed, findings = close_holes(ground, grid, options.largest_hole)
+    heights, raised = raise_walls(heights, columns, mesh, surface, grid)
+    edges: tuple[Plate, ...] = ()
+    if fine:
+        edges = edge_plates(np.where(closed | raised, np.nan, heights), grid, surface, options)
+        heights = lower_under(heights, grid, edges, options.least_step)
+    if raised.any():
+        x, y = grid.points()[raised.ravel()][0].tolist()
+        findings = (
+            *findings,
+            SceneFinding(
+                code="thin_wall",
+                severity="note",
+                message=f"{int(raised.sum())} samples stand on sheets thinner than "
+                f"{1000 * grid.spacing:.1f} mm, the first at ({x:.2f}, {y:.2f}); they are as "
+                "thick as that in physics",
+                value=float(raised.sum()),
+                place=(x, y, 0.0),
+            ),
+        )
+    return _Field(
+        grid=grid,
+        heights=heights,
+        edges=edges,
+        slabs=overhang_plates(columns, grid, surface, most=_NEAR_SLABS if fine else _FAR_SLABS),
+        invented=closed | raised,
+        findings=findings,
+    )
+
+
+def _lowest(*fields: _Field) -> float:
+    lowest = [float(np.nanmin(f.heights)) for f in fields if not np.isnan(f.heights).all()]
+    return min(lowest, default=0.0)
+
+
+def _sunk(far: _Field, hidden: Values, floor: float) -> _Field:
+    """Return the coarse field, out of the way where the fine one is, but for its rim."""
+    points = far.grid.points()
+    reach = hidden[2:] - 2.0 * far.grid.spacing
+    inside = (np.abs(points - hidden[:2]) < reach).all(axis=1).reshape(far.grid.shape)
+    return replace(far, heights=np.where(inside, floor + _VOID - _SUNK, far.heights))
+
+
+def _inside(point: Values, rectangle: Values) -> bool:
+    return bool((np.abs(point - rectangle[:2]) < rectangle[2:]).all())
+
+
+def _solid(field: _Field, floor: float, options: TerrainOptions) -> HeightField:
+    heights = np.where(np.isnan(field.heights), floor, field.heights)
+    return HeightField(
+        center=field.grid.center,
+        half_size=field.grid.half_size,
+        heights=(np.round(heights / _STEP) * _STEP).astype(np.float32),
+        floor=floor - _VOID,
+        friction=options.friction,
+    )
+
+
+def _sheet_findings(surface: Surface, grid: Grid) -> tuple[SceneFinding, ...]:
+    step = Grid.over(
+        np.array([grid.x0, grid.y0]),
+        np.array([grid.x0, grid.y0]) + 2 * np.array(grid.half_size),
+        max(grid.spacing, 0.1),
+    )
+    sheets = surface.columns(step.points()).sheets
+    if not sheets.any():
+        return ()
+    area = float(sheets.sum()) * step.spacing**2
+    x, y = step.points()[sheets].mean(axis=0).tolist()
+    return (
+        SceneFinding(
+            code="layered_sheet",
+            severity="warning",
+            message=f"a sheet without an underside hangs over {area:.1f} m2 round "
+            f"({x:.2f}, {y:.2f}); it was taken for a roof and cannot be touched",
+            fix="remove it if it is not one",
+            value=area,
+            place=(x, y, 0.0),
+        ),
+    )
+
+
+def _plate_findings(near: _Field) -> tuple[SceneFinding, ...]:
+    if not near.slabs:
+        return ()
+    x, y = near.slabs[0].origin.tolist()
+    top = near.slabs[0].top
+    return (
+        SceneFinding(
+            code="overhang",
+            severity="note",
+            message="what hangs over the ground is taken as "
+            f"{plural(len(near.slabs), 'box', 'boxes')}, the largest at "
+            f"({x:.2f}, {y:.2f}, {top:.2f}), {near.slabs[0].thickness:.3f} m thick",
+            value=float(len(near.slabs)),
+            place=(x, y, top),
+        ),
+    )
+
+
+def _accuracy(surface: Surface, path: Values, solid: HeightField, near: _Field) -> Accuracy:
+    """Measure between the samples, where these are the mesh's own."""
+    random = np.random.default_rng(1)
+    ends = path if len(path) > 1 else np.repeat(path, 2, axis=0)
+    legs = random.integers(len(ends) - 1, size=_PROBES)
+    share = random.uniform(size=(_PROBES, 1))
+    points = ends[legs, :2] + share * (ends[legs + 1, :2] - ends[legs, :2])
+    points += random.uniform(-_PROBED_WIDTH, _PROBED_WIDTH, size=points.shape)
+    index, inside = near.grid.nearest(points)
+    beside = near.invented | (shifted(near.invented.astype(np.float64), 0.0) > 0).any(axis=0)
+    truth = surface.ground(points)
+    counts = inside & ~beside.ravel()[index] & ~np.isnan(truth)
+    if not counts.any():
+        return Accuracy(median=np.nan, p99=np.nan, worst=np.nan)
+    points, truth = points[counts], truth[counts]
+    height = solid.height(points)
+    for plate in near.edges:
+        height = np.where(plate.covers(points), np.maximum(height, plate.plane(points)), height)
+    median, p99, worst = np.quantile(np.abs(height - truth), [0.5, 0.99, 1.0]).tolist()
+    return Accuracy(median=median, p99=p99, worst=worst)
+
+
+def _write_terrain(path: Path, key: str, terrain: Terrain) -> None:
+    fields = [solid for solid in terrain.solids if isinstance(solid, HeightField)]
+    meta = {
+        "key": key,
+        "floor": terrain.floor,
+        "spawn_height": terrain.spawn_height,
+        "accuracy": asdict(terrain.accuracy),
+        "findings": [asdict(finding) for finding in terrain.findings],
+        "boxes": [asdict(solid) for solid in terrain.solids if isinstance(solid, Box)],
+        "fields": [
+            {
+                "center": field.center,
+                "half_size": field.half_size,
+                "floor": field.floor,
+                "friction": field.friction,
+            }
+            for field in fields
+        ],
+    }
+    arrays: dict[str, Any] = {f"heights_{i}": field.heights for i, field in enumerate(fields)}
+    text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+    with sealed_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **{_META: text}, **arrays)
+
+
+def _read_terrain(
+    path: Path, key: str, mesh: TriangleMesh, options: TerrainOptions
+) -> Terrain | None:
+    """Return what a file holds; None if it is missing, damaged, or of another content."""
+    try:
+        with np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as data:
+            meta = json.loads(bytes(data[_META]))
+            if meta["key"] != key:
+                return None
+            fields = [
+                HeightField(heights=data[f"heights_{index}"], **_tuples(field))
+                for index, field in enumerate(meta["fields"])
+            ]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+    solids: tuple[HeightField | Box | Triangles, ...] = (
+        *fields,
+        *(Box(**_tuples(box)) for box in meta["boxes"]),
+    )
+    if options.collision == "triangles":
+        own = Triangles(vertices=mesh.vertices, faces=mesh.faces, friction=options.friction)
+        solids = (own,)
+    return Terrain(
+        solids=solids,
+        floor=meta["floor"],
+        spawn_height=meta["spawn_height"],
+        accuracy=Accuracy(**meta["accuracy"]),
+        findings=tuple(SceneFinding(**_tuples(finding)) for finding in meta["findings"]),
+    )

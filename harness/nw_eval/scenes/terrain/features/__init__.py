@@ -1,1 +1,0 @@
-"""What of a mesh a height field alone would get wrong."""

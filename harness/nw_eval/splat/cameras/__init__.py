@@ -1,1 +1,0 @@
-"""Cameras: pose, lens, pixels, presets."""

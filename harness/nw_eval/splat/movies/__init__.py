@@ -1,1 +1,0 @@
-"""Films and portraits of a splat."""

@@ -1,1 +1,0 @@
-"""Pages in a browser by viser: who may speak to them, and what they draw splats by."""
