@@ -7,9 +7,11 @@ by `HYPOTHESIS_PROFILE=explore make test`.
 import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 from nw_eval.machine_code.kept import folder_note
+from nw_eval.policies.apart import trusting
 
 pytest_plugins = ("pytester",)  # Only this file may say so.
 
@@ -33,3 +35,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # A process looks once where its kernels are kept. Were that in a test which has a cache of its own,
 # all later tests of the process would compile theirs anew: 30 s for those of contacts alone.
 folder_note()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_programs():
+    """Open what a test wrote itself in its own process, as `--in-process` does."""
+    with trusting():
+        yield

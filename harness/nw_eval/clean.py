@@ -48,6 +48,14 @@ def clean(text: object, *, at_most: int = LONGEST) -> str:
     return kept + _MORE.format(max(len(whole) - len(kept), 1))
 
 
+def message_of(error: BaseException) -> str:
+    """Return what a foreign exception says of itself, harmless; even that may fail."""
+    try:
+        return clean(error)
+    except BaseException as another:  # noqa: BLE001 - its `__str__` is foreign code too.
+        return f"its own message cannot be read, because of {type(another).__name__}"
+
+
 def without_credentials(text: str) -> str:
     """Return a text whose addresses name no user and no password."""
     return _CREDENTIALS.sub(r"\1", text)

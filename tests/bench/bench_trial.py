@@ -10,6 +10,7 @@ changes the figures little.
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 from dataclasses import astuple, fields
 from pathlib import Path
@@ -20,7 +21,11 @@ import onnx
 from onnx import TensorProto, helper
 
 from nw_eval.files.shipped import shipped
+from nw_eval.policies import load_bundle
+from nw_eval.policies.apart import line_to
 from nw_eval.rollout.clock import StageClock, StageSeconds
+from nw_eval.rollout.confined.access import policy_rules
+from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -29,6 +34,7 @@ from nw_eval.suite.trials import Trial
 
 SCENES = ("hurdles/three_low", "hurdles/two_logs_park", "hurdles/one_low_carpet")
 TRIALS = 3
+WALL_TRIALS = 20
 MOST = 0.8  # CPU seconds of a trial of 12 s
 CAMERA = "  rgb: {sensor: splat_rgb, width: 160, height: 90, rate: 10}\n"
 INPUTS = "inputs: {obs: [proprio, scandots, last_output, history], image: [rgb]}\n"
@@ -114,9 +120,56 @@ def table() -> float:
     return seconds
 
 
+def wall_table() -> None:
+    """Print what the policy's own process costs a blind trial, interleaved with none."""
+    bundle = load_bundle("go1-parkour")
+    library, spent, steps = Library(known=(bundle,)), {True: 0.0, False: 0.0}, 0
+    scene = library.scene(SCENES[2])
+    with PolicyProcess(policy_rules(bundle)) as process:
+        for index in range(2 * WALL_TRIALS + 2):
+            trial = Trial(
+                suite="bench",
+                suite_digest="0" * 64,
+                suite_seed=1,
+                scene=scene.name,
+                scene_digest=scene.digest,
+                task=scene.task,
+                index=index // 2,
+            )
+            job = TrialJob(
+                trial=trial,
+                robot="go1",
+                duration=12.0,
+                scene=SCENES[2],
+                policy=bundle.reference,
+                checkpoint_digest=bundle.checkpoint_digest,
+                record="none",
+            )
+            apart = bool(index % 2)
+            line = process.line if apart else None
+            both = (os.getpid(), process.pid) if apart else (os.getpid(),)
+            before = sum(map(processor_seconds, both))
+            with line_to(line):
+                result = run_trial(job, library=library)
+            assert result.status == "ok", result.error_text
+            if index > 1:  # The first of each loads and compiles.
+                spent[apart] += sum(map(processor_seconds, both)) - before
+                steps += result.steps
+    here, there = (1000 * spent[apart] / WALL_TRIALS for apart in (False, True))
+    each = 1000 * (there - here) * 2 * WALL_TRIALS / steps
+    print(f"\nblind trial, processor time: {here:.1f} ms in one process, {there:.1f} ms with the")
+    print(f"policy in its own: {there / here:.3f} of it, {each:.0f} us a control step more")
+
+
+def processor_seconds(process: int) -> float:
+    """Return the processor time of a process so far, of Linux's proc(5)."""
+    return int(Path(f"/proc/{process}/schedstat").read_text().split()[0]) * 1e-9
+
+
 def test_a_trial_with_a_camera_takes_at_most_its_target():
     assert table() <= MOST
 
 
 if __name__ == "__main__":
+    wall_table()
     sys.exit(0 if table() <= MOST else 1)

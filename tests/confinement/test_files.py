@@ -11,7 +11,7 @@ def test_the_page_shows_the_table_of_the_code():
     assert f"\n{table()}\n" in PAGE.read_text()
 
 
-def test_only_python_code_runs_in_an_open_process():
+def test_only_python_code_beside_the_world_runs_in_an_open_process():
     assert [file.kind for file in FILES if file.where == "an open process"] == [
-        "Python code that a card names"
+        "Python code of a card's sensors and wrappers"
     ]

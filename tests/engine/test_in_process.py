@@ -364,8 +364,6 @@ class Policy:
         self.flag = Path(__file__).with_name("overtaken")
 
     def reset(self, seed):
-        if seed == {later}:
-            self.flag.touch()
         while seed == {first} and not self.flag.exists():
             sleep(0.01)
 
@@ -381,26 +379,25 @@ def test_workers_that_overtake_each_other_judge_the_trials_that_one_alone_does(
     bundle = written(tmp_path, "overtaken", "pass")
     planned = plan_of(bundle, trials=5, drawn=order).trials
 
-    def run(first, later, **how):
-        """Run with a policy whose first trial ends after a later one has begun."""
-        (bundle.folder / "mine.py").write_text(OVERTAKEN.format(first=first, later=later))
+    def run(first, **how):
+        """Run with a policy whose first trial ends after a later one has ended."""
+        (bundle.folder / "mine.py").write_text(OVERTAKEN.format(first=first))
         asked = []
 
         def enough(rows):
             asked.append(set(rows))
+            if rows and 0 not in rows:
+                (bundle.folder / "overtaken").touch()
             return enough_after(1)(rows)
 
         mine = load_bundle(bundle.folder)
         folder = session_of(mine, trials=5, drawn=order, enough=enough, allow_code=True, **how)
         return folder, asked
 
-    alone, _ = run(-1, -1, name="alone")
-    # With three workers the fourth trial begins once the second or the third has ended.
-    first, later = (
-        int(planned[place].seed_sequence("policy").generate_state(1, np.uint32)[0])
-        for place in (0, 3)
-    )  # What `reset` is given.
-    together, asked = run(first, later, name="together", workers=3)
+    alone, _ = run(-1, name="alone")
+    (bundle.folder / "overtaken").unlink(missing_ok=True)
+    waits = int(planned[0].seed_sequence("policy").generate_state(1, np.uint32)[0])
+    together, asked = run(waits, name="together", workers=3)
     assert any(rows and 0 not in rows for rows in asked), "a later trial ended first"
     infos = [read_run_info(folder.run_json) for folder in (alone, together)]
     assert [info.stop for info in infos] == [StopInfo(first=1, trials={SCENE: 1})] * 2

@@ -155,37 +155,66 @@ robot: go1
 adapter: python:{name}:Policy
 control: {{action: joint_position_offset, scale: 0.25, delay_steps: 1}}
 observations:
-  proprio: {{sensor: proprio, layout: parkour53}}
+  proprio: {{sensor: proprio, layout: parkour53{wrapped}}}
 """
 
 PYTHON_POLICY = """\
-import os, subprocess, sys
+import fcntl, os, stat, subprocess, sys
 from pathlib import Path
+
+def pipes():
+    for fd in range(3, 64):
+        try:
+            is_pipe = stat.S_ISFIFO(os.fstat(fd).st_mode)
+        except OSError:
+            continue
+        if is_pipe and fcntl.fcntl(fd, fcntl.F_GETFL) & os.O_WRONLY:
+            yield fd
 
 class Odd(BaseException):
     def __init__(self, one, two):
         super().__init__("odd")
 
-class Policy:
-    def __init__(self, bundle):
-        self.folder = bundle.folder
+class Counted:
+    folder = Path(__file__).parent
+
+    def __init__(self, *_):
+        self.step = 0
 
     def reset(self, seed):
         self.step = 0
 
-    def act(self, observation):
+    def count(self):
         self.step += 1
         if self.step == 3:
             {deed}
+
+class Policy(Counted):
+    def act(self, observation):
+        {acts}
         return [0.0] * 12
+
+class Wrap(Counted):
+    def __call__(self, sample, shot):
+        if shot.moment is not None:
+            {measures}
+        return sample
 """
 
 
-def write_python_bundle(folder, name, deed):
-    """Write a policy that stands, but for what it does at its third step; return its folder."""
+def write_python_bundle(folder, name, deed, *, by="policy"):
+    """Write a policy that stands, but for what it, or its sensor, does at the third step.
+
+    The policy's code runs behind the fence, in the policy's process; that of a sensor in the
+    world's, which has none then.
+    """
     folder.mkdir(parents=True)
-    (folder / "policy.yaml").write_text(PYTHON_CARD.format(name=name))
-    (folder / f"{name}.py").write_text(PYTHON_POLICY.format(deed=deed))
+    wrapped = f", wrap: [{{wrapper: '{name}:Wrap'}}]" if by == "sensor" else ""
+    (folder / "policy.yaml").write_text(PYTHON_CARD.format(name=name, wrapped=wrapped))
+    counts, rests = "self.count()", "pass"
+    acts, measures = (counts, rests) if by == "policy" else (rests, counts)
+    code = PYTHON_POLICY.format(deed=deed, acts=acts, measures=measures)
+    (folder / f"{name}.py").write_text(code)
     return folder
 
 
@@ -214,14 +243,16 @@ def suite_with_both_sides(scene, settings):
 
 
 class Ears:
-    """A listener that remembers."""
+    """A listener that remembers, and calls `heard` with each message."""
 
     def __init__(self):
         self.messages = []
         self.rows = []
+        self.heard = len
 
     def message(self, text):
         self.messages.append(text)
+        self.heard(text)
 
     def scene(self, name, fraction):
         pass
@@ -279,11 +310,12 @@ def tiny_run(tmp_path):
         memory_limit=None,
         record="none",
         deed=None,
+        by="policy",
         code=None,
     ):
         bundles: Path = code or tmp_path / "policies" / model
         if deed is not None:
-            write_python_bundle(bundles, model, deed)
+            write_python_bundle(bundles, model, deed, by=by)
         elif not bundles.exists():
             write_bundle(bundles, model)
         bundle = load_bundle(bundles)

@@ -65,25 +65,28 @@ def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, mo
 def test_a_worker_waits_for_the_next_jobs_and_is_replaced_if_it_did_not_live_to_see_them(
     tiny_run, workers
 ):
-    deed = "(self.folder / 'pids').open('a').write(f'{os.getpid()}\\n')"
-    run = tiny_run("noter", deed=deed, trials=3)
+    run = tiny_run("noter", deed="pass", trials=3)
     pids = []
     with run.pool() as pool:
         for job in run.jobs:
             pool.submit([job])
             [ended] = [each for each in pool.finished() if each is not None]
             assert ended.result.status == "ok"
-            pids = Path(run.jobs[0].policy).with_name("pids").read_text().split()
+            pids.append(sorted(workers()))
             if len(pids) == 2:
-                os.kill(int(pids[1]), signal.SIGKILL)
-    assert pids[0] == pids[1] != pids[2]
+                for pid in pids[1]:
+                    os.kill(pid, signal.SIGKILL)
+    assert pids[0] == pids[1]
+    assert set(pids[2]).isdisjoint(pids[1])
+    assert [len(both) for both in pids] == [2, 2, 2], "a world and a policy"
     assert workers() == []
 
 
+@pytest.mark.parametrize("by", ["policy", "sensor"])
 @pytest.mark.parametrize("code", [0, 7])
-def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, code):
+def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, code, by):
     # With the time limit as the only witness, code 0 would be told as `hung` after 60 s.
-    run = tiny_run("leaver", deed=f"os._exit({code})", trials=1)
+    run = tiny_run("leaver", deed=f"os._exit({code})", by=by, trials=1)
     with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
@@ -92,8 +95,9 @@ def test_a_worker_that_ends_itself_is_noticed_whatever_its_code_says(tiny_run, c
     assert ended.result.error_text == f"the worker process ended with exit code {code}"
 
 
-def test_a_signal_is_told_from_an_exit(tiny_run):
-    run = tiny_run("faller", deed="os.abort()", trials=1)
+@pytest.mark.parametrize("by", ["policy", "sensor"])
+def test_a_signal_is_told_from_an_exit(tiny_run, by):
+    run = tiny_run("faller", deed="os.abort()", by=by, trials=1)
     with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
@@ -117,8 +121,8 @@ def test_nothing_that_a_policy_raises_ends_the_run(tiny_run, deed):
     assert all(row.error_type for row in outcome.rows)
 
 
-def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
-    forking = tiny_run("forker", deed="os.fork()", trials=3).go(workers=1)
+def test_a_sensor_that_forks_speaks_with_one_voice(tiny_run):
+    forking = tiny_run("forker", deed="os.fork()", by="sensor", trials=3).go(workers=1)
     still = tiny_run("stander", name="still", deed="pass", trials=3).go(workers=1)
     assert [row.status for row in forking.rows] == ["ok"] * 3
     assert [row.state_digest for row in forking.rows] == [row.state_digest for row in still.rows]
@@ -128,7 +132,7 @@ def test_a_policy_that_forks_speaks_with_one_voice(tiny_run):
 def test_what_a_worker_started_ends_with_it(tiny_run, session):
     child = f"subprocess.Popen(['sleep', '600'], start_new_session={session})"
     deed = f"(self.folder / 'pid').write_text(str({child}.pid))"
-    run = tiny_run("parent", deed=deed, trials=1)
+    run = tiny_run("parent", deed=deed, by="sensor", trials=1)
     outcome = run.go(workers=1)
     assert [row.status for row in outcome.rows] == ["ok"]
     [noted] = Path(run.jobs[0].policy).parent.glob("pid")
@@ -138,13 +142,30 @@ def test_what_a_worker_started_ends_with_it(tiny_run, session):
 def test_what_a_worker_started_ends_too_if_the_worker_is_killed(tiny_run):
     child = "str(subprocess.Popen(['sleep', '600']).pid)"
     deed = f"(self.folder / 'pid').write_text({child}); os.kill(os.getpid(), 9)"
-    run = tiny_run("parent", deed=deed, trials=1)
+    run = tiny_run("parent", deed=deed, by="sensor", trials=1)
     with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
         assert "SIGKILL" in ended.result.error_text
         [noted] = Path(run.jobs[0].policy).parent.glob("pid")
         assert is_gone(int(noted.read_text()))
+
+
+SPEAKERS = {
+    "closes its line": "os.closerange(3, 64)",
+    "talks nonsense": "[os.write(fd, b'n' * 100) for fd in pipes()]",
+    "answers in its own way": "[os.write(fd, b'a' + bytes(13)) for fd in pipes()]",
+}
+
+
+@pytest.mark.parametrize("deed", SPEAKERS.values(), ids=SPEAKERS)
+def test_a_policy_that_gives_no_answer_that_can_be_read_costs_its_trial(tiny_run, deed):
+    run = tiny_run("speaker", deed=deed, trials=1, time_limit=20.0)
+    with run.pool() as pool:
+        pool.submit(run.jobs)
+        [ended] = [each for each in pool.finished() if each is not None]
+    assert (ended.result.status, ended.result.error_type) == ("error", "crashed")
+    assert "closed its pipe" in ended.result.error_text
 
 
 def is_gone(pid):

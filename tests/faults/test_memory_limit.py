@@ -1,6 +1,7 @@
 """A policy that takes too much memory costs its trial, in which it is said how much that was."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -11,14 +12,17 @@ FATHERS = f"subprocess.run([sys.executable, '-c', {HOARDS!r}], start_new_session
 HOARDS_ONCE = f"""
             import time
             if not (self.folder / "hoarded").exists():
-                (self.folder / "hoarded").touch()
                 {HOARD}
 """
 
 
-@pytest.mark.parametrize("deed", [HOARDS, FATHERS], ids=["itself", "its child"])
-def test_a_trial_that_holds_too_much_is_crashed_and_says_how_much_it_held(tiny_run, deed):
-    run = tiny_run("hoarder", deed=deed, trials=1, memory_limit=LIMIT)
+@pytest.mark.parametrize(
+    ("deed", "by"),
+    [(HOARDS, "policy"), (HOARDS, "sensor"), (FATHERS, "sensor")],
+    ids=["the policy", "its sensor", "the sensor's child"],
+)
+def test_a_trial_that_holds_too_much_is_crashed_and_says_how_much_it_held(tiny_run, deed, by):
+    run = tiny_run("hoarder", deed=deed, by=by, trials=1, memory_limit=LIMIT)
     with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
@@ -30,6 +34,8 @@ def test_a_trial_that_holds_too_much_is_crashed_and_says_how_much_it_held(tiny_r
 
 def test_the_run_goes_on_with_a_fresh_worker_and_the_trial_runs_once_more(tiny_run):
     run = tiny_run("hoarder", deed=HOARDS_ONCE, trials=3, memory_limit=LIMIT)
+    mark = Path(run.jobs[0].policy).with_name("hoarded")
+    run.ears.heard = lambda text: mark.touch() if "crashed" in text else None
     outcome = run.go(workers=1)
     assert [row.status for row in outcome.rows] == ["ok"] * 3
     assert sorted(row.attempt for row in outcome.rows) == [1, 1, 2]

@@ -716,20 +716,6 @@ _ALL = (
         lists=True,
     ),
     Target(
-        name="torchscript",
-        seeds=lambda _: _bundles(_scripts(), "torchscript", "policy.pt"),
-        read=lambda folder: _open_bundle(folder, "policy.pt"),
-        only=("policy.pt",),
-        lists=True,
-    ),
-    Target(
-        name="torch-export",
-        seeds=lambda _: _bundles(_exported(), "torch-export", "policy.pt2"),
-        read=lambda folder: _open_bundle(folder, "policy.pt2"),
-        only=("policy.pt2",),
-        lists=True,
-    ),
-    Target(
         name="tensors",
         seeds=lambda _: (
             [{"a.pt": data} for data in _state_dicts()]

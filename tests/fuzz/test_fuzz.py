@@ -16,7 +16,7 @@ import pytest
 HERE = Path(__file__).parent
 # About as many as a reader gets through in two seconds; half of them run here.
 INPUTS = {
-    "suite": 30, "card": 40, "onnx": 40, "torchscript": 25, "torch-export": 30, "tensors": 75,
+    "suite": 30, "card": 40, "onnx": 40, "tensors": 75,
     "inspect": 40, "scene": 12, "published": 30, "mesh": 60, "splat": 50, "cameras": 50,
     "store": 75, "journal": 75, "parquet": 50, "bank": 50, "run": 40, "mcap": 30, "remote": 50,
 }  # fmt: skip

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 import torch
 
+from nw_eval.confinement import offered
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
+from nw_eval.policies.apart import line_to, trusting
 from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.access import policy_rules
+from nw_eval.rollout.confined.start import PolicyProcess
 
 CARD = """\
 nw-policy: 1
@@ -24,6 +28,10 @@ checkpoint: {file: policy.pt, sha256: %s}
 control: {action: joint_position_offset, scale: 0.25}
 observations: {body: {sensor: proprio, terms: [joint_pos]}}
 """
+
+
+def untrusted():
+    return trusting(all_=False)
 
 
 def bundle_of(folder, data):
@@ -72,15 +80,70 @@ class Writing(torch.nn.Module):
 
 class Reading(torch.nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return torch.from_file("/etc/passwd", False, x.numel(), dtype=torch.uint8)
+        return torch.from_file("secret", False, x.numel(), dtype=torch.uint8).float()
 
 
-@pytest.mark.parametrize(("module", "operator"), [(Writing(), "save"), (Reading(), "from_file")])
-def test_a_script_that_touches_files_is_refused(tmp_path, monkeypatch, module, operator):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(PolicyError, match=rf"\.py:\d+: it calls `torch\.{operator}`"):
+@pytest.mark.parametrize("module", [Writing(), Reading()], ids=["writes", "reads"])
+def test_a_script_is_not_opened_where_nothing_holds_it(tmp_path, module):
+    with (
+        untrusted(),
+        pytest.raises(PolicyError, match=r"the system offers no fence .* --allow-code"),
+    ):
         open_policy(bundle_of(tmp_path, scripted(module)))
-    assert not (tmp_path / "written.pt").exists()
+
+
+@pytest.mark.skipif(not (offered().landlock and offered().seccomp), reason="there is no fence")
+def test_an_evil_script_reads_and_writes_nothing_behind_the_wall(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret").write_bytes(b"s" * 64)
+    came = {}
+    for module in (Writing(), Reading()):
+        folder = tmp_path / type(module).__name__
+        folder.mkdir()
+        bundle = bundle_of(folder, scripted(module))
+        with PolicyProcess(policy_rules(bundle)) as process, line_to(process.line):
+            policy = open_policy(bundle)
+            policy.reset(0)
+            try:
+                came[folder.name] = policy.act({"body": np.zeros(12, dtype=np.float32)}).tolist()
+            except TrialError as error:
+                came[folder.name] = str(error)
+    assert "Permission denied" in came["Reading"]
+    assert ord("s") not in came["Writing"]
+    assert not list(tmp_path.rglob("written.pt"))
+    with trusting():  # What it would have done.
+        open_policy(bundle_of(tmp_path / "Writing", scripted(Writing()))).act(
+            {"body": np.zeros(12, dtype=np.float32)}
+        )
+    assert list(tmp_path.rglob("written.pt")) == [tmp_path / "written.pt"]
+
+
+class Noisy(torch.nn.Module):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x + torch.randn_like(x)
+
+
+def test_a_script_that_draws_noise_draws_it_from_the_trials_seed(tmp_path):
+    bundle = bundle_of(tmp_path, scripted(Noisy()))
+    body = {"body": np.zeros(12, dtype=np.float32)}
+
+    def drawn(policy, seed):
+        policy.reset(seed)
+        first = [policy.act(body).tolist() for _ in range(3)]
+        state = policy.state()
+        rest = [policy.act(body).tolist() for _ in range(3)]
+        policy.restore(state)
+        assert [policy.act(body).tolist() for _ in range(3)] == rest, "it goes on as it did"
+        policy.close()
+        return first + rest
+
+    before = torch.get_rng_state()
+    here = drawn(open_policy(bundle), 7)
+    assert torch.equal(torch.get_rng_state(), before), "the caller's generator is its own"
+    assert here == drawn(open_policy(bundle), 7) != drawn(open_policy(bundle), 8)
+    with PolicyProcess(policy_rules(bundle)) as process, line_to(process.line):
+        assert drawn(open_policy(bundle), 7) == here
+        assert drawn(open_policy(bundle), 7) == here
 
 
 def test_a_scripted_module_acts(tmp_path):

@@ -51,6 +51,10 @@ class Card(CardModel):
     has it on a server, `python:package.module:Class` is code and needs --allow-code."""
     checkpoint: Checkpoint | None = None
     """The file of weights; `zero` and `remote` have none, Python code may have one."""
+    python: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
+    """For `python:` adapters, the interpreter that runs the code, such as `.venv/bin/python`: an
+    environment of its own, which needs Python 3.11 or later and NumPy. A relative path starts from
+    the card's folder; no part of the digest. None = this one."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control
@@ -102,6 +106,11 @@ class Card(CardModel):
                 raise ValueError(message)
         elif self.checkpoint is None and not self.adapter.startswith("python:"):
             raise ValueError("`checkpoint` is missing; add `checkpoint: {file: ..., sha256: ...}`")
+        if self.python is not None and not self.adapter.startswith("python:"):
+            message = f"`python` runs code, and adapter `{self.adapter}` names none"
+            raise ValueError(f"{message}; remove it, or write `adapter: python:module:Class`")
+        if self.python is not None and self.networks:
+            raise ValueError("`networks` feed no policy with a `python` of its own; remove one")
         if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
         self._check_terms()

@@ -128,3 +128,8 @@ def _mismatch(
     else:
         sums = " + ".join(f"`{name}` {sum(shapes[name])}" for name in names) + f" = {total} numbers"
     return f"{sums}; the checkpoint's input `{spec.name}` wants {wanted[0]}"
+
+
+def sized(name: str, shape: tuple[int, ...]) -> str:
+    """Return the name and the sides of an observation, in words."""
+    return f"`{name}` {' x '.join(str(side) for side in shape)}"

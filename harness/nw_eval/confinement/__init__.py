@@ -14,19 +14,22 @@ nursery/        children that need not import anything
 """
 
 from nw_eval.confinement.environment import child_environment
-from nw_eval.confinement.family import interrupts_blocked, kill_group, without_script
-from nw_eval.confinement.fence import Fence, offered, raise_fence
+from nw_eval.confinement.family import GONE, LEFT, interrupts_blocked, kill_group, without_script
+from nw_eval.confinement.fence import Fence, fence_stands, offered, raise_fence
 from nw_eval.confinement.limits import memory_to_open, memory_to_run, processor_time
 from nw_eval.confinement.nursery import Child, Nursery
 from nw_eval.confinement.rules import Rules, confine
 
 __all__ = [
+    "GONE",
+    "LEFT",
     "Child",
     "Fence",
     "Nursery",
     "Rules",
     "child_environment",
     "confine",
+    "fence_stands",
     "interrupts_blocked",
     "kill_group",
     "memory_to_open",

@@ -16,6 +16,11 @@ from nw_eval.confinement import kernel
 if TYPE_CHECKING:
     from collections.abc import Generator
 
+LEFT = 73
+"""Exit code of a policy's process whose caller is gone."""
+GONE = 74
+"""Exit code of a confined caller whose policy's process is gone: that one's code says why."""
+
 _DEATH_OF_PARENT = 1  # prctl
 
 _parent: int | None = None

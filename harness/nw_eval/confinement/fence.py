@@ -55,7 +55,19 @@ def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: N
         known = landlock.restrict(reads=allowed, writes=(*writes, *DEVICES), network=network)
     except OSError:
         known = 0
-    return Fence(landlock=known, seccomp=seccomp.refuse(network=network), network=network)
+    fence = Fence(landlock=known, seccomp=seccomp.refuse(network=network), network=network)
+    if threading.current_thread() is threading.main_thread():
+        global _stands  # noqa: PLW0603 - a process has one fence.
+        _stands = bool(fence.landlock) and fence.seccomp
+    return fence
+
+
+_stands = False
+
+
+def fence_stands() -> bool:
+    """Return whether this process is fenced in: files and system calls both."""
+    return _stands
 
 
 @cache

@@ -1,7 +1,7 @@
 """What each kind of a stranger's file may do; `docs/security.md` shows this table.
 
 A confined process is behind the fence of the operating system, with limits of time and memory.
-Numbers stand where they are held to: `limits.py`, `rollout/access.py`, `policies/safety`.
+Numbers stand where they are held to: `limits.py`, `rollout/confined/access.py`, `policies/safety`.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ FILES: tuple[StrangersFile, ...] = (
     ),
     StrangersFile(
         kind="TorchScript checkpoint",
-        read_by="torch.jit, from an archive rebuilt of the members that were checked",
+        read_by="torch.jit",
         where="a confined process",
-        may="arithmetic, by operators of a list",
-        refused=f"all other operators; {_ARCHIVE}",
+        may="compute anything in its process, behind the fence",
+        refused=f"without a fence, unless `--allow-code`; {_ARCHIVE}",
     ),
     StrangersFile(
         kind="torch.export checkpoint",
-        read_by="a reader of our own, which calls torch's operators of a list",
+        read_by="a reader of our own, which calls torch's operators",
         where="a confined process",
-        may="arithmetic",
-        refused=f"all other operators; {_ARCHIVE}",
+        may="compute anything in its process, behind the fence",
+        refused=f"without a fence, unless `--allow-code`; {_ARCHIVE}",
     ),
     StrangersFile(
         kind="state dict, safetensors",
@@ -66,7 +66,14 @@ FILES: tuple[StrangersFile, ...] = (
         "with its SHA-256",
     ),
     StrangersFile(
-        kind="Python code that a card names",
+        kind="Python code of a policy",
+        read_by="Python, this one or the card's `python`",
+        where="a confined process",
+        may="compute anything in its process, behind the fence",
+        refused="all of it, without `--allow-code`",
+    ),
+    StrangersFile(
+        kind="Python code of a card's sensors and wrappers",
         read_by="Python",
         where="an open process",
         may="whatever you may",

@@ -24,6 +24,8 @@ class Rules:
     """Bytes of its own; None = as many as there are."""
     seconds: int | None = None
     """Of processor time; None = any."""
+    python: Path | None = None
+    """The interpreter that runs it, where that is not this one."""
     off: str = ""
     """Why there is neither fence nor limit; empty = there are."""
 

@@ -12,6 +12,7 @@ from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine.cpu import cpu_kind
+from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
     code_info,
@@ -83,7 +84,7 @@ def run_info(
         renderer=_renderer(plan.render),
         fence=fence_of(
             plan.bundle.card.adapter,
-            allow_code=plan.request.allow_code,
+            code=plan.request.allow_code and senses_by_code(plan.bundle.card),
             render=plan.render,
             in_process=in_process,
         ),
@@ -194,15 +195,15 @@ def _renderer(render: Backend) -> str:
     return f"{render} gsplat-1.5"
 
 
-def fence_of(adapter: str, *, allow_code: bool, render: Backend, in_process: bool = False) -> str:
+def fence_of(adapter: str, *, code: bool, render: Backend, in_process: bool = False) -> str:
     """Return what stands round the workers of a run on this machine.
 
     Args:
         adapter: of the policy's card.
-        allow_code: whether Python code that the card names may be imported.
+        code: as for `why_off`.
         render: the splat renderer.
         in_process: whether there are none.
     """
-    off = why_off(allow_code=allow_code, render=render, in_process=in_process)
+    off = why_off(code=code, render=render, in_process=in_process)
     network = "all" if adapter == "remote" else "none"
     return str(Fence(off=off) if off else offered(network=network))

@@ -19,6 +19,7 @@ from nw_eval.engine.workplace import workplace
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
+from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, has_begun
 from nw_eval.results.planned import of_plan, wanted
@@ -90,9 +91,8 @@ def carry_out(
     limit_bytes()  # Before anything is written, if it is none.
     with workplace(workers=workers, in_process=in_process, cluster=cluster) as place:
         if plan.renders:
-            off = why_off(
-                allow_code=plan.request.allow_code, render=plan.render, in_process=in_process
-            )
+            code = plan.request.allow_code and senses_by_code(plan.bundle.card)
+            off = why_off(code=code, render=plan.render, in_process=in_process)
             open_backend(plan.render, listener, is_fenced=not off)
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")

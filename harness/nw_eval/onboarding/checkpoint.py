@@ -31,7 +31,6 @@ from nw_eval.policies.safety import (
     FileLimits,
     TensorFacts,
     check_onnx,
-    check_torchscript,
     file_kind,
     open_archive,
     tensor_facts,
@@ -179,8 +178,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
         case "torchscript" | "state-dict" | "safetensors":
             is_script = kind == "torchscript"
             if is_script:
-                check_torchscript(data, where)
-            tensors = tensor_facts(data, where)
+                tensors = tensor_facts(data, where)
             return CheckpointFacts(
                 path=path,
                 sha256=sha256,
@@ -385,7 +383,7 @@ def script_inputs(
     """Return what `forward` takes; empty where the code does not say it plainly.
 
     Args:
-        data: a whole TorchScript file that passed `check_torchscript`.
+        data: a whole TorchScript file.
         where: its path, for errors.
         tensors: the file's, for sizes.
     """

@@ -38,6 +38,10 @@ _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
 
 
+_NO_MEANING = {"title", "licence", "trained_on", "checkpoint", "python"}
+"""Keys of a card that change no action; what is installed counts for no policy's identity."""
+
+
 class Weights(NamedTuple):
     """A file whose digest has been verified."""
 
@@ -75,6 +79,11 @@ class Bundle:
     def folder(self) -> Path:
         """Where the card lies; the working directory for one without a file."""
         return Path() if self.card_path is None else self.card_path.parent
+
+    @property
+    def python(self) -> Path | None:
+        """The interpreter that the card names for its code; None = this one."""
+        return None if self.card.python is None else self.folder.absolute() / self.card.python
 
     @property
     def reference(self) -> str:
@@ -183,9 +192,7 @@ class Bundle:
 
     def _meaning(self) -> dict[str, Any]:
         """Return all of the card that can change an action, and its name."""
-        fields = self.card.model_dump(
-            mode="json", by_alias=True, exclude={"title", "licence", "trained_on", "checkpoint"}
-        )
+        fields = self.card.model_dump(mode="json", by_alias=True, exclude=_NO_MEANING)
         for network in fields["networks"].values():
             del network["checkpoint"]
         if not fields["networks"]:
@@ -369,12 +376,17 @@ def card_of_fetched(fetched: Fetched) -> Path:
     return fetched.folder / CARD_FILE
 
 
-def _imports_code(card: Card) -> bool:
-    """Whether policy, sensors or wrappers are `module:Class`."""
-    return card.adapter.startswith("python:") or any(
+def senses_by_code(card: Card) -> bool:
+    """Whether sensors or wrappers are `module:Class`, which runs beside the world."""
+    return any(
         is_code(spec.sensor) or any(is_code(wrap.wrapper) for wrap in spec.wrap)
         for spec in card.observations.values()
     )
+
+
+def _imports_code(card: Card) -> bool:
+    """Whether policy, sensors or wrappers are `module:Class`."""
+    return card.adapter.startswith("python:") or senses_by_code(card)
 
 
 def _beside(card_path: Path, file: str) -> Path:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.errors import ActionError, NotFiniteError
+from nw_eval.errors import ActionError, CodeError, NotFiniteError, NwEvalError, TrialError
 from nw_eval.memory import Memory
+from nw_eval.policies.policy_process import FaultError, all_finite, as_action
+
+__all__ = ["Observation", "Policy", "all_finite", "checked_action", "raised"]
+
+_KINDS = {kind.__name__: kind for kind in (ActionError, CodeError, NotFiniteError, TrialError)}
 
 Observation = Mapping[str, NDArray[Any]]
 """Observation names of the card to arrays, without a batch axis."""
@@ -49,13 +52,6 @@ class Policy(Memory[bytes], Protocol):
         ...
 
 
-def all_finite(values: NDArray[np.float64]) -> bool:
-    """Whether no number of a short vector is inf or NaN."""
-    # A sum is finite only if all of its parts are; sums of finite numbers overflow hardly ever.
-    # Right after a network has run, plain numbers take 2 us here and NumPy's functions 10.
-    return math.isfinite(sum(values.tolist())) or bool(np.isfinite(values).all())
-
-
 def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
     """Return a checkpoint's output as an action of its own memory.
 
@@ -67,17 +63,12 @@ def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
     Raises:
         ActionError: the output has another size or is not finite.
     """
-    array = np.asarray(raw)
-    if array.size != joints or array.shape[-1:] != (joints,):
-        raise ActionError(
-            f"policy {policy!r} returned an action of shape {array.shape}",
-            fix=f"the card's robot has {joints} joints: check `output` on the card",
-        )
-    action = np.array(array.reshape(joints), dtype=np.float64)
-    if not all_finite(action):
-        index = int(np.argmin(np.isfinite(action)))
-        raise NotFiniteError(
-            f"policy {policy!r} returned {action[index]} for joint {index} of its action",
-            fix="check the checkpoint, and the observations' scales on its card",
-        )
-    return action
+    try:
+        return as_action(raw, joints=joints, policy=policy)
+    except FaultError as fault:
+        raise raised(fault) from None
+
+
+def raised(fault: FaultError) -> NwEvalError:
+    """Return a fault of a policy as the error that it is here."""
+    return _KINDS[fault.kind](str(fault), fix=fault.fix)

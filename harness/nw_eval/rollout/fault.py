@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
+from nw_eval.clean import message_of
 from nw_eval.errors import ActionError, CodeError, NwEvalError, ServerError, TrialError
 
 if TYPE_CHECKING:
@@ -92,11 +92,3 @@ def one_line(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{place}")
-
-
-def message_of(error: BaseException) -> str:
-    """Return what a foreign exception says of itself, harmless; even that may fail."""
-    try:
-        return clean(error)
-    except BaseException as another:  # noqa: BLE001 - its `__str__` is foreign code too.
-        return f"its own message cannot be read, because of {type(another).__name__}"

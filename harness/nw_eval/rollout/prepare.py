@@ -12,6 +12,7 @@ import numpy as np
 from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot, physics_steps
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
+from nw_eval.policies.apart import AskedPolicy
 from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
@@ -90,8 +91,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
-        if bundle.card.adapter == "remote":
-            _check_served(job, policy)
+        if isinstance(policy, AskedPolicy) and policy.served is not None:
+            _check_served(job, policy.served.digest)
         with policy_at_fault():
             policy.reset(_seed(trial.seed_sequence("policy")))
         height = scene.spawn.position[2] + robot.spawn_height
@@ -158,12 +159,9 @@ def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
         )
 
 
-def _check_served(job: TrialJob, policy: Policy) -> None:
+def _check_served(job: TrialJob, found: str) -> None:
     """Refuse a server that serves something else now; that is no fault of the policy."""
-    from nw_eval.policies.remote.client import RemotePolicy
-
-    assert isinstance(policy, RemotePolicy), "the card says so"
-    found, planned = policy.served.digest, job.checkpoint_digest
+    planned = job.checkpoint_digest
     if planned and found != planned:
         raise UsageError(
             f"the server of {job.policy!r} serves {found[:12]}, the trial was planned with "

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot
+from nw_eval.cards.inputs import sized
 from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.protocol import STRICT
@@ -110,11 +111,6 @@ def _observation_spec(
         rate=observation.rate,
         reckoning=f"{size} = {sum_of}" if sum_of and sum_of != str(spec.shape[0]) else size,
     )
-
-
-def sized(name: str, shape: tuple[int, ...]) -> str:
-    """Return the name and the sides of an observation, in words."""
-    return f"`{name}` {' x '.join(str(side) for side in shape)}"
 
 
 def _no_rays() -> RayScene:

@@ -155,45 +155,21 @@ def test_buffers_that_the_graph_writes_to_are_the_recurrent_state(tmp_path):
         "torch.os.system",
         "torch.load",
         "_operator.methodcaller",
-        "torch.ops.aten.from_file.default",
-        "torch.ops.aten.set_.source_Tensor",
-        "torch.ops.aten.rand.default",
-        "torch.ops.aten._reshape_alias.default",
-        "torch.ops.aten.empty_like.default",
-        "torch.ops.aten.repeat_interleave.Tensor",
-        "torch.ops.aten.lstm.data",
         "torch.ops.aten.linear.__class__.default",
         "torch.ops.prim.PythonOp.default",
         "math.acos",
     ],
 )
-def test_a_graph_that_calls_anything_but_arithmetic_is_refused(target, tmp_path):
+def test_a_graph_that_calls_anything_but_operators_of_torch_is_refused(target, tmp_path):
     def edit(program):
         node = program["graph_module"]["graph"]["nodes"][0]
         node["target"] = target
         node["inputs"] = [{"name": "x", "arg": {"as_string": f"touch {tmp_path}/ran"}, "kind": 1}]
 
     data = rewritten(exported(Feedforward(), OBS), edit)
-    with pytest.raises(PolicyError, match="not among the operators that may run"):
+    with pytest.raises(PolicyError, match="which is no operator of torch"):
         ExportedGraph(data, "policy.pt2")
     assert not (tmp_path / "ran").exists()
-
-
-def test_a_layer_whose_weights_are_too_few_is_refused_before_torch_reads_beyond_them():
-    source = zipfile.ZipFile(io.BytesIO(exported(Recurrent(), OBS)))
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name.endswith("weights_config.json"):
-                config = json.loads(content)
-                sizes = config["config"]["rnn.weight_hh_l0"]["tensor_meta"]["sizes"]
-                assert [size["as_int"] for size in sizes] == [48, 16]
-                sizes[0]["as_int"] = 2
-                content = json.dumps(config).encode()
-            target.writestr(name, content)
-    with pytest.raises(PolicyError, match="a recurrent layer whose weights do not fit its input"):
-        ExportedGraph(buffer.getvalue(), "policy.pt2")
 
 
 def test_a_symbolic_size_is_refused_and_not_evaluated(tmp_path):

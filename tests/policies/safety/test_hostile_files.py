@@ -21,7 +21,7 @@ import torch
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.exported import ExportedGraph
-from nw_eval.policies.safety import check_torchscript, read_tensors, tensor_facts
+from nw_eval.policies.safety import read_tensors, tensor_facts
 
 resource = pytest.importorskip("resource")  # Address-space limits are a Unix matter.
 
@@ -247,7 +247,7 @@ def test_a_hostile_scripted_module_is_refused_before_torch_sees_it(name):
             archive.writestr("a/constants.pkl", b"\x80\x02).")
         data = buffer.getvalue()
     with pytest.raises(PolicyError):
-        check_torchscript(data, "policy.pt")
+        tensor_facts(data, "policy.pt")
 
 
 def test_a_real_scripted_module_passes_until_its_header_lies():
@@ -255,7 +255,6 @@ def test_a_real_scripted_module_passes_until_its_header_lies():
     buffer = io.BytesIO()
     torch.jit.save(module, buffer)
     data = buffer.getvalue()
-    check_torchscript(data, "policy.pt")
     facts = {fact.name: fact.shape for fact in tensor_facts(data, "policy.pt")}
     assert facts == {"weight": (12, 53), "bias": (12,)}
     source, forged = zipfile.ZipFile(io.BytesIO(data)), io.BytesIO()
@@ -270,7 +269,7 @@ def test_a_real_scripted_module_passes_until_its_header_lies():
     with pytest.raises(
         PolicyError, match="tensor 'weight' claims 260592 bytes, the file holds 2544"
     ):
-        check_torchscript(forged.getvalue(), "policy.pt")
+        tensor_facts(forged.getvalue(), "policy.pt")
 
 
 def plain_file() -> bytes:
@@ -296,7 +295,7 @@ def exported_file() -> bytes:
     ("make", "reader"),
     [
         (plain_file, read_tensors),
-        (scripted_file, check_torchscript),
+        (scripted_file, tensor_facts),
         (exported_file, ExportedGraph),
     ],
 )

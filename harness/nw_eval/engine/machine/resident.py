@@ -29,14 +29,14 @@ _FIRST = b"1000"
 
 
 class Resident:
-    """Watches the memory of a process and of those that it started.
+    """Watches the memory of processes and of those that they started.
 
     Args:
-        process: its number.
+        *processes: their numbers.
     """
 
-    def __init__(self, process: int) -> None:
-        self._process = process
+    def __init__(self, *processes: int) -> None:
+        self._processes = processes
         self._of_others = 0
         self._known_until = 0.0
 
@@ -46,7 +46,7 @@ class Resident:
         What they map is summed first, which is cheap and never too little. Shares are summed only
         where that is too much.
         """
-        family = [self._process, *descendants(self._process)]
+        family = [each for own in self._processes for each in (own, *descendants(own))]
         mapped = sum(map(_mapped, family))
         now = monotonic()
         if mapped - (self._of_others if now < self._known_until else 0) <= limit:
@@ -65,15 +65,16 @@ class Resident:
         Args:
             limit: bytes that they may hold.
         """
-        with suppress(OSError):
-            Path(f"/proc/{self._process}/oom_score_adj").write_bytes(_FIRST)
-        if limit is None:
-            return
-        with suppress(OSError, ValueError):
-            known = resource.prlimit(self._process, resource.RLIMIT_DATA)
-            finite = (most for most in known if most != resource.RLIM_INFINITY)
-            most = min([*finite, limit + _BETWEEN_LOOKS])
-            resource.prlimit(self._process, resource.RLIMIT_DATA, (most, most))
+        for process in self._processes:
+            with suppress(OSError):
+                Path(f"/proc/{process}/oom_score_adj").write_bytes(_FIRST)
+            if limit is None:
+                continue
+            with suppress(OSError, ValueError):
+                known = resource.prlimit(process, resource.RLIMIT_DATA)
+                finite = (most for most in known if most != resource.RLIM_INFINITY)
+                most = min([*finite, limit + _BETWEEN_LOOKS])
+                resource.prlimit(process, resource.RLIMIT_DATA, (most, most))
 
 
 def _mapped(process: int) -> int:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine.workers.protocol import Finished
+from nw_eval.policies.apart import trusting
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
 
@@ -61,6 +62,7 @@ class InProcessWorkers:
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(_one_thread())
+        self._cleanup.enter_context(trusting())
         if self._bundle.code_sha256:
             self._cleanup.enter_context(_forgotten_afterwards(self._bundle.folder))
         return self

@@ -23,7 +23,7 @@ from nw_eval.engine.workers.protocol import Finished
 from nw_eval.engine.workers.worker import WorkerStart
 from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined.access import running_rules
+from nw_eval.rollout.confined.access import policy_rules, running_rules
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -81,8 +81,9 @@ class LocalProcesses:
             allow_code=job.allow_code,
             render=job.render,
         )
+        policy = policy_rules(bundle)
         draws = any(needs_splats(bundle.card, each.record) for each in jobs)
-        self._start = WorkerStart(rules=rules, renders=draws and not rules.off)
+        self._start = WorkerStart(rules=rules, renders=draws and not rules.off, policy=policy)
         self._printed = folder.workers_log
         self._run = run
         self._memory_limit = memory_limit
@@ -176,6 +177,7 @@ class LocalWorkers:
                 start=partial(worker.start, self._start_with),
                 run=self._run,
                 rules=self._start_with.rules,
+                policy=self._start_with.policy,
                 output=self._output.end,
                 memory_limit=self._memory_limit,
             )

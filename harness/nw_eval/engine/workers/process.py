@@ -27,7 +27,8 @@ from nw_eval.clean import clean
 from nw_eval.confinement import Rules, kill_group
 from nw_eval.engine.machine.descendants import descendants, kill, left_by
 from nw_eval.engine.machine.resident import Resident
-from nw_eval.rollout.confined.start import start_process
+from nw_eval.policies.apart import use_line
+from nw_eval.rollout.confined.start import parts_of, start_pair
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 
@@ -54,6 +55,7 @@ class WorkerProcess:
         start: called once in the process, with `output`; it confines it.
         run: called there with each job.
         rules: by which it will be confined.
+        policy: by which the process is that opens its policies; None = it does.
         output: what it prints to; remains the caller's.
         memory_limit: bytes that it may hold with its children while it runs one.
 
@@ -67,18 +69,21 @@ class WorkerProcess:
         start: Callable[[Connection], None],
         run: Callable[[TrialJob], TrialResult],
         rules: Rules,
+        policy: Rules | None,
         output: Connection,
         memory_limit: int | None = None,
     ) -> None:
         theirs, self._jobs = Pipe(duplex=False)
         self._results, back = Pipe(duplex=False)
         try:
-            self._process = start_process(
+            self._process = start_pair(
                 _serve,
                 (start, run),
                 (theirs, back, output),
                 rules=rules,
+                policy=policy,
                 is_one_of_many=True,
+                output=output,
             )
         except BaseException:
             self._jobs.close()
@@ -87,10 +92,10 @@ class WorkerProcess:
         finally:
             theirs.close()
             back.close()
-        assert self._process.pid is not None, "it has been started"
-        self._pid = self._process.pid
+        pids = [part.pid for part in parts_of(self._process)]
+        self._pids = tuple(pid for pid in pids if pid is not None)
         self._memory_limit = memory_limit
-        self._memory = Resident(self._pid)
+        self._memory = Resident(*self._pids)
         self.job: TrialJob | None = None
         self.jobs_done = 0
         self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
@@ -99,9 +104,9 @@ class WorkerProcess:
         self._heard = b""
 
     @property
-    def handles(self) -> tuple[Connection, int]:
+    def handles(self) -> tuple[Connection | int, ...]:
         """What to wait for: one of them is ready when there is something to look at."""
-        return self._results, self._process.sentinel
+        return self._results, *(part.sentinel for part in parts_of(self._process))
 
     def give(self, job: TrialJob) -> None:
         """Hand over a job to a process that has none."""
@@ -151,12 +156,13 @@ class WorkerProcess:
 
     def kill(self) -> None:
         """End the process and all that it started, without waiting; to be called once."""
-        has_ended = self._process.exitcode is not None
-        others = left_by(self._pid) if has_ended else descendants(self._pid)
-        if not has_ended:  # Else its number may be another's by now.
-            kill_group(self._pid)
-            self._process.kill()
-        kill(others)
+        for part, pid in zip(parts_of(self._process), self._pids, strict=True):
+            has_ended = part.exitcode is not None
+            others = left_by(pid) if has_ended else descendants(pid)
+            if not has_ended:  # Else its number may be another's by now.
+                kill_group(pid)
+                part.kill()
+            kill(others)
 
     def close(self) -> None:
         """Wait for a killed process, and close its pipes."""
@@ -234,11 +240,13 @@ def _serve(
     jobs: Connection,
     results: Connection,
     output: Connection,
+    *line: Connection,
 ) -> NoReturn:
     """Run jobs until the pipe ends: the main function of the process."""
     own = os.getpid()
     try:
         start(output)
+        use_line(*line)
         while True:
             job: TrialJob = jobs.recv()
             _say(results, _TAKEN)

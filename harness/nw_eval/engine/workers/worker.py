@@ -27,6 +27,8 @@ class WorkerStart:
     """What it may do."""
     renders: bool
     """Whether it draws splats: it loads kernels before their cache is out of its reach."""
+    policy: Rules | None = None
+    """What the process may do that opens its policies; None = it opens them."""
 
 
 def start(settings: WorkerStart, output: Connection) -> None:

@@ -15,6 +15,8 @@ from nw_eval.cards import Card
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.catalogue import parse_reference
 from nw_eval.policies import Bundle
+from nw_eval.policies.apart import ApartPolicy
+from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Episode, Observer, Step
@@ -86,7 +88,8 @@ class Collector(Observer):
         self.tilt = 0.0
         """Larger one of roll and pitch now, rad."""
         self._episode = episode
-        self._fed = episode.policy if isinstance(episode.policy, FedPolicy) else None
+        policy = episode.policy
+        self._fed = policy if isinstance(policy, FedPolicy | ApartPolicy | DrawingPolicy) else None
         self._start = episode.world.trunk_position
         self._first = episode.world.joint_positions
         self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
@@ -126,9 +129,7 @@ class Collector(Observer):
             outcome=None if self._outcome in {"timeout", "completed"} else self._outcome,
             inputs=episode.policy.inputs,
             sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
-            fed_inputs=(
-                {one.name: one.network.inputs for one in self._fed.feeders} if self._fed else {}
-            ),
+            fed_inputs=self._fed.network_inputs if self._fed else {},
         )
 
 

@@ -16,7 +16,6 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.joints import short_name
 from nw_eval.catalogue import get_scene
-from nw_eval.confinement import processor_time
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.probe.comparison import compare
 from nw_eval.onboarding.probe.findings import (
@@ -36,7 +35,7 @@ from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.check_bundle import check_bundle
-from nw_eval.rollout.confined.access import OPENING_SECONDS, running_rules
+from nw_eval.rollout.confined.access import OPENING_SECONDS, policy_rules, running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.fault import PolicyFailedError
 
@@ -169,6 +168,7 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         rules=running_rules(bundle, scenes=[scene], allow_code=allow_code),
         time_limit=_TIME_LIMIT,
         renders=sees,
+        policy_process=policy_rules(bundle),
         card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         scene=scene,
@@ -185,9 +185,8 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
 
 def _probe(*, card: str, checkpoint: str | None, scene: str, allow_code: bool) -> dict[str, Any]:
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
-    if not allow_code:
-        with processor_time(OPENING_SECONDS):  # As before a run, whose trials come after it.
-            check_bundle(bundle, get_robot(bundle.card.robot))
+    if not allow_code:  # As before a run, whose trials come after it.
+        check_bundle(bundle, get_robot(bundle.card.robot), seconds=OPENING_SECONDS)
     return asdict(probe_here(bundle, scene=scene, allow_code=allow_code))
 
 

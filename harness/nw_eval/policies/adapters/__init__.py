@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import assert_never
 
 from nw_eval.cards.checkpoint import is_built_in
+from nw_eval.policies.apart import ApartPolicy, current_line
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.policy import Policy
 from nw_eval.robots import get_robot
 
+PROGRAMS = frozenset({"torchscript", "torch-export"})
+"""Adapters whose files are programs: torch runs whatever they say."""
+
 
 def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
-    """Load a bundle's checkpoint, and its networks. Loading runs no code that they contain.
+    """Load a bundle's checkpoint, and its networks: in the policy's process, where there is one.
 
     Args:
         bundle: from `load_bundle`.
@@ -21,12 +26,18 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
             fit the card.
     """
+    line = current_line()
+    if line is not None and bundle.card.adapter != "zero":
+        joints = len(get_robot(bundle.card.robot).joints)
+        return ApartPolicy(bundle, line, joints=joints, allow_code=allow_code)
     policy = _open_checkpoint(bundle, allow_code=allow_code)
-    if not bundle.card.networks:
-        return policy
-    from nw_eval.policies.feeding.fed_policy import FedPolicy
+    if bundle.card.networks:
+        from nw_eval.policies.feeding.fed_policy import FedPolicy
 
-    return FedPolicy(bundle, policy)
+        policy = FedPolicy(bundle, policy, allow_code=allow_code)
+    adapters = {bundle.card.adapter, *(net.adapter for net in bundle.card.networks.values())}
+    draws = adapters & PROGRAMS or bundle.card.adapter.startswith("python:")
+    return DrawingPolicy(policy, name=bundle.name) if draws and bundle.instance is None else policy
 
 
 def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
@@ -45,11 +56,11 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
         case "torchscript":
             from nw_eval.policies.adapters.torchscript import TorchScriptPolicy
 
-            return TorchScriptPolicy(bundle, joints=joints)
+            return TorchScriptPolicy(bundle, joints=joints, allow_code=allow_code)
         case "torch-export":
             from nw_eval.policies.adapters.torch_export import TorchExportPolicy
 
-            return TorchExportPolicy(bundle, joints=joints)
+            return TorchExportPolicy(bundle, joints=joints, allow_code=allow_code)
         case "lucidsim":
             from nw_eval.policies.adapters.lucidsim import LucidSimPolicy
 

@@ -21,6 +21,11 @@ class ActingNetwork:
         """What the checkpoint declares to take; empty where its format does not say."""
         return self._network.inputs
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the network has a memory, or may have one."""
+        return getattr(self._network, "remembers", True)
+
     def reset(self, seed: int) -> None:
         """Begin a trial."""
         self._network.reset(seed)

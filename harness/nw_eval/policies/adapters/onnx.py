@@ -77,6 +77,11 @@ class OnnxNetwork:
         self._outputs = [*dict.fromkeys([*(name for name, _ in self.wanted), *feeding])]
         self.reset(0)
 
+    @property
+    def remembers(self) -> bool:
+        """Whether inputs of the graph are fed by its own outputs."""
+        return bool(self._recurrent)
+
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
         """Begin a trial: the recurrent state is zeros."""
         self._memory = {

@@ -13,16 +13,19 @@ A caller in this process may hand in the object itself, or a function in place o
 from __future__ import annotations
 
 import importlib
+from collections.abc import Generator
+from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
-
-import numpy as np
 
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
 from nw_eval.files.importable import importable
+from nw_eval.policies.apart import code_refused
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.policy import Observation, checked_action
+from nw_eval.policies.policy import Observation, raised
+from nw_eval.policies.policy_process import CodePolicy, FaultError
 
 
 class PythonPolicy:
@@ -40,26 +43,27 @@ class PythonPolicy:
 
     def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
         self._name = bundle.name
-        self._joints = joints
         self._is_ours = bundle.instance is None
-        self._policy: Any = (
+        user_object: Any = (
             _make(bundle, allow_code=allow_code) if self._is_ours else bundle.instance
         )
-        self.inputs: tuple[InputSpec, ...] = getattr(self._policy, "inputs", ())
-        if not callable(getattr(self._policy, "act", None if self._is_ours else self._policy)):
-            raise CodeError(
-                f"{bundle.where}: {bundle.card.adapter} has no method `act`",
-                fix="write `act(self, observation)`",
-            )
-        if hasattr(self._policy, "state") != hasattr(self._policy, "restore"):
-            raise CodeError(
-                f"{bundle.where}: {bundle.card.adapter} has only one of `state` and `restore`",
-                fix="write both, or neither if the policy has no memory",
+        self.inputs: tuple[InputSpec, ...] = getattr(user_object, "inputs", ())
+        if self._is_ours and not callable(getattr(user_object, "act", None)):
+            user_object = SimpleNamespace(act=None)  # A function is no class's object.
+        with _faults():
+            self._policy: CodePolicy | None = CodePolicy(
+                user_object,
+                name=bundle.name,
+                adapter=bundle.card.adapter,
+                where=bundle.where,
+                joints=joints,
             )
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
-        self._call("reset", seed)
+        if self._policy is not None:
+            with _faults():
+                self._policy.reset(seed)
 
     def act(self, observation: Observation) -> Action:
         """Ask the object, which gets copies: it may write into them.
@@ -69,55 +73,50 @@ class PythonPolicy:
         """
         if self._policy is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
-        copies = {name: np.array(array) for name, array in observation.items()}
-        try:
-            raw = getattr(self._policy, "act", self._policy)(copies)
-        except Exception as error:
-            raise _failed(self._name, "act", error) from error
-        return checked_action(raw, joints=self._joints, policy=self._name)
+        with _faults():
+            return self._policy.act(observation)
+        raise AssertionError("no exception vanishes")
 
     def state(self) -> bytes:
         """Return the object's memory."""
-        state = self._call("state")
-        if not isinstance(state, bytes | None):
-            raise TrialError(
-                f"policy {self._name!r}: state() returned a {type(state).__name__}, not bytes"
-            )
-        return state or b""
+        if self._policy is None:
+            return b""
+        with _faults():
+            return self._policy.state()
+        raise AssertionError("no exception vanishes")
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`."""
-        self._call("restore", state)
+        if self._policy is not None:
+            with _faults():
+                self._policy.restore(state)
 
     def close(self) -> None:
         """Close the object."""
-        if self._policy is not None:
-            if self._is_ours:
-                self._call("close")
-            self._policy = None
-
-    def _call(self, method: str, *arguments: Any) -> Any:
-        """Call a method if the object has it."""
-        function = getattr(self._policy, method, None)
-        if function is None:
-            return None
-        try:
-            return function(*arguments)
-        except Exception as error:
-            raise _failed(self._name, method, error) from error
+        policy, self._policy = self._policy, None
+        if policy is not None and self._is_ours:
+            with _faults():
+                policy.close()
 
 
-def _failed(policy: str, method: str, error: Exception) -> TrialError:
-    if isinstance(error, TrialError):
-        return error
-    return TrialError(f"policy {policy!r}: {method} raised {type(error).__name__}: {error}")
+@contextmanager
+def _faults() -> Generator[None]:
+    """Turn what is wrong with the object into an error of this program."""
+    try:
+        yield
+    except FaultError as fault:
+        if isinstance(fault.__cause__, TrialError):
+            raise fault.__cause__ from None  # It raised what adapters raise, on purpose.
+        raise raised(fault) from fault.__cause__
 
 
 def _make(bundle: Bundle, *, allow_code: bool) -> Any:
     if not allow_code:
+        raise code_refused(bundle)
+    if bundle.card.python is not None:
         raise PolicyError(
-            f"{bundle.where}: `{bundle.card.adapter}` imports and runs Python code",
-            fix="add --allow-code if you trust it, or use `remote` and run it elsewhere",
+            f"{bundle.where}: `python: {bundle.card.python}` runs the code in a process of its own",
+            fix="drop --in-process, or run it there as a server and use `remote`",
         )
     module, _, name = bundle.card.adapter.removeprefix("python:").partition(":")
     try:

@@ -14,6 +14,7 @@ from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError
 from nw_eval.policies.adapters.acting import ActingNetwork
+from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.memory import unpacked
 from nw_eval.policies.network import Wanted, place_of
@@ -25,12 +26,13 @@ from nw_eval.policies.options import NoOptions, read_options
 class TorchExportNetwork(TorchNetwork):
     """A graph whose inputs are named as the arguments of the module's `forward`."""
 
-    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+    def __init__(self, bundle: Bundle, wanted: Wanted, *, allow_code: bool) -> None:
         """Open the graph of a card, or of one of its networks.
 
         Raises:
             PolicyError: it cannot be used, or has other inputs and outputs than the card says.
         """
+        check_program(bundle, allow_code=allow_code)
         read_options(bundle, NoOptions)
         where = str(bundle.checkpoint)
         torch.set_num_threads(1)
@@ -74,8 +76,8 @@ class TorchExportNetwork(TorchNetwork):
 class TorchExportPolicy(ActingNetwork):
     """A graph, one of whose outputs is the action."""
 
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
-        network = TorchExportNetwork(bundle, [bundle.card.output])
+    def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
+        network = TorchExportNetwork(bundle, [bundle.card.output], allow_code=allow_code)
         ((name, shape),) = network.wanted
         if int(np.prod(shape)) != joints:
             raise PolicyError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from importlib import import_module
+from io import BytesIO
 from typing import Any
 
 import torch
@@ -23,13 +23,14 @@ from nw_eval.policies.adapters.script_state import (
     state_slots,
     write_state,
 )
+from nw_eval.policies.apart import check_program
 from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.memory import unfitting, unpacked
 from nw_eval.policies.network import Wanted
 from nw_eval.policies.policy import Observation
-from nw_eval.policies.safety import check_torchscript
-from nw_eval.policies.safety.compiled import check_compiled
+from nw_eval.policies.safety import file_kind, tensor_facts
+from nw_eval.policies.safety.kind import kind_said
 
 
 class TorchScriptNetwork:
@@ -38,20 +39,20 @@ class TorchScriptNetwork:
     Buffers, and whatever else its code writes to, are its recurrent state, as rsl_rl exports it:
     a trial begins with what the file holds of them.
 
-    Torch reads an archive that was written anew from what `safety` understood: no pickle of the
-    file is executed, its script calls operators of a list only, and nothing of it runs while it is
-    opened. Inputs are passed in the order of the card's `inputs`.
+    It is a program, which torch runs as it is: in a process that is fenced in, or where the caller
+    trusts it. Inputs are passed in the order of the card's `inputs`.
     """
 
     inputs: tuple[InputSpec, ...] = ()
     """TorchScript files do not declare shapes."""
 
-    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+    def __init__(self, bundle: Bundle, wanted: Wanted, *, allow_code: bool) -> None:
         """Open the module of a card, or of one of its networks.
 
         Raises:
             PolicyError: it cannot be used, or an output is wanted by a name.
         """
+        check_program(bundle, allow_code=allow_code)
         self._name = bundle.name
         self._subject = bundle.subject
         self._places = [_place(one, bundle) for one in wanted]
@@ -63,7 +64,7 @@ class TorchScriptNetwork:
         self._slots = state_slots(self._module, str(bundle.checkpoint))
         self._first = read_state(self._module, self._slots)
 
-    def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
+    def reset(self, seed: int) -> None:  # noqa: ARG002 - `DrawingPolicy` seeds the generator.
         """Begin a trial with the state that the file holds."""
         if self._module is not None:
             write_state(self._module, self._slots, self._first)
@@ -129,8 +130,8 @@ class TorchScriptNetwork:
 class TorchScriptPolicy(ActingNetwork):
     """A module, one of whose outputs is the action."""
 
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
-        network = TorchScriptNetwork(bundle, [bundle.card.output])
+    def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
+        network = TorchScriptNetwork(bundle, [bundle.card.output], allow_code=allow_code)
         super().__init__(network, joints=joints, policy=bundle.name)
 
 
@@ -182,26 +183,26 @@ def _place(wanted: str | int | None, bundle: Bundle) -> int:
     return wanted or 0
 
 
-@lru_cache(maxsize=1)  # All trials of a worker open the same file.
-def _checked(data: bytes, where: str) -> bytes:
-    return check_torchscript(data, where)
+@lru_cache(maxsize=1)  # All trials of a process open the same file.
+def _check(data: bytes, where: str) -> None:
+    """Refuse archives that unpack to too much, and pickles of anything but tensors and scripts."""
+    tensor_facts(data, where)
 
 
 def _open(bundle: Bundle) -> Any:
-    where = str(bundle.checkpoint)
-    data = _checked(bundle.read_checkpoint(), where)
-    # What torch.jit.load does, but for the look at the compiled code in between.
-    inner: Any = import_module("torch._C")
-    recursive: Any = import_module("torch.jit._recursive")
-    unit = inner.CompilationUnit()
+    where, data = str(bundle.checkpoint), bundle.read_checkpoint()
+    if (kind := file_kind(data, where)) != "torchscript":
+        raise PolicyError(
+            f"{where}: not a TorchScript file: {kind_said(kind)}",
+            fix="save the module with torch.jit.save, or change `adapter`",
+        )
+    _check(data, where)
     try:
-        module = inner.import_ir_module_from_buffer(unit, data, torch.device("cpu"), {}, False)
-        check_compiled(unit, where)
-        module = recursive.wrap_cpp_module(module)
+        module = torch.jit.load(BytesIO(data), map_location="cpu")
+        module.eval()
     except (RuntimeError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise PolicyError(
             f"{where}: not a usable TorchScript file: {clean(error, at_most=300)}",
             fix="save it with torch.jit.save",
         ) from None
-    module.eval()
     return module

@@ -21,19 +21,22 @@ class FedPolicy:
     policy's rate. At one action, each is asked after those that feed it.
     """
 
-    def __init__(self, bundle: Bundle, policy: Policy) -> None:
+    def __init__(self, bundle: Bundle, policy: Policy, *, allow_code: bool) -> None:
         """Open the networks of a bundle.
 
         Args:
             bundle: of a card with networks.
             policy: its checkpoint.
+            allow_code: as for `open_policy`.
 
         Raises:
             PolicyError: as `open_network`.
         """
         self._name = bundle.name
         self.policy = policy
-        self.feeders = tuple(Feeder(bundle, name) for name in feeding_order(bundle.card))
+        self.feeders = tuple(
+            Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
+        )
         self._actions = 0
         self.held: dict[str, Array] = {}
         """By name, what the networks gave last."""
@@ -42,6 +45,11 @@ class FedPolicy:
     def inputs(self) -> tuple[InputSpec, ...]:
         """What the checkpoint declares to take; empty where its format does not say."""
         return self.policy.inputs
+
+    @property
+    def network_inputs(self) -> dict[str, tuple[InputSpec, ...]]:
+        """What the file of each network declares to take."""
+        return {feeder.name: feeder.network.inputs for feeder in self.feeders}
 
     def reset(self, seed: int) -> None:
         """Begin a trial: nothing was given yet."""

@@ -19,13 +19,16 @@ from nw_eval.policies.policy import Observation
 Array = NDArray[Any]
 
 
-def open_network(adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted) -> OpenNetwork:
+def open_network(
+    adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted, *, allow_code: bool
+) -> OpenNetwork:
     """Open one file of a bundle for some of its outputs.
 
     Args:
         adapter: what runs the file.
         bundle: from `Bundle.of_network`.
         wanted: which outputs `run` is to return, in this order.
+        allow_code: as for `open_policy`.
 
     Raises:
         PolicyError: the file is not what its adapter reads, or has other inputs and outputs than
@@ -39,11 +42,11 @@ def open_network(adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted) -> Ope
         case "torchscript":
             from nw_eval.policies.adapters.torchscript import TorchScriptNetwork
 
-            return TorchScriptNetwork(bundle, wanted)
+            return TorchScriptNetwork(bundle, wanted, allow_code=allow_code)
         case "torch-export":
             from nw_eval.policies.adapters.torch_export import TorchExportNetwork
 
-            return TorchExportNetwork(bundle, wanted)
+            return TorchExportNetwork(bundle, wanted, allow_code=allow_code)
         case _:
             assert_never(adapter)
 
@@ -51,7 +54,7 @@ def open_network(adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted) -> Ope
 class Feeder:
     """One network in a trial, with the names under which others take what it gives."""
 
-    def __init__(self, bundle: Bundle, name: str) -> None:
+    def __init__(self, bundle: Bundle, name: str, *, allow_code: bool) -> None:
         network = bundle.card.networks[name]
         self.name = name
         self.bundle = bundle.of_network(name)
@@ -59,7 +62,7 @@ class Feeder:
         self.every = 1 if network.rate is None else bundle.card.control.rate // network.rate
         """Actions from one time that it is asked to the next."""
         wanted = [output.output for output in self.outputs.values()]
-        self.network = open_network(network.adapter, self.bundle, wanted)
+        self.network = open_network(network.adapter, self.bundle, wanted, allow_code=allow_code)
 
     def run(self, observation: Observation) -> dict[str, Array]:
         """Ask it; return what it gives by name, each in memory of its own.

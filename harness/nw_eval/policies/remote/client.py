@@ -10,21 +10,18 @@ import re
 import socket
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from time import monotonic
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import Field
 
 from nw_eval.cards.inputs import InputSpec
-from nw_eval.cards.joint_control import Action
 from nw_eval.cards.model import CardModel
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
+from nw_eval.policies.apart import AskedPolicy, Served
 from nw_eval.policies.bundle import NOTHING, Bundle
 from nw_eval.policies.options import read_options
-from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.remote.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 from nw_eval.robots import get_robot
 
@@ -60,16 +57,6 @@ class RemoteOptions(CardModel):
     keeps to it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Served:
-    """What a server says that it serves."""
-
-    digest: str
-    """Hex SHA-256 of all that can change an action; `NOTHING` if the server gives none."""
-    shapes: Mapping[str, tuple[int, ...]]
-    """Shapes of observations by name, where the server says them."""
-
-
 def ask_server(bundle: Bundle) -> Served:
     """Connect for a moment and return what is served.
 
@@ -78,10 +65,11 @@ def ask_server(bundle: Bundle) -> Served:
     """
     joints = len(get_robot(bundle.card.robot).joints)
     with closing(RemotePolicy(bundle, joints=joints)) as policy:
+        assert policy.served is not None, "it was asked"
         return policy.served
 
 
-class RemotePolicy:
+class RemotePolicy(AskedPolicy):
     """A connection to a policy of its own on a server."""
 
     inputs: tuple[InputSpec, ...] = ()
@@ -94,8 +82,7 @@ class RemotePolicy:
             PolicyError: there is no server, it speaks another protocol, serves another policy,
                 wants observations that the card does not name, or its card has another `control`.
         """
-        self._name = bundle.name
-        self._joints = joints
+        super().__init__(bundle.name, joints=joints)
         self._options = read_options(bundle, RemoteOptions)
         self._cleanup = ExitStack()
         self._connection: ClientConnection | None = _connect(bundle, self._options, self._cleanup)
@@ -115,46 +102,24 @@ class RemotePolicy:
                 fix="speak the protocol of nw_eval.policies.remote.wire",
             ) from None
 
-    def reset(self, seed: int) -> None:
-        """Begin a trial on the server."""
-        self._ask({"call": "reset", "seed": seed})
-
-    def act(self, observation: Observation) -> Action:
-        """Ask the server for an action.
-
-        Raises:
-            ServerError: no answer in time, or the connection is gone.
-            TrialError: the policy failed there, or its action is none.
-        """
-        arrays = {name: np.ascontiguousarray(array) for name, array in observation.items()}
-        answer = self._ask({"call": "act", "observation": arrays})
-        return checked_action(answer.get("action"), joints=self._joints, policy=self._name)
-
-    def state(self) -> bytes:
-        """Return the server's state of this policy."""
-        state = self._ask({"call": "state"}).get("state")
-        if not isinstance(state, bytes):
-            raise ServerError(
-                f"policy {self._name!r}: the server at {self._options.url} has no state",
-                fix="answer `state` with bytes, empty for a policy without memory",
-            )
-        return state
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state` on the server."""
-        self._ask({"call": "restore", "state": state})
+    def no_state(self) -> ServerError:
+        """Return the error for an answer that holds no state."""
+        return ServerError(
+            f"policy {self._name!r}: the server at {self._options.url} has no state",
+            fix="answer `state` with bytes, empty for a policy without memory",
+        )
 
     def close(self) -> None:
         """End the connection, and with it the policy on the server."""
         self._connection = None
         self._cleanup.close()
 
-    def _ask(self, message: Mapping[str, Any]) -> dict[str, Any]:
+    def ask(self, message: dict[str, Any]) -> dict[str, Any]:
         """Send a message and return its answer."""
         if self._connection is None:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
         try:
-            self._connection.send(encode(dict(message)))
+            self._connection.send(encode(message))
         except (WebSocketException, OSError) as error:
             raise self._lost(error) from error
         answer = self._receive(self._options.timeout)

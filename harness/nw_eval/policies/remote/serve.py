@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import socket
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -20,8 +20,10 @@ from urllib.parse import urlsplit
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
 from nw_eval.policies.adapters import open_policy
+from nw_eval.policies.apart import trusting, trusts
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Policy
+from nw_eval.policies.policy_process import CALLS, respond
 from nw_eval.policies.remote.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 from nw_eval.robots import get_robot
 
@@ -83,8 +85,11 @@ def serving(
             fix="pip install 'nw-eval[remote]'",
         ) from None
 
+    is_trusted = trusts()  # Each client has a thread, which does not know.
+
     def opened() -> Policy:
-        return open_policy(bundle, allow_code=allow_code)
+        with trusting(all_=is_trusted):
+            return open_policy(bundle, allow_code=allow_code)
 
     opened().close()
     hello = {
@@ -151,18 +156,11 @@ def serving(
 
 def answer(policy: Policy, data: bytes | str) -> dict[str, Any]:
     """Return the answer to one message; faults of the policy or the message are answers too."""
-    calls: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
-        "reset": lambda message: _done(policy.reset(int(message["seed"]))),
-        "act": lambda message: {"action": policy.act(message["observation"])},
-        "state": lambda _: {"state": policy.state()},
-        "restore": lambda message: _done(policy.restore(message["state"])),
-    }
     try:
         message = decode(data)
-        call = calls.get(str(message.get("call")))
-        if call is None:
-            return {"error": f"unknown call {message.get('call')!r}; known: {', '.join(calls)}"}
-        return call(message)
+        if message.get("call") not in CALLS:
+            return {"error": f"unknown call {message.get('call')!r}; known: {', '.join(CALLS)}"}
+        return respond(policy, message)
     except Exception as error:  # noqa: BLE001 - whatever the policy raises is told to the client.
         return _fault(error)
 
@@ -216,7 +214,3 @@ def _limit_sockets(server: Server) -> None:
                 slots.release()
 
     server.handler = handler
-
-
-def _done(_: None) -> dict[str, Any]:
-    return {"done": True}

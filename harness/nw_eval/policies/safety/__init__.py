@@ -9,12 +9,6 @@ fails is a `PolicyError` that says what the file is and how to export it.
     members     which of them a torch archive may have, and the archive written anew
     objects     the index of a torch file, read without pickle
     tensors     the tensors of a torch or safetensors file
-    operators   what graphs and scripts may call
-    guards      checks in front of operators that do not check their arguments
-    script      the code of a TorchScript file, checked and written anew; its functions in
-                script_body, names and types in script_words
-    script_file a whole TorchScript file, checked and written anew
-    compiled    what torch made of it, looked at again
     onnx_file   the tensors of an ONNX file
 """
 
@@ -28,7 +22,6 @@ from nw_eval.policies.safety.tensors import (
     tensor_facts,
     tensors_below,
 )
-from nw_eval.policies.safety.torchscript.file import check_torchscript
 
 __all__ = [
     "Archive",
@@ -36,7 +29,6 @@ __all__ = [
     "FileLimits",
     "TensorFacts",
     "check_onnx",
-    "check_torchscript",
     "file_kind",
     "open_archive",
     "read_tensors",

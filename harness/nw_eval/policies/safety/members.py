@@ -7,10 +7,7 @@ what was checked, under the names that were checked, and nothing else.
 
 from __future__ import annotations
 
-import io
 import re
-import zipfile
-from collections.abc import Mapping
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
@@ -55,22 +52,3 @@ def check_members(archive: Archive, allowed: re.Pattern[str]) -> None:
             if mobile
             else "do not use this file; export the policy again",
         )
-
-
-def canonical(archive: Archive, rewritten: Mapping[str, str]) -> bytes:
-    """Return a TorchScript archive with the members that torch needs, in an order of our own.
-
-    Nothing is compressed, no member has extra fields or comments, notes for debuggers and other
-    extras are gone.
-
-    Args:
-        archive: whose members passed `check_members`.
-        rewritten: the script's code by the names of its members, in place of what they hold.
-    """
-    kept = {name for name in archive.names() if _KEPT.fullmatch(name)}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as target:
-        for name in sorted(kept | set(rewritten)):
-            content = rewritten[name].encode() if name in rewritten else archive.read(name)
-            target.writestr(zipfile.ZipInfo(f"archive/{name}"), content)
-    return buffer.getvalue()

@@ -218,6 +218,8 @@ def contradiction_of_end(
 ) -> str | None:
     """Return in what the end of a trial that has a result contradicts itself, or None."""
     if total < 1:
+        if outcome == "policy_failed" and (reached, success, completed) == (0, 0.0, False):
+            return None  # It ended its process, or failed before it stood: nobody has counted.
         return f"success {success} of a trail without waypoints"
     if success is None or abs(success - reached / total) > _ROUNDING:
         return f"success {success} with {reached} of {total} waypoints reached"

@@ -1,4 +1,4 @@
-"""What a process may do that opens a policy: read its files and its scenes, and write logs."""
+"""What a policy's process may do, which reads its files, and a world's, which writes logs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from nw_eval.catalogue.whereabouts import scene_paths
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir
+from nw_eval.policies.bundle import senses_by_code
 from nw_eval.policies.safety import FileLimits
 
 if TYPE_CHECKING:
@@ -41,12 +42,26 @@ def folding_rules(checkpoint: Path, folder: Path) -> Rules:
 
 
 def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
-    """Return the rules of a process that opens a bundle's checkpoint, and runs it once."""
+    """Return the rules of a process that checks a card, opens its checkpoint, and runs it once."""
+    is_code = allow_code and bool(bundle.code_sha256)
     return Rules(
         reads=_files(bundle),
-        memory=memory_to_open(_size(*bundle.files)),
-        seconds=OPENING_SECONDS,
-        off=why_off(allow_code=allow_code),
+        memory=None if is_code else memory_to_open(_size(*bundle.files)),
+        seconds=None if is_code else OPENING_SECONDS,
+        off=why_off(code=allow_code and senses_by_code(bundle.card)),
+    )
+
+
+def policy_rules(bundle: Bundle) -> Rules:
+    """Return the rules of a process that opens a policy and answers for it in trials.
+
+    Code that the caller allows has the memory that it wants, and what `--memory-limit` says.
+    """
+    return Rules(
+        reads=_files(bundle),
+        network="all" if bundle.card.adapter == "remote" else "none",
+        memory=None if bundle.code_sha256 else memory_to_run(_size(*bundle.files), scenes=0),
+        python=bundle.python,
     )
 
 
@@ -59,10 +74,10 @@ def running_rules(
     render: Backend = "cpu",
     also: Sequence[Path] = (),
 ) -> Rules:
-    """Return the rules of a process that runs trials.
+    """Return the rules of a process that runs trials, of which it simulates the world.
 
     Args:
-        bundle: the policy.
+        bundle: the policy, whose digest it takes, and which it does not open.
         scenes: what `get_scene` understands of those that it runs in.
         logs: the folder of their logs; None = none is written.
         allow_code: whether Python code that the card names may be imported.
@@ -78,9 +93,8 @@ def running_rules(
             *_cache(),
         ),
         writes=() if logs is None else (logs.resolve(),),
-        network="all" if bundle.card.adapter == "remote" else "none",
         memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
-        off=why_off(allow_code=allow_code, render=render),
+        off=why_off(code=allow_code and senses_by_code(bundle.card), render=render),
     )
 
 
@@ -92,11 +106,18 @@ def fence_in_server(bundle: Bundle) -> None:
     raise_fence(reads=_files(bundle), writes=(), network="server")
 
 
-def why_off(*, allow_code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
-    """Return why a process is not fenced in; empty if it is."""
+def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
+    """Return why a process that runs trials is not fenced in; empty if it is.
+
+    Args:
+        code: whether sensors of the card are Python code that may run. It runs beside the world
+            that it measures; code of a policy runs in the policy's process, which is fenced.
+        render: the splat renderer.
+        in_process: whether trials run in the calling process.
+    """
     if in_process:
         return "in the calling process"
-    if allow_code:
+    if code:
         return "--allow-code"
     return "--render cuda" if render == "cuda" else ""
 

@@ -25,7 +25,8 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
-from nw_eval.rollout.confined.start import Started, start_process
+from nw_eval.policies.apart import use_line
+from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -60,6 +61,7 @@ def call_isolated(
     rules: Rules = _LIBRARIES_ONLY,
     time_limit: float = TIME_LIMIT,
     renders: bool = False,
+    policy_process: Rules | None = None,
     **arguments: Any,
 ) -> Any:
     """Call a function in a fresh, confined process and return what it returns.
@@ -70,6 +72,8 @@ def call_isolated(
         rules: what the process may do.
         time_limit: wall seconds.
         renders: whether it draws splats, for which it loads kernels before it is confined.
+        policy_process: what the process may do that opens policies; None = there is none, and
+            the function's own opens them.
         **arguments: plain values.
 
     Raises:
@@ -78,7 +82,12 @@ def call_isolated(
         PolicyError: it took more than it may, or did not come back in time.
     """
     with IsolatedCall(
-        function, subject=subject, rules=rules, renders=renders, arguments=arguments
+        function,
+        subject=subject,
+        rules=rules,
+        renders=renders,
+        policy=policy_process,
+        arguments=arguments,
     ) as call:
         return call.answer(time_limit)
 
@@ -91,6 +100,7 @@ class IsolatedCall:
         subject: see there.
         rules: see there.
         renders: see there.
+        policy: `policy_process` there.
         arguments: of the function, plain values.
         is_one_of_many: whether more such calls will follow.
 
@@ -110,17 +120,19 @@ class IsolatedCall:
         rules: Rules,
         renders: bool,
         arguments: Mapping[str, Any],
+        policy: Rules | None = None,
         is_one_of_many: bool = False,
     ) -> None:
         self.receiver, sender = Pipe(duplex=False)
         self._subject = subject
         try:
             with sender:
-                self._process = start_process(
+                self._process = start_pair(
                     _answer,
                     (rules, renders, function, dict(arguments)),
                     (sender,),
                     rules=rules,
+                    policy=policy,
                     is_one_of_many=is_one_of_many,
                 )
         except BaseException:
@@ -157,7 +169,7 @@ class IsolatedCall:
 
 
 def _received(
-    receiver: Connection, process: Started, subject: str, time_limit: float
+    receiver: Connection, process: Started | WorldAndPolicy, subject: str, time_limit: float
 ) -> dict[str, Any]:
     """Return what a process says.
 
@@ -173,8 +185,11 @@ def _received(
         answer = json.loads(receiver.recv_bytes(_ANSWER))
     except EOFError:
         process.join(_LAST_MOMENTS)
+        code = process.exitcode
         _end(process)  # It may be stopped.
-        raise _died(subject, process.exitcode) from None
+        if code is not None or not isinstance(process, WorldAndPolicy):
+            raise _died(subject, process.exitcode) from None
+        answer = None  # The policy's process has closed its line, or said what is no message.
     except (OSError, ValueError, RecursionError):
         answer = None
     if not isinstance(answer, dict) or not ({"value", "error"} & answer.keys()):
@@ -185,11 +200,12 @@ def _received(
     return answer
 
 
-def _end(process: Started) -> None:
-    """Kill a process and what it started, if it has not ended."""
-    if process.exitcode is None:
-        kill_group(process.pid)
-        process.kill()
+def _end(process: Started | WorldAndPolicy) -> None:
+    """Kill a process and what it started, if it has not ended; likewise that of its policy."""
+    for each in parts_of(process):
+        if each.exitcode is None:
+            kill_group(each.pid)
+            each.kill()
 
 
 def _died(subject: str, code: int | None) -> PolicyError:
@@ -218,6 +234,7 @@ def _answer(
     function: Callable[..., Any],
     arguments: Mapping[str, Any],
     sender: Connection,
+    *line: Connection,
 ) -> None:
     try:
         if renders:
@@ -225,6 +242,7 @@ def _answer(
 
             warmup()
         confine(rules)
+        use_line(*line)
         answer = {"value": function(**arguments)}
     except NwEvalError as error:
         answer = {"error": str(error), "kind": type(error).__name__}

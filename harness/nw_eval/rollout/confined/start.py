@@ -1,38 +1,54 @@
 """Starts confined processes: forked from the nursery where there is a fence, else from nothing.
 
 What has no fence may start processes of its own and use what does not survive a fork, such as CUDA.
+
+A process that runs trials is one of two: the world, which simulates, senses and scores, and the
+policy's process, which opens the checkpoint. They meet in numbers only: see
+`nw_eval.policies.policy_process`. Neither starts the other; whoever owns them watches both.
 """
 
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import signal
+import subprocess
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import Pipe, get_context, resource_tracker
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, Self
 
 from nw_eval.confinement import (
+    GONE,
+    LEFT,
     Nursery,
     Rules,
     child_environment,
     interrupts_blocked,
     without_script,
 )
+from nw_eval.confinement.environment import environment_of_child
+from nw_eval.errors import PolicyError, TrialError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
-    from multiprocessing.connection import Connection
+    from collections.abc import Callable, Generator, Hashable, Sequence
 
     from nw_eval.cards import Card
+    from nw_eval.policies.apart import PolicyLine
+
+    Line = tuple[Connection, Connection, Connection]
 
 _PRELOAD = "nw_eval.rollout.confined.preload"
 _KERNELS = "nw_eval.rollout.confined.kernels"
 _LIBRARY = {"onnx": "onnxruntime"}
 _NONE = frozenset({"remote", "zero"})
 """Adapters that need no library for their networks; those that are not named need torch."""
+
+_LAST_MOMENTS = 5.0
+"""Seconds in which a process that has closed its line, or was killed, must be gone."""
 
 _WARM = b"warm"
 _WARMS = 120.0
@@ -81,6 +97,66 @@ class Started(Protocol):
     def close(self) -> None:
         """Forget it."""
         ...
+
+
+class WorldAndPolicy:
+    """A world's process and its policy's, seen as one: `Started`, but for what is said of both.
+
+    Where the policy's process ends by itself, or is ended, its exit code is that of both.
+    """
+
+    def __init__(self, world: Started, policy: Started) -> None:
+        self._world = world
+        self._policy = policy
+
+    @property
+    def both(self) -> tuple[Started, Started]:
+        """The world's process, and the policy's."""
+        return self._world, self._policy
+
+    @property
+    def pid(self) -> int | None:
+        """The number of the world's process."""
+        return self._world.pid
+
+    @property
+    def sentinel(self) -> int:
+        """What is ready when the world's process has ended."""
+        return self._world.sentinel
+
+    @property
+    def exitcode(self) -> int | None:
+        """How the first of them ended that did so by itself; None while none has.
+
+        None also where the policy's process has closed its line, or says what cannot be read, and
+        goes on.
+        """
+        world, policy = self._world.exitcode, self._policy.exitcode
+        if policy is not None and policy != LEFT:
+            return policy
+        return None if world == GONE else world
+
+    def kill(self) -> None:
+        """End both, without waiting."""
+        self._world.kill()
+        self._policy.kill()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until both have ended, or so many seconds each."""
+        self._world.join(timeout)
+        if self._world.exitcode is not None:
+            self._policy.join(timeout)
+
+    def close(self) -> None:
+        """Forget both."""
+        for process in self.both:
+            if process.exitcode is not None:
+                process.close()
+
+
+def parts_of(process: Started | WorldAndPolicy) -> tuple[Started, ...]:
+    """Return the processes that one stands for."""
+    return process.both if isinstance(process, WorldAndPolicy) else (process,)
 
 
 def prepare() -> None:
@@ -170,6 +246,251 @@ def start_process(
     with child_environment(fenced=not rules.off), interrupts_blocked(), without_script():
         process.start()
     return process
+
+
+def start_pair(
+    function: Callable[..., None],
+    arguments: Sequence[Any],
+    connections: Sequence[Connection],
+    *,
+    rules: Rules,
+    policy: Rules | None,
+    is_one_of_many: bool,
+    output: Connection | None = None,
+) -> Started | WorldAndPolicy:
+    """Return a new process that calls a function, and beside it one for the policies that it opens.
+
+    Args:
+        function: as for `start_process`, and likewise `arguments`, `connections`, `rules` and
+            `is_one_of_many`. After its connections it is given those of the line to the other
+            process, for `use_line`.
+        arguments: see there.
+        connections: see there.
+        rules: see there.
+        policy: by which the policy's process will confine itself; None = there is none, and
+            policies are opened by the function.
+        is_one_of_many: see there.
+        output: where what the policy prints goes; None = nowhere.
+
+    Raises:
+        OSError: no process can be started.
+    """
+    if policy is None:
+        return start_process(
+            function, arguments, connections, rules=rules, is_one_of_many=is_one_of_many
+        )
+    with open_policy_process(policy, is_one_of_many=is_one_of_many, output=output) as opened:
+        process, line = opened
+        try:
+            world = start_process(
+                function,
+                arguments,
+                (*connections, *line),
+                rules=rules,
+                is_one_of_many=is_one_of_many,
+            )
+        except BaseException:
+            process.kill()
+            raise
+    return WorldAndPolicy(world, process)
+
+
+@contextmanager
+def open_policy_process(
+    rules: Rules, *, is_one_of_many: bool, output: Connection | None = None
+) -> Generator[tuple[Started, Line]]:
+    """Start a policy's process, and give it with the line to it, which is closed afterwards.
+
+    Args:
+        rules: by which it will confine itself.
+        is_one_of_many: as for `start_process`.
+        output: where what it prints goes; None = nowhere.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    # It knows cards and NumPy, for which the nursery does not wait.
+    from nw_eval.policies.apart import serve_policies, shared_memory
+
+    with ExitStack() as closing:
+        questions, ask = map(closing.enter_context, Pipe(duplex=False))
+        hear, answers = map(closing.enter_context, Pipe(duplex=False))
+        memory = closing.enter_context(Connection(shared_memory()))
+        printed = () if output is None else (output,)
+        process: Started
+        if rules.python is not None:
+            try:
+                process = OwnInterpreter(rules, questions, answers, memory, output)
+            except OSError as error:
+                raise PolicyError(
+                    f"{rules.python} cannot be started: {error.strerror or error}",
+                    fix="correct `python` on the card",
+                ) from None
+        else:
+            process = start_process(
+                serve_policies,
+                (rules,),
+                (questions, answers, memory, *printed),
+                rules=rules,
+                is_one_of_many=is_one_of_many,
+            )
+        questions.close()
+        answers.close()
+        yield process, (hear, ask, memory)
+
+
+_PROGRAM = """
+import json, os, sys, types
+orders = json.loads(sys.argv[1])
+for name in "nw_eval", "nw_eval.policies", "nw_eval.files":  # It is not installed here.
+    package = types.ModuleType(name)
+    package.__path__ = [os.path.join(orders["root"], *name.split(".")[1:])]
+    sys.modules[name] = package
+from nw_eval.files.lifeline import hold
+hold(orders["life"])
+from pathlib import Path
+from nw_eval.confinement import LEFT, Rules, confine
+from nw_eval.policies.policy_process import run_program
+reads = tuple(map(Path, orders["reads_files"]))
+confine(Rules(reads=reads, network=orders["network"], memory=None), output=orders["output"])
+try:
+    run_program(orders)
+except (OSError, ValueError):
+    pass
+os._exit(LEFT)
+"""
+"""What another interpreter runs: it takes the fence and the protocol from this program's files."""
+
+
+class OwnInterpreter:
+    """A policy's process with an interpreter of its own: `Started`.
+
+    Args:
+        rules: by which it confines itself, before it imports the policy.
+        questions: what it is asked.
+        answers: what it says.
+        memory: for observations.
+        output: where what it prints goes; None = nowhere.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+
+    def __init__(
+        self,
+        rules: Rules,
+        questions: Connection,
+        answers: Connection,
+        memory: Connection,
+        output: Connection | None,
+    ) -> None:
+        life, self._life = Pipe(duplex=False)
+        passed = {"reads": questions, "writes": answers, "memory": memory, "life": life}
+        handles = {name: connection.fileno() for name, connection in passed.items()}
+        orders = {
+            **handles,
+            "output": None if output is None else output.fileno(),
+            "root": str(Path(__file__).resolve().parents[2]),
+            "reads_files": [str(path) for path in rules.reads],
+            "network": rules.network,
+        }
+        printed = () if output is None else (output.fileno(),)
+        with life, interrupts_blocked():
+            self._process = subprocess.Popen(  # noqa: S603  # What the caller allowed.
+                [str(rules.python), "-I", "-B", "-c", _PROGRAM, json.dumps(orders)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(*handles.values(), *printed),
+                env=environment_of_child(),
+            )
+        self.pid = self._process.pid
+        self._watch = os.pidfd_open(self.pid)
+
+    @property
+    def sentinel(self) -> int:
+        """What is ready when it has ended."""
+        return self._watch
+
+    @property
+    def exitcode(self) -> int | None:
+        """How it ended; None while it runs."""
+        return self._process.poll()
+
+    def kill(self) -> None:
+        """End it, without waiting."""
+        self._process.kill()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until it has ended, or so many seconds."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
+    def close(self) -> None:
+        """Forget it; it has ended."""
+        self._life.close()
+        if self._watch >= 0:
+            os.close(self._watch)
+            self._watch = -1
+
+
+class PolicyProcess:
+    """A policy's process of a caller that is not confined itself; a context manager.
+
+    It is started when it is first needed, and again after it has ended.
+
+    Args:
+        rules: by which it confines itself.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._cleanup = ExitStack()
+        self._process: Started | None = None
+        self._line: PolicyLine | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()
+
+    @property
+    def line(self) -> PolicyLine:
+        """The line to it, for `line_to`.
+
+        Raises:
+            OSError: it cannot be started.
+        """
+        if self._line is None or self._process is None or self._process.exitcode is not None:
+            self._cleanup.close()
+            opened = open_policy_process(self._rules, is_one_of_many=True)
+            self._process, line = self._cleanup.enter_context(opened)
+            self._cleanup.callback(self._end, self._process)
+            from nw_eval.policies.apart import PolicyLine
+
+            self._line = PolicyLine(*line, lost=self._lost)
+        return self._line
+
+    @property
+    def pid(self) -> int | None:
+        """Its number; None while it is not needed."""
+        return None if self._process is None else self._process.pid
+
+    def _end(self, process: Started) -> None:
+        process.kill()
+        process.join(_LAST_MOMENTS)
+        if process.exitcode is not None:
+            process.close()
+        self._process = self._line = None
+
+    def _lost(self) -> NoReturn:
+        process = self._process
+        if process is not None:
+            process.join(_LAST_MOMENTS)
+        code = None if process is None else process.exitcode
+        how = "says what cannot be read" if code is None else f"ended with exit code {code}"
+        raise TrialError(f"the policy's process {how}", fix="run it on its own")
 
 
 def _let_tracker_end() -> None:

@@ -10,7 +10,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.access import opening_rules
+from nw_eval.rollout.confined.access import opening_rules, policy_rules
 from nw_eval.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
 from nw_eval.rollout.confined.start import prepare_for, prepare_kernels
 
@@ -57,6 +57,7 @@ def vet_bundle(
         subject=bundle.where,
         rules=opening_rules(bundle, allow_code=allow_code),
         renders=False,
+        policy=policy_rules(bundle) if bundle.python is not None and allow_code else None,
         arguments=arguments,
     ) as call:
         prepare_kernels()  # Trials may want them, and this process does not.

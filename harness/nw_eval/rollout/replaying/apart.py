@@ -57,6 +57,7 @@ def replay_apart(
             rules=ready.rules,
             time_limit=TIME_LIMIT,
             renders=ready.renders,
+            policy_process=ready.policy,
             log=str(path.resolve()),
             start=start,
             policy=policy,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.rollout.confined.access import running_rules
+from nw_eval.rollout.confined.access import policy_rules, running_rules
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -27,9 +27,10 @@ TIME_LIMIT = 3600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Readied:
-    """How the process of a recorded trial is confined."""
+    """How the processes of a recorded trial are confined."""
 
     rules: Rules
+    policy: Rules
     renders: bool
 
 
@@ -68,7 +69,7 @@ def readied(
     rules = running_rules(
         bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log]
     )
-    return Readied(rules=rules, renders=renders)
+    return Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
 
 
 @contextmanager

@@ -15,8 +15,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from nw_eval.errors import NwEvalError
+from nw_eval.policies.apart import line_to
 from nw_eval.rollout.carry import carry_over
 from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.confined.access import policy_rules
+from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.perturbed import unfelt
 from nw_eval.rollout.prepare import OpenTrial, open_trial
@@ -72,9 +75,11 @@ class Stage:
         self.pushed = 0.0
         self._job = replace(job, duration=_LONG, mcap=None, record="none")
         self._bundle = bundle
+        self._policy_process = PolicyProcess(policy_rules(bundle))
         try:
             self.trial = self._open(self.place, {})
         except BaseException:
+            self._policy_process.__exit__()
             self._folder.cleanup()
             raise
 
@@ -88,6 +93,7 @@ class Stage:
         trace: TracebackType | None,
     ) -> None:
         self.trial.__exit__()
+        self._policy_process.__exit__()
         self._folder.cleanup()
 
     @property
@@ -161,7 +167,8 @@ class Stage:
             self._job.trial, scene_digest=scene.digest, perturbation=tuple(sorted(cell.items()))
         )
         library = _OfStage(scene, self._bundle)
-        return open_trial(replace(self._job, trial=trial), library, StageClock())
+        with line_to(self._policy_process.line):
+            return open_trial(replace(self._job, trial=trial), library, StageClock())
 
 
 class _OfStage(Library):

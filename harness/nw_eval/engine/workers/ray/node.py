@@ -38,7 +38,7 @@ class Orders:
     """Bytes that a worker may hold with its children."""
 
 
-def facts(render: Backend, *, adapter: str, allow_code: bool) -> dict[str, str]:
+def facts(render: Backend, *, adapter: str, code: bool) -> dict[str, str]:
     """Return what must be the same on all machines that one run's rows come from.
 
     The first line of a journal and run.json say it once, for all of them.
@@ -49,7 +49,7 @@ def facts(render: Backend, *, adapter: str, allow_code: bool) -> dict[str, str]:
         "nw-eval": __version__,
         "Python": platform.python_version(),
         **engine_of(render),
-        "fence": fence_of(adapter, allow_code=allow_code, render=render),
+        "fence": fence_of(adapter, code=code, render=render),
     }
 
 

@@ -19,6 +19,7 @@ from nw_eval.engine.workers.ray.nodes import Nodes
 from nw_eval.engine.workers.ray.parcels import Outgoing
 from nw_eval.engine.workers.ray.station import Answer, Station
 from nw_eval.errors import TrialError, UsageError
+from nw_eval.policies.bundle import senses_by_code
 from nw_eval.rollout.result import TrialResult
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class RayProcesses:
         question = {
             "render": plan.render,
             "adapter": plan.bundle.card.adapter,
-            "allow_code": plan.request.allow_code,
+            "code": plan.request.allow_code and senses_by_code(plan.bundle.card),
         }
         self._nodes = Nodes(joined, self._orders, outgoing, question, listener)
 

@@ -79,6 +79,7 @@ def blame_apart(
                     subject=str(log),
                     rules=ready.rules,
                     renders=ready.renders,
+                    policy=ready.policy,
                     arguments=arguments,
                     is_one_of_many=True,
                 )

@@ -1,1 +1,0 @@
-"""What a TorchScript archive may hold."""
