@@ -113,10 +113,9 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.ledger.report import LedgerReport
-from nw_eval.gate.side_by_side.result import PolicyComparison
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.ledger_report import LedgerReport
+from nw_eval.gate.side_by_side import PolicyComparison
+from nw_eval.gate.verdict import Comparison, Verdict
 from nw_eval.hub.fetched import Fetched
 from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary

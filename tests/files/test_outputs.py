@@ -28,7 +28,7 @@ ELSEWHERE = {
     "engine/workers/ray/received.py": "fills a folder of the cache that appears by one rename",
     "files/cache.py": "is the one that writes",
     "files/traceback_file.py": "writes what nobody foresaw, perhaps in the one that writes",
-    "gate/ledger/file.py": "appends, under a lock, to what `open_own` opened",
+    "gate/ledger.py": "appends, under a lock, to what `open_own` opened",
     "hub/download.py": "appends to a partial download in the cache",
     "hub/fetch.py": "fills a folder of the cache that appears by one rename",
     "hub/fetched.py": "writes into a folder of the cache that is being filled",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.stats import lower_bound, upper_bound
 from nw_eval.suite import Gate
 

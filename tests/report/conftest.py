@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.baseline.comparison import Comparison, Recheck, SceneDrop
+from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
 from nw_eval.reporting.console import draw
 from nw_eval.reporting.tables.baseline import baseline_table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.reporting import render_markdown, write_report
 from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.results.provenance import PolicyInfo

@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from PIL import Image
 
 from nw_eval.cli.verbs.compare import comparison_text
-from nw_eval.gate.side_by_side.result import (
+from nw_eval.gate.side_by_side import (
     ComparedPolicy,
     ComparedScene,
     ComparedTask,

@@ -18,8 +18,7 @@ from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
-    from nw_eval.gate.side_by_side.entrant import Entrant
-    from nw_eval.gate.side_by_side.result import PolicyComparison
+    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
     from nw_eval.reporting.site.board import BoardSection
 
 PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
@@ -172,7 +171,7 @@ def _sections(
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.running.reports import fault_of
-    from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
+    from nw_eval.gate.side_by_side import check_alike, entrant_of_run
     from nw_eval.reporting.site.board import BoardRun, BoardSection
 
     groups: list[list[tuple[RunReport, Entrant]]] = []
@@ -229,7 +228,7 @@ def _compared(
 ) -> list[tuple[list[tuple[RunReport, Entrant]], PolicyComparison]]:
     """Return runs with their comparison: each alone where they have none together."""
     from nw_eval.api.running.reports import fault_of
-    from nw_eval.gate.side_by_side.compare import compared
+    from nw_eval.gate.side_by_side import compared
 
     try:
         return [(group, compared([entrant for _, entrant in group], confidence))]

@@ -18,7 +18,7 @@ from nw_eval.rollout.confined.start import prepare
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.sweep.curve import AxisCurve
+    from nw_eval.gate.sweep import AxisCurve
     from nw_eval.suite.swept import SweptAxis
 
 _MOST_FOLDERS = 1000
@@ -73,7 +73,7 @@ def sweep(
         StoreError: results cannot be written.
     """
     from nw_eval.api.running.comparisons import check_share
-    from nw_eval.gate.sweep.curve import curve_of
+    from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep.pages import write_sweep
 
     check_workers(workers)

@@ -115,7 +115,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     Args:
         plan: what would be run.
     """
-    from nw_eval.gate.reach import bar_obstacles
+    from nw_eval.gate.baseline.foresee import bar_obstacles
 
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
@@ -137,7 +137,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.gate.reach import trials_to_pass_baseline
+    from nw_eval.gate.baseline.foresee import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
     fresh = plan.drawn_from is None
@@ -163,7 +163,7 @@ def _against_the_bank(plan: Plan, against: Against) -> list[str]:
 def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.draw import draw_fresh, draw_trials
+    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
 
     suite, most = plan.suite, against.bank.manifest.starts
     strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.draw import drawn_order
+from nw_eval.gate.baseline.match import drawn_order
 from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
 from nw_eval.results.bank.against import Against, ControlArm
 from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.baseline.holding.known import contradictions
 from nw_eval.gate.baseline.judge import compare, setup_of
+from nw_eval.gate.baseline.known import contradictions
 from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.cause.two_by_two import Apart, Arm, Cause
+    from nw_eval.gate.cause import Apart, Arm, Cause
     from nw_eval.policies import Bundle
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
@@ -73,8 +73,7 @@ def find_cause(
     from nw_eval.api.blaming.policy import baseline_bundle
     from nw_eval.api.running.plans import check_workers
     from nw_eval.api.running.saved_run import check_whole, continued
-    from nw_eval.gate.cause.file import write_cause_file
-    from nw_eval.gate.cause.two_by_two import ARMS
+    from nw_eval.gate.cause import ARMS, write_cause_file
     from nw_eval.reporting.cause.pages import write_cause
     from nw_eval.request import Request
     from nw_eval.results.provenance import read_run_info
@@ -130,7 +129,7 @@ def _same(arm: Arm, apart: Apart) -> Arm:
 
 
 def _caused(rows: Mapping[Arm, Sequence[Row]], apart: Apart, *, old: str, new: str) -> Cause:
-    from nw_eval.gate.cause.two_by_two import cause_of
+    from nw_eval.gate.cause import cause_of
 
     try:
         return cause_of(rows, apart, old=old, new=new)

@@ -28,7 +28,7 @@ def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0
     """
     from nw_eval.api.running.comparisons import check_share, entrants
     from nw_eval.errors import UsageError
-    from nw_eval.gate.side_by_side.real import measured
+    from nw_eval.gate.side_by_side import measured
     from nw_eval.results.real import read_real_results
     from nw_eval.stats.agreement.agree import agreement
 

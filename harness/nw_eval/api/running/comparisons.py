@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.gate.side_by_side.entrant import Entrant
-    from nw_eval.gate.side_by_side.result import PolicyComparison
+    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -39,7 +38,7 @@ def compare(
         IncomparableError: they differ in suite, scenes, starts or simulator; each field is named.
         StoreError: rows are damaged, or a page cannot be written.
     """
-    from nw_eval.gate.side_by_side.compare import side_by_side
+    from nw_eval.gate.side_by_side import side_by_side
 
     check_share(confidence)
     found = side_by_side(entrants(runs), confidence)
@@ -72,7 +71,7 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
     Raises:
         UsageError, IncomparableError, StoreError: as `compare`.
     """
-    from nw_eval.gate.side_by_side.entrant import entrant_of_run
+    from nw_eval.gate.side_by_side import entrant_of_run
 
     runs = {str(source): _run(Path(source)) for source in sources}
     infos = [run[0] for run in runs.values() if run is not None]
@@ -101,7 +100,7 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
     """Return a bank, on the class of machine of the first run if it has been there."""
-    from nw_eval.gate.side_by_side.entrant import entrant_of_bank
+    from nw_eval.gate.side_by_side import entrant_of_bank
     from nw_eval.results.bank.file import read_bank
     from nw_eval.results.bank.find import find_bank
     from nw_eval.results.bank.manifest import machine_of

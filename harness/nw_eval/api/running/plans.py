@@ -198,7 +198,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.api.verifying.sample import draw
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.draw import draw_rounds
+    from nw_eval.gate.baseline.match import draw_rounds
     from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
@@ -248,7 +248,7 @@ def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
 
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
     """Return a suite with the seed of the panel that is met, and the trials that may run."""
-    from nw_eval.gate.baseline.draw import fresh_seed
+    from nw_eval.gate.baseline.match import fresh_seed
     from nw_eval.suite import override
 
     seed = fresh_seed(policy, suite) if request.panel == "fresh" else None
@@ -268,7 +268,7 @@ def _drawn(
     Raises:
         IncomparableError: the bank has fewer starts than are drawn of each scene on average.
     """
-    from nw_eval.gate.baseline.draw import draw_fresh, draw_trials
+    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
 
     if against is None:
         return None

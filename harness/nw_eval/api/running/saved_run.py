@@ -214,7 +214,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         StoreError: run.json contradicts itself about them.
         IncomparableError: an older nw-eval drew them in another way.
     """
-    from nw_eval.gate.baseline.draw import drawn_order
+    from nw_eval.gate.baseline.match import drawn_order
     from nw_eval.suite import expand
 
     scenes = saved_scenes(info)

@@ -147,7 +147,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
     import numpy as np
 
     from nw_eval.engine.forecast import obstacles_of
-    from nw_eval.gate.outlook import trials_to_pass
+    from nw_eval.gate.absolute import trials_to_pass
     from nw_eval.stats import SceneCounts, shares_at
 
     suite = resolved.suite

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from nw_eval.gate.side_by_side.result import PolicyComparison
+from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.headline import part_of_suite
 from nw_eval.reporting.html.environment import render

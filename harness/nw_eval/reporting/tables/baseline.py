@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Bar, Table, bounds_header, span, uncorrected
 from nw_eval.stats import Interval

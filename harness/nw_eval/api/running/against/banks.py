@@ -153,7 +153,7 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
     Raises:
         IncomparableError: it has fewer.
     """
-    from nw_eval.gate.baseline.holding.match import saving
+    from nw_eval.gate.baseline.match import saving
 
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.files.inside import what_is
-from nw_eval.gate.baseline.holding.known import contradictions
-from nw_eval.gate.baseline.holding.match import renewing
+from nw_eval.gate.baseline.known import contradictions
+from nw_eval.gate.baseline.match import renewing
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
 from nw_eval.results.bank import trajectory

@@ -11,9 +11,9 @@ from nw_eval.api.running.plans import rechecks
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.rounds import RunStanding
 from nw_eval.gate.absolute import word_of_bar
-from nw_eval.gate.baseline.holding.basis import is_baseline
-from nw_eval.gate.baseline.holding.known import recheck
 from nw_eval.gate.baseline.judge import setup_of
+from nw_eval.gate.baseline.known import recheck
+from nw_eval.gate.baseline.match import is_baseline
 from nw_eval.plural import plural
 from nw_eval.results.bank.manifest import machine_of
 from nw_eval.results.provenance import StopInfo

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.gate.baseline.comparison import SceneDrop
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import SceneDrop, Verdict
 from nw_eval.results.row import Row
 from nw_eval.stats import Interval, wilson
 from nw_eval.stats.hazard import Ends, Hazard, differences_over, hazards

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from nw_eval.errors import StoreError
-from nw_eval.gate.baseline.comparison import Recheck
+from nw_eval.gate.verdict import Recheck
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, SavedBank, Start, trajectory
 from nw_eval.results.bank.manifest import machine_of

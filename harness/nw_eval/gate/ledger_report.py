@@ -9,7 +9,7 @@ from datetime import datetime
 from itertools import groupby
 from statistics import fmean
 
-from nw_eval.gate.ledger.entry import LedgerEntry
+from nw_eval.gate.ledger import LedgerEntry
 from nw_eval.gate.verdict import Word
 from nw_eval.stats.bank import most_false_alarms
 from nw_eval.stats.best_of_many import luck_of_the_best

@@ -11,17 +11,24 @@ where y(control, sight) is the share of waypoints reached. An effect is named wh
 flipping the signs of its trials' shares says that it is no chance, with Holm's correction for two.
 All trials count, not only those that failed: of trials that are picked for their failure, some end
 well in any second try.
+
+A run keeps what its drop is due to in its `cause.json`, for its reports.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
+from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
 from nw_eval.results.row import Row
 from nw_eval.stats.hazard import holm
 from nw_eval.stats.sign_flips import leans_above
@@ -210,3 +217,34 @@ def _answer(
 
 def _scores(rows: Sequence[Row]) -> NDArray[np.float64]:
     return np.array([row.success for row in rows], np.float64)
+
+
+_CAUSE = TypeAdapter(Cause)
+_LARGEST = 1_000_000  # bytes
+
+
+def write_cause_file(cause: Cause, path: Path) -> None:
+    """Write it, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(_CAUSE.dump_json(cause, indent=2) + b"\n")
+
+
+def read_cause_file(path: Path) -> Cause | None:
+    """Read it; None where there is none.
+
+    Raises:
+        StoreError: it is damaged.
+    """
+    try:
+        with regular(path).open("rb") as file:
+            return _CAUSE.validate_json(file.read(_LARGEST))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError):
+        raise StoreError(
+            f"{path} is damaged", fix="remove it, or run nw-eval blame --cause again"
+        ) from None
