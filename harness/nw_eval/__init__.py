@@ -136,7 +136,7 @@ _ROOMS = MappingProxyType(
         "onboarding.probe.summary": ("CardSummary",),
         "request": ("Request",),
         "results.bank": ("SavedBank",),
-        "results.bank.changes": ("BankChange",),
+        "results.bank_changes": ("BankChange",),
         "results.row": ("Row",),
         "rollout.replaying.blame.report": ("BlameReport",),
         "rollout.replaying.report": ("ReplayReport",),
@@ -144,7 +144,7 @@ _ROOMS = MappingProxyType(
         "scenes.overview": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
         "splat.gaussians": ("SplatFigures",),
-        "stats.agreement.agree": ("Agreement",),
+        "stats.agreement": ("Agreement",),
         "viewing.recording.track": ("WrittenRecording",),
     }
 )

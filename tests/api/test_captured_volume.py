@@ -16,7 +16,7 @@ from nw_eval.results.parquet import read_rows
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.stats import lower_bound
+from nw_eval.stats.betting import lower_bound
 from nw_eval.suite import Gate
 from nw_eval.suite.model import Validity
 

@@ -168,8 +168,7 @@ def test_a_curve_that_is_flat_seldom_has_a_cliff(share):
 
 def _cliffs(rows, monkey=pytest.MonkeyPatch):
     from nw_eval.gate import sweep
-    from nw_eval.stats import Interval
-    from nw_eval.stats.interval import Estimate
+    from nw_eval.stats.interval import Estimate, Interval
 
     quick = Estimate(mean=0.5, interval=Interval(0.0, 1.0), n=1, confidence=0.95)
     with monkey.context() as patch:

@@ -17,7 +17,7 @@ from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
 from nw_eval.reporting.console import draw
 from nw_eval.reporting.tables.baseline import baseline_table
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from nw_eval.gate.absolute import judge
 from nw_eval.reporting import render_markdown, write_report
 from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.results.provenance import PolicyInfo
-from nw_eval.stats import lower_bound, upper_bound
+from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
 from nw_eval.suite.digest import digest_of
 

@@ -139,7 +139,7 @@ class _InterruptedSeriesError(Exception):
 def _is_bank(good: str | Path, suite: str) -> bool:
     """Whether a name or path means a bank, and no checkpoint."""
     from nw_eval.errors import UsageError
-    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank_file import find_bank
 
     try:
         return find_bank(good, suite=suite).suffix == ".parquet"

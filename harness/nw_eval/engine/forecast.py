@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.provenance import engine_of
 from nw_eval.plural import plural
-from nw_eval.results.bank.manifest import machine_in
+from nw_eval.results.bank import machine_in
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
+    from nw_eval.results.column import Settings
     from nw_eval.results.provenance import ShardInfo
-    from nw_eval.results.row.column import Settings
     from nw_eval.suite import Suite
     from nw_eval.suite.trials import DrawnStart, Trial
 

@@ -37,16 +37,10 @@ from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left, too_ma
 from nw_eval.gate.verdict import Comparison, SceneScore, Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.results.row import Row
-from nw_eval.stats import (
-    Groups,
-    Interval,
-    SceneCounts,
-    lower_bound,
-    mean_of_scenes,
-    shares_after,
-    trials_to_certify,
-    upper_bound,
-)
+from nw_eval.stats.betting import Groups, lower_bound, trials_to_certify, upper_bound
+from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_eval.stats.foresight import SceneCounts, shares_after
+from nw_eval.stats.interval import Interval
 from nw_eval.suite.model import Gate
 
 _DRAWS = 2000

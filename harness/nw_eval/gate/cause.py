@@ -31,7 +31,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 from nw_eval.results.row import Row
 from nw_eval.stats.hazard import holm
-from nw_eval.stats.sign_flips import leans_above
+from nw_eval.stats.interval import leans_above
 
 Side = Literal["old", "new"]
 Arm = tuple[Side, Side]

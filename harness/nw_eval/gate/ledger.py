@@ -31,15 +31,15 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path, followed, is_stream, open_own, sync_folder
+from nw_eval.files.inside import bounded_bytes
 from nw_eval.gate.absolute import by_scene, courses
 from nw_eval.gate.verdict import Basis, Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 from nw_eval.results.seal import seal, unseal
-from nw_eval.stats import SceneCounts
+from nw_eval.stats.foresight import SceneCounts
 from nw_eval.words import PanelKind, Tier
 
 _MOST_TRAJECTORIES = 64

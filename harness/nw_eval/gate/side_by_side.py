@@ -22,14 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import IncomparableError, UsageError, nearest
-from nw_eval.results.bank.manifest import BankKey, key_of
-from nw_eval.results.bank.start import Panel, SavedBank, Start
+from nw_eval.results.bank import BankKey, Panel, SavedBank, Start, key_of
+from nw_eval.results.column import Settings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.real import RealResult
 from nw_eval.results.row import Row
-from nw_eval.results.row.column import Settings
-from nw_eval.stats import Estimate, Interval, mean_of_scenes
-from nw_eval.stats.agreement.agree import Measured
+from nw_eval.stats.agreement import Measured
+from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.hazard import (
     Ends,
     HazardDifference,
@@ -37,6 +36,7 @@ from nw_eval.stats.hazard import (
     differences_over,
     first_shown,
 )
+from nw_eval.stats.interval import Estimate, Interval
 from nw_eval.stats.ranks import Ranks, possible_ranks
 
 StartName = tuple[str, Settings, int]

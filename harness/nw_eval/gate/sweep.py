@@ -17,8 +17,8 @@ from fractions import Fraction
 import numpy as np
 
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval, mean_of_scenes
-from nw_eval.stats.binomial import fisher
+from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_eval.stats.interval import Interval, fisher
 from nw_eval.suite.perturb import NEUTRAL
 
 _BUILT_FRICTION = 1.25

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 from warnings import warn
 
-from nw_eval.results.bank.start import Stratum
-from nw_eval.results.row.column import Settings
-from nw_eval.stats import Interval
-from nw_eval.stats.bank import CurvePoint
+from nw_eval.results.bank import Stratum
+from nw_eval.results.column import Settings
+from nw_eval.stats.bank.curve import CurvePoint
 from nw_eval.stats.hazard import Ends
+from nw_eval.stats.interval import Interval
 from nw_eval.words import Tier
 
 Basis = Literal["same", "panel", "control", "fresh"]

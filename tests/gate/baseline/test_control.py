@@ -20,8 +20,7 @@ from nw_eval.suite.model import Validity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.against import Against, ControlArm
+    from nw_eval.results.bank import Against, ControlArm, SavedBank
     from nw_eval.results.provenance import RunInfo
 
     Make = Callable[..., Any]

@@ -15,7 +15,7 @@ import pytest
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank_file import write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info

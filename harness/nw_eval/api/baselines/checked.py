@@ -11,7 +11,7 @@ from nw_eval.errors import IncomparableError, PolicyError
 if TYPE_CHECKING:
     from nw_eval.api.baselines.here import Here
     from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.changes import FieldChange
+    from nw_eval.results.bank_changes import FieldChange
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ def check_baseline(
     """
     from nw_eval.api.baselines.here import here
     from nw_eval.api.baselines.listed import show_baseline
-    from nw_eval.results.bank.changes import key_changes, machine_changes, policy_changes
+    from nw_eval.results.bank_changes import key_changes, machine_changes, policy_changes
     from nw_eval.suite import load_suite
 
     named = None if suite is None else load_suite(suite).name

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.manifest import BankKey, BankPolicy
+    from nw_eval.results.bank import BankKey, BankPolicy, SavedBank
 
 _REPORTS = Path("reports")
 
@@ -36,7 +35,7 @@ class Here:
 
     def is_in(self, bank: SavedBank, starts: int) -> bool:
         """Whether a bank has all of it, so that nothing need be run."""
-        from nw_eval.results.bank.changes import key_changes, policy_changes
+        from nw_eval.results.bank_changes import key_changes, policy_changes
 
         return (
             bank.manifest.starts == starts
@@ -72,7 +71,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     """
     from nw_eval.api.running.plans import plan as plan_of
     from nw_eval.engine.provenance import run_info
-    from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
+    from nw_eval.results.bank import BankPolicy, key_of, machine_of
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import load_suite
 

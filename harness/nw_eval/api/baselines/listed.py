@@ -11,7 +11,7 @@ from nw_eval.errors import NwEvalError
 
 if TYPE_CHECKING:
     from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.changes import BankChange
+    from nw_eval.results.bank_changes import BankChange
 
 _READERS = 4
 """Files that are read at a time: each by a process of its own, which mostly starts."""
@@ -42,7 +42,7 @@ class ShownBaseline:
 
 def list_baselines() -> tuple[ListedBaseline, ...]:
     """Return the project's banks, those of `reports/baselines`, and then the shipped ones."""
-    from nw_eval.results.bank.find import bank_files
+    from nw_eval.results.bank_file import bank_files
 
     with ThreadPoolExecutor(_READERS) as readers:
         return tuple(readers.map(_listed, bank_files()))
@@ -60,8 +60,7 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
         StoreError: it is damaged.
         IncomparableError: it is no bank that anything can be compared with.
     """
-    from nw_eval.results.bank.file import read_bank
-    from nw_eval.results.bank.find import find_any
+    from nw_eval.results.bank_file import find_any, read_bank
 
     file = find_any(baseline, suite=suite)
     return ShownBaseline(file=file, bank=read_bank(file))
@@ -78,15 +77,15 @@ def diff_baselines(then: str | Path, now: str | Path, *, suite: str | None = Non
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
     """
-    from nw_eval.results.bank.changes import bank_change
+    from nw_eval.results.bank_changes import bank_change
 
     banks = [show_baseline(each, suite=suite).bank for each in (then, now)]
     return bank_change(*banks)
 
 
 def _listed(file: Path) -> ListedBaseline:
-    from nw_eval.results.bank.changes import bank_mean
-    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank_file import read_bank
 
     suite, name = file.parent.name, file.stem
     try:

@@ -12,7 +12,7 @@ from nw_eval.errors import IncomparableError, StoreError, UsageError
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.changes import BankChange
+    from nw_eval.results.bank_changes import BankChange
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -81,7 +81,7 @@ def save_baseline(
     from nw_eval.api.baselines.author import author
     from nw_eval.api.baselines.here import card_reference, here
     from nw_eval.api.baselines.results import finished_results, new_results
-    from nw_eval.results.bank.build import bank_of_run
+    from nw_eval.results.bank_build import bank_of_run
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
@@ -152,9 +152,8 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     Raises:
         UsageError: its name is none.
     """
-    from nw_eval.results.bank.check import fault_of_name
-    from nw_eval.results.bank.file import SUFFIX
-    from nw_eval.results.bank.find import BANKS
+    from nw_eval.results.bank_build import fault_of_name
+    from nw_eval.results.bank_file import BANKS, SUFFIX
 
     if fault := fault_of_name(name):
         raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
@@ -167,7 +166,7 @@ def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
     Raises:
         StoreError, IncomparableError: it cannot be read, and nobody wants it replaced.
     """
-    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.bank_file import read_bank
 
     try:
         return read_bank(file) if file.exists() else None
@@ -182,9 +181,9 @@ def _written(
 ) -> SavedBaseline:
     """Write a bank unless it would silently become another one."""
     from nw_eval.files.cache import followed
-    from nw_eval.results.bank.build import with_panel
-    from nw_eval.results.bank.changes import bank_change
-    from nw_eval.results.bank.file import write_bank
+    from nw_eval.results.bank_build import with_panel
+    from nw_eval.results.bank_changes import bank_change
+    from nw_eval.results.bank_file import write_bank
 
     if earlier is None:
         write_bank(followed(file), found)

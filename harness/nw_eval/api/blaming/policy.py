@@ -29,8 +29,7 @@ def baseline_bundle(
     """
     from nw_eval.errors import IncomparableError, PolicyError, UsageError
     from nw_eval.policies import find_card, load_bundle
-    from nw_eval.results.bank.file import read_bank
-    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank_file import find_bank, read_bank
 
     try:
         bank = read_bank(find_bank(baseline, suite=str(info.suite.get("name", ""))))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nw_eval.stats.agreement.agree import Agreement
+    from nw_eval.stats.agreement import Agreement
 
 
 def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0.95) -> Agreement:
@@ -30,7 +30,7 @@ def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0
     from nw_eval.errors import UsageError
     from nw_eval.gate.side_by_side import measured
     from nw_eval.results.real import read_real_results
-    from nw_eval.stats.agreement.agree import agreement
+    from nw_eval.stats.agreement import agreement
 
     check_share(confidence)
     if not runs:

@@ -101,9 +101,8 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
     """Return a bank, on the class of machine of the first run if it has been there."""
     from nw_eval.gate.side_by_side import entrant_of_bank
-    from nw_eval.results.bank.file import read_bank
-    from nw_eval.results.bank.find import find_bank
-    from nw_eval.results.bank.manifest import machine_of
+    from nw_eval.results.bank import machine_of
+    from nw_eval.results.bank_file import find_bank, read_bank
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(

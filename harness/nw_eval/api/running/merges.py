@@ -14,9 +14,8 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
-    from nw_eval.results.bank.against import Against
-    from nw_eval.results.merge.source import MergeSource
-    from nw_eval.results.merge.written import MergedArm
+    from nw_eval.results.bank import Against
+    from nw_eval.results.merge import MergedArm, MergeSource
     from nw_eval.results.row import Row
     from nw_eval.suite import Trial
 
@@ -45,10 +44,8 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     from nw_eval.api.running.against.banks import judging_bank
     from nw_eval.api.running.reports import judged_rows, written
     from nw_eval.api.running.saved_run import saved_suite
-    from nw_eval.results.ended import RunRows
-    from nw_eval.results.merge.rows import joined
-    from nw_eval.results.merge.written import MergedArm, merged_info, write_merged
-    from nw_eval.results.planned import wanted
+    from nw_eval.results.ended import RunRows, wanted
+    from nw_eval.results.merge import MergedArm, joined, merged_info, write_merged
     from nw_eval.results.run_folder import RunFolder
 
     folder = RunFolder(path=Path(out).resolve())
@@ -73,10 +70,8 @@ def _read(
     from nw_eval.engine.order import in_order
     from nw_eval.engine.shards import plan_digest
     from nw_eval.request import Shard
-    from nw_eval.results.ended import read_trials
-    from nw_eval.results.merge.alike import check_parts
-    from nw_eval.results.merge.source import MergeSource
-    from nw_eval.results.planned import wanted
+    from nw_eval.results.ended import read_trials, wanted
+    from nw_eval.results.merge import MergeSource, check_parts
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 
@@ -119,10 +114,7 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
     from nw_eval.api.running.against.baseline_run import control_rows
     from nw_eval.files.inside import what_is
     from nw_eval.request import Shard
-    from nw_eval.results.merge.alike import check_beside
-    from nw_eval.results.merge.rows import joined
-    from nw_eval.results.merge.source import MergeSource
-    from nw_eval.results.merge.written import MergedArm, merged_info
+    from nw_eval.results.merge import MergedArm, MergeSource, check_beside, joined, merged_info
     from nw_eval.results.provenance import StopInfo, read_run_info
 
     known = sources[0].info.baseline

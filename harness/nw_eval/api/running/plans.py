@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.forecast import Forecast
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
-    from nw_eval.results.bank.against import Against
-    from nw_eval.results.bank.start import Stratum
+    from nw_eval.results.bank import Against, Stratum
     from nw_eval.results.provenance import PolicyInfo
     from nw_eval.scenes import Scene
     from nw_eval.suite import Draft, Suite

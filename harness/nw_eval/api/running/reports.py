@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nw_eval.api.running.evidence.kept import KeptEvidence
     from nw_eval.gate.verdict import Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
     from nw_eval.results.ended import RunRows
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
@@ -164,7 +164,7 @@ def as_published(run: Path) -> RunReport:
     from nw_eval.api.running.against.banks import kept_bank
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.gate.baseline.combine import without_bank
-    from nw_eval.results.evidence.check import check_files
+    from nw_eval.results.evidence_check import check_files
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import check_plain, open_run_folder
     from nw_eval.scenes import limits
@@ -264,7 +264,7 @@ def judged_rows(
         IncomparableError, StoreError: as `judge`.
     """
     from nw_eval.gate.baseline.combine import judge_run
-    from nw_eval.results.evidence.logs import lost_logs
+    from nw_eval.results.evidence_check import lost_logs
 
     verdict = judge_run(found.rows, info, suite.gate, against)
     remarks = (*found.remarks, *lost_logs(found.rows))

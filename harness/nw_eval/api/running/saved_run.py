@@ -175,7 +175,7 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         StoreError: run.json contradicts itself about them.
     """
     from nw_eval.engine.shards import shard_of
-    from nw_eval.results.planned import wanted
+    from nw_eval.results.ended import wanted
 
     trials = whole_plan(info, suite)
     if info.shard is not None:

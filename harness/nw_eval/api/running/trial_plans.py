@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.plan import Plan
     from nw_eval.gate.baseline.foresee import Outset
-    from nw_eval.stats.bank import CurvePoint, Progress
+    from nw_eval.stats.bank.curve import CurvePoint, Progress
     from nw_eval.suite import Suite
 
 
@@ -105,7 +105,7 @@ def plan_trials(
     resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
     gate = resolved.suite.gate
     if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
-        from nw_eval.results.bank.find import bank_files
+        from nw_eval.results.bank_file import bank_files
 
         asked_for = baseline == NO_BASELINE
         if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
@@ -148,7 +148,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
 
     from nw_eval.engine.forecast import obstacles_of
     from nw_eval.gate.absolute import trials_to_pass
-    from nw_eval.stats import SceneCounts, shares_at
+    from nw_eval.stats.foresight import SceneCounts, shares_at
 
     suite = resolved.suite
     gate, cells = suite.gate, len(suite.perturb.cells)
@@ -199,8 +199,7 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a bank is, in words, and what is known with it."""
     from nw_eval.api.running.against.banks import NO_BASELINE
     from nw_eval.gate.baseline.foresee import outset_of_bank
-    from nw_eval.results.bank.file import read_bank
-    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank_file import find_bank, read_bank
 
     suite = resolved.suite
     if reference is None or reference == NO_BASELINE:
@@ -220,7 +219,7 @@ def _only_bank(suite: str) -> Path:
     Raises:
         UsageError: it has none, or several.
     """
-    from nw_eval.results.bank.find import bank_files
+    from nw_eval.results.bank_file import bank_files
 
     files = bank_files(suite)
     if len(files) == 1:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 from nw_eval.api.verifying.logs import partings_apart
 from nw_eval.api.verifying.result import Kind, RepeatedTrial
 from nw_eval.clean import clean
-from nw_eval.results.evidence.leaves import log_sha256
-from nw_eval.results.evidence.logs import log_path
+from nw_eval.results.evidence import log_sha256
+from nw_eval.results.evidence_check import log_path
 from nw_eval.results.row import COLUMNS, MEASURED
 from nw_eval.rollout.replaying.report import Difference
 

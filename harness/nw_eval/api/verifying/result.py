@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from nw_eval.errors import NwEvalError, StoreError
 
 if TYPE_CHECKING:
-    from nw_eval.results.evidence.discrepancy import CheckedFiles
+    from nw_eval.results.evidence_check import CheckedFiles
     from nw_eval.rollout.replaying.report import Difference
 
 Kind = Literal["state", "action", "observation", "image", "other"]

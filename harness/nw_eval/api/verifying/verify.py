@@ -13,7 +13,7 @@ from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.evidence.discrepancy import CheckedFiles
+    from nw_eval.results.evidence_check import CheckedFiles
 
 _ROOT = re.compile(r"[0-9a-f]{64}")
 
@@ -56,7 +56,7 @@ def verify(
     from nw_eval.api.running.saved_run import saved_suite, saved_trials
     from nw_eval.api.verifying.sample import check_sample, unforeseen_seed
     from nw_eval.request import Request
-    from nw_eval.results.evidence.check import check_files
+    from nw_eval.results.evidence_check import check_files
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import RunFolder, open_run_folder
 
@@ -88,7 +88,7 @@ def verify(
 
 
 def _of_another_root(files: CheckedFiles, root: str) -> CheckedFiles:
-    from nw_eval.results.evidence.discrepancy import Discrepancy
+    from nw_eval.results.evidence_check import Discrepancy
 
     about = f"merkle_root is {files.root[:12] or 'missing'}, not {root[:12]}"
     finding = Discrepancy(what="changed", file="run.json", about=about)

@@ -15,7 +15,7 @@ from nw_eval.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
     from nw_eval.api.verifying.result import RepeatedTrial, Repeats
-    from nw_eval.results.evidence.discrepancy import CheckedFiles, Discrepancy
+    from nw_eval.results.evidence_check import CheckedFiles, Discrepancy
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,21 +16,19 @@ from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.absolute import percent, trials_to_pass
 from nw_eval.gate.baseline.finding import Met, bank_of, margins_of, numbers_of, rules_of
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, Start, score
-from nw_eval.results.bank.start import Stratum
+from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.row import Row
-from nw_eval.stats import SceneCounts
-from nw_eval.stats.bank import (
+from nw_eval.stats.bank.curve import (
     Against,
     CurvePoint,
     Progress,
-    TrialRules,
     operating_curve,
     progress_at,
-    settle,
+    success_of,
     trials_for,
 )
-from nw_eval.stats.bank.simulate import success_of
+from nw_eval.stats.bank.trials import TrialRules, settle
+from nw_eval.stats.foresight import SceneCounts
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 

@@ -32,17 +32,11 @@ from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_o
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start, Stratum, score
-from nw_eval.results.bank.against import Against
+from nw_eval.results.bank import Against, Panel, SavedBank, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
-from nw_eval.stats.bank import (
-    CRITICAL_TRIALS,
-    SUSPECT,
-    CurvePoint,
-    most_false_alarms,
-    progress_from,
-)
+from nw_eval.stats.bank.curve import CurvePoint, progress_from
+from nw_eval.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_eval.stats.hazard import Ends, first_partings
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart

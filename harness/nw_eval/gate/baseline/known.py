@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from nw_eval.errors import StoreError
 from nw_eval.gate.verdict import Recheck
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start, trajectory
-from nw_eval.results.bank.manifest import machine_of
+from nw_eval.results.bank import Panel, SavedBank, Start, machine_of, trajectory
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
 from nw_eval.suite.model import new_suite

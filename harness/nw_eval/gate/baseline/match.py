@@ -13,11 +13,9 @@ from shlex import quote
 
 from nw_eval.errors import IncomparableError
 from nw_eval.gate.verdict import Basis, Claim
-from nw_eval.results.bank import Panel, SavedBank
-from nw_eval.results.bank.manifest import key_of, machine_of
-from nw_eval.results.bank.start import Stratum
+from nw_eval.results.bank import Panel, SavedBank, Stratum, key_of, machine_of
 from nw_eval.results.provenance import PolicyInfo, RunInfo
-from nw_eval.stats.bank import order_of_starts, order_of_trials
+from nw_eval.stats.bank.trials import order_of_starts, order_of_trials
 from nw_eval.suite.model import Gate, Suite, new_suite
 from nw_eval.suite.trials import DrawnStart
 

@@ -12,7 +12,7 @@ from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.side_by_side.tables import ranks_text
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.provenance import RunInfo
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 
 _LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
 """Shares of success lost over which a cell is drawn one step stronger."""

@@ -12,7 +12,7 @@ from nw_eval.plural import plural
 from nw_eval.request import Request
 
 if TYPE_CHECKING:
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
@@ -39,7 +39,7 @@ def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against 
         StoreError: it is damaged.
         IncomparableError: it is none, or of another version.
     """
-    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank_file import find_bank
 
     reference = request.baseline
     if reference is None and own_policy:
@@ -83,7 +83,7 @@ def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
     """
     from nw_eval.api.running.against.baseline_run import control_rows
     from nw_eval.files.inside import what_is
-    from nw_eval.results.bank.against import ControlArm
+    from nw_eval.results.bank import ControlArm
     from nw_eval.results.provenance import read_run_info
 
     nested, known = folder.baseline, info.baseline
@@ -167,8 +167,8 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
 
 
 def _opened(path: Path) -> Against:
-    from nw_eval.results.bank.against import Against
-    from nw_eval.results.bank.file import read_bank
+    from nw_eval.results.bank import Against
+    from nw_eval.results.bank_file import read_bank
     from nw_eval.results.provenance import BaselineInfo
 
     bank, content = read_bank(path), path.read_bytes()

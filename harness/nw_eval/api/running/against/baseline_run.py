@@ -20,15 +20,14 @@ from nw_eval.gate.baseline.known import contradictions
 from nw_eval.gate.baseline.match import renewing
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
-from nw_eval.results.bank import trajectory
-from nw_eval.results.bank.against import ControlArm
+from nw_eval.results.bank import ControlArm, trajectory
 from nw_eval.results.provenance import read_run_info
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.rounds import RunStanding
     from nw_eval.policies import Bundle
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder

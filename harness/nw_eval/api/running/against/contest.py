@@ -15,7 +15,7 @@ from nw_eval.gate.baseline.judge import setup_of
 from nw_eval.gate.baseline.known import recheck
 from nw_eval.gate.baseline.match import is_baseline
 from nw_eval.plural import plural
-from nw_eval.results.bank.manifest import machine_of
+from nw_eval.results.bank import machine_of
 from nw_eval.results.provenance import StopInfo
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.gate.baseline.finding import Finding
     from nw_eval.gate.baseline.judge import ComparisonSetup
     from nw_eval.gate.verdict import Word
-    from nw_eval.results.bank import Stratum
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against, Stratum
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder

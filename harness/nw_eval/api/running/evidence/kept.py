@@ -26,7 +26,7 @@ from pydantic import ValidationError
 from nw_eval.api.running.evidence.content import ReadLog, ReadLogs
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import DamagedError, private_dir, read_sealed, sealed_path
-from nw_eval.results.evidence.leaves import log_sha256
+from nw_eval.results.evidence import log_sha256
 from nw_eval.results.machine import code_info
 from nw_eval.suite.digest import digest_of
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Literal
 
-from nw_eval.results.bank.manifest import BankKey, BankPolicy
-from nw_eval.results.bank.start import Panel, SavedBank, Start, score
-from nw_eval.results.row.column import Settings
+from nw_eval.results.bank import BankKey, BankPolicy, Panel, SavedBank, Start, score
+from nw_eval.results.column import Settings
 
 Part = Literal["suite", "scene", "simulator", "policy", "machine"]
 """What a field is of. All but the machine must match for a bank to hold."""

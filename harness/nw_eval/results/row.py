@@ -1,20 +1,32 @@
-"""One trial's result: what a run is made of, and all that gate and report read."""
+"""One trial's result: what a run is made of, and all that gate and report read.
+
+Many rows become the JSON that is written and hashed a column at a time, once for all that needs
+it.
+"""
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from itertools import pairwise
+from itertools import chain, pairwise
+from json.encoder import encode_basestring_ascii
 from operator import attrgetter
 from typing import Annotated, Any
 
 from nw_eval.clean import clean
-from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
-from nw_eval.results.row.column import Column, Numbers, Settings, columns_of
-from nw_eval.results.row.many import all_as_kept
+from nw_eval.results.column import (
+    Column,
+    Numbers,
+    Settings,
+    all_as_kept,
+    as_kept,
+    columns_of,
+    mistyped,
+    out_of_bounds,
+)
 from nw_eval.words import FAULTS, OUTCOMES, Arm, Fault, Outcome, Status, Tier
 
 
@@ -181,11 +193,11 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        kept = dict(zip(OF_THE_RESULT, _RESULT(self), strict=True))
-        for name in CAME_LATER:
+        kept = dict(zip(_OF_THE_RESULT, _RESULT(self), strict=True))
+        for name in _CAME_LATER:
             if not COLUMNS[name].in_digest(kept[name]):
                 del kept[name]
-        for name, word in CALLED.items():
+        for name, word in _CALLED.items():
             kept[word] = kept.pop(name)
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
@@ -283,20 +295,20 @@ OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_th
 VIEW_RATE = 10
 """Numbers of `capture_distance`, `capture_angle` and `capture_alpha` in a simulated second."""
 
-AT_ONCE = 1000
+_AT_ONCE = 1000
 """Rows that are turned into columns together: few enough for a processor's cache."""
 
-OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
+_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
 """The columns of a row's digest."""
 
 # `contact_s` came before later ones were left out.
-CAME_LATER = tuple(name for name in OF_THE_RESULT if COLUMNS[name].added and name != "contact_s")
+_CAME_LATER = tuple(name for name in _OF_THE_RESULT if COLUMNS[name].added and name != "contact_s")
 """Those that the digest leaves out while they have their defaults."""
 
-CALLED = {"success": "fraction"}
+_CALLED = {"success": "fraction"}
 """What the digest calls a column: as it was called when the first digests were published."""
 
-_RESULT, _ALL = attrgetter(*OF_THE_RESULT), attrgetter(*COLUMNS)
+_RESULT, _ALL = attrgetter(*_OF_THE_RESULT), attrgetter(*COLUMNS)
 _ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
 
@@ -314,8 +326,8 @@ def by_column(rows: Sequence[Row], names: Collection[str] = COLUMNS) -> dict[str
     """
     columns: dict[str, list[Any]] = {name: [] for name in names}
     values_of = attrgetter(*names)
-    for first in range(0, len(rows), AT_ONCE):
-        some = map(values_of, rows[first : first + AT_ONCE])
+    for first in range(0, len(rows), _AT_ONCE):
+        some = map(values_of, rows[first : first + _AT_ONCE])
         for name, values in zip(names, zip(*some, strict=True), strict=True):
             columns[name].extend(values)
     return columns
@@ -378,3 +390,93 @@ def _of_kept(values: dict[str, Any]) -> Row:
     row = object.__new__(Row)
     object.__setattr__(row, "__dict__", values)
     return row
+
+
+_FEW = 8  # values for each different one, from which on each is encoded once
+_VALUE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+_LINES = json.JSONEncoder(separators=("\n", ":"), allow_nan=False).encode
+"""JSON holds no line's end but between values: a column of it can be split into those."""
+
+_DIGESTED = tuple(
+    sorted((_CALLED.get(name, name), name) for name in _OF_THE_RESULT if name not in _CAME_LATER)
+)
+_RECORD = '{"row":{' + ",".join(f'"{name}":%s' for name in COLUMNS) + "}}"
+_DIGEST = "{" + ",".join(f'"{word}":%s' for word, _ in _DIGESTED) + "}"
+
+Result = tuple[str, str, str]
+"""A row's trial, arm and digest."""
+
+
+@dataclass(frozen=True)
+class RowTexts:
+    """Some rows, and the JSON of each of their values, by column in the order of the file."""
+
+    rows: Sequence[Row]
+    values: Mapping[str, Sequence[Any]]
+    texts: Mapping[str, Sequence[str]]
+
+    def records(self) -> Iterator[str]:
+        """Return each row as a line of the journal has it, without its sum."""
+        return map(_RECORD.__mod__, zip(*self.texts.values(), strict=True))
+
+    def results(self) -> Iterator[Result]:
+        """Return what `digest_of_results` takes."""
+        return zip(self.values["trial_id"], self.values["arm"], self._digests(), strict=True)
+
+    def _digests(self) -> list[str]:
+        """Return the `digest` of each row."""
+        for name in _CAME_LATER:
+            if any(map(COLUMNS[name].in_digest, self.values[name])):
+                return [row.digest for row in self.rows]
+        texts = {**self.texts, "error_text": self._error_texts()}
+        columns = (texts[name] for _, name in _DIGESTED)
+        return [
+            sha256((_DIGEST % of_row).encode()).hexdigest() for of_row in zip(*columns, strict=True)
+        ]
+
+    def _error_texts(self) -> Sequence[str]:
+        """Return what digests have of them: nothing of what a policy said as it failed."""
+        texts, outcomes = self.texts["error_text"], self.values["outcome"]
+        if "policy_failed" not in outcomes:
+            return texts
+        pairs = zip(texts, outcomes, strict=True)
+        return ['""' if outcome == "policy_failed" else text for text, outcome in pairs]
+
+
+def rows_digest(rows: Iterable[Row]) -> str:
+    """Return one hex sha256 for a set of rows, whatever their order and wall times."""
+    portions = texts_of(list(rows))
+    return digest_of_results(chain.from_iterable(texts.results() for texts in portions))
+
+
+def digest_of_results(results: Iterable[Result]) -> str:
+    """Return the `rows_digest` of rows of which all that it covers is known."""
+    return sha256(json.dumps(sorted(results)).encode()).hexdigest()
+
+
+def texts_of(rows: Sequence[Row]) -> Iterator[RowTexts]:
+    """Yield rows in portions, in their order."""
+    for first in range(0, len(rows), _AT_ONCE):
+        some = rows[first : first + _AT_ONCE]
+        values = by_column(some)
+        texts = {name: _encoded(values[name], column) for name, column in COLUMNS.items()}
+        yield RowTexts(some, values, texts)
+
+
+def _encoded(values: Sequence[Any], column: Column) -> Sequence[str]:
+    """Return the JSON of each value of a column."""
+    if column.types is str:
+        return _encoded_words(values)
+    if not column.is_list:
+        return _LINES(values)[1:-1].split("\n")
+    if column.kind == Numbers:
+        return [f"[{numbers}]" for numbers in _VALUE(values)[2:-2].split("],[")]
+    return [_VALUE(value) if value else "[]" for value in values]
+
+
+def _encoded_words(words: Sequence[str]) -> Sequence[str]:
+    distinct = set(words)
+    if _FEW * len(distinct) > len(words):
+        return list(map(encode_basestring_ascii, words))
+    encoded = {word: encode_basestring_ascii(word) for word in distinct}
+    return [encoded[word] for word in words]

@@ -1,25 +1,129 @@
-"""What is wrong with a bank: whatever would make of it another baseline than the one it names."""
+"""From a run to a bank, and what is wrong with one: what would make of it another baseline."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
 from operator import attrgetter
 from typing import Any
 
 from nw_eval.clean import clean
+from nw_eval.errors import IncomparableError, TrialError
 from nw_eval.plural import plural
-from nw_eval.results.bank.manifest import Manifest
-from nw_eval.results.bank.start import Panel, SavedBank, Start, Stratum
-from nw_eval.results.row import COLUMNS
-from nw_eval.results.row.check import as_kept, mistyped, out_of_bounds
-from nw_eval.results.row.column import NamedColumns, Settings
-from nw_eval.results.row.many import all_as_kept
-from nw_eval.results.row.row import contradiction_of_end
+from nw_eval.results.bank import (
+    BankPolicy,
+    Manifest,
+    Panel,
+    PanelInfo,
+    SavedBank,
+    Start,
+    Stratum,
+    key_of,
+    machine_of,
+    trajectory,
+)
+from nw_eval.results.column import (
+    NamedColumns,
+    Settings,
+    all_as_kept,
+    as_kept,
+    mistyped,
+    out_of_bounds,
+)
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import COLUMNS, Row, contradiction_of_end, rows_digest
 from nw_eval.words import OUTCOMES
+
+
+def bank_of_run(
+    rows: Sequence[Row], run: RunInfo, *, name: str, card: str = "", by: str = "", note: str = ""
+) -> SavedBank:
+    """Return the bank that a finished run is: every start of its panel has a result.
+
+    Args:
+        rows: those of the run's plan, in any order.
+        run: what they are of.
+        name: the bank's.
+        card: `BankPolicy.card`.
+        by: `PanelInfo.by`.
+        note: `Manifest.note`.
+
+    Raises:
+        TrialError: a trial has no result.
+        IncomparableError: the run is not of M starts, 0 to M - 1, in each of its scenes, or of a
+            panel of its own.
+    """
+    if run.panel != "pinned":
+        raise IncomparableError(
+            f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
+            fix="save one from a run on the pinned panel",
+        )
+    if errors := [row for row in rows if row.status == "error"]:
+        first = min(errors, key=lambda row: row.trial_id)
+        raise TrialError(
+            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} came to no result, "
+            f"first {first.trial_id}: {first.error_text or first.outcome}",
+            fix="try them again: the same command, or `nw-eval run --resume`",
+        )
+    if len(rows) < (planned := sum(run.planned.values())):
+        raise TrialError(
+            f"run {run.id} has {len(rows)} of its {plural(planned, 'trial')}",
+            fix="finish it: the same command, or `nw-eval run --resume`",
+        )
+    starts = sorted((_start(row) for row in rows), key=place_of)
+    machine = machine_of(run)
+    manifest = Manifest(
+        bank=1,
+        name=name,
+        suite=str(run.suite.get("name", "")),
+        note=clean(note, at_most=500),
+        starts=len(starts) // max(1, len({start.stratum for start in starts})) or 1,
+        key=key_of(run),
+        policy=BankPolicy(
+            name=run.policy.name,
+            card_digest=run.policy.card_digest,
+            checkpoint_digest=run.policy.checkpoint_digest,
+            card=card,
+        ),
+        panels=(
+            PanelInfo(
+                machine=machine,
+                saved=run.finished or run.started,
+                by=clean(by, at_most=100),
+                rows_digest=rows_digest(rows),
+            ),
+        ),
+    )
+    bank = SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),))
+    if fault := fault_of(bank):
+        raise IncomparableError(
+            f"run {run.id} makes no baseline: {fault}",
+            fix="save one from a run without a baseline, of all of the suite's scenes",
+        )
+    return bank
+
+
+def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
+    """Return a bank with the panels of another one, of the same key, policy and starts, behind it.
+
+    Args:
+        bank: the bank.
+        other: of other classes of machine.
+    """
+    infos = (*bank.manifest.panels, *other.manifest.panels)
+    return replace(
+        bank,
+        manifest=bank.manifest.model_copy(update={"panels": infos}),
+        panels=(*bank.panels, *other.panels),
+    )
+
+
+def _start(row: Row) -> Start:
+    return Start(**{name: getattr(row, name) for name in SHARED}, trajectory=trajectory(row))
+
 
 MOST_PANELS = 64
 """Classes of machines of one bank."""
