@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running.plans import rechecked
+from nw_eval.api.plans import rechecked
 from nw_eval.cli import main
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import nw_eval
-from nw_eval.api.running.saved_run import saved_trials
+from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.results.bank import (

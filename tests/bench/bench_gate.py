@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nw_eval.api.running.saved_run import saved_suite, saved_trials
+from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.results.bank import (
     BankPolicy,
     Manifest,

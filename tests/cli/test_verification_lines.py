@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from nw_eval.api.verifying.result import RepeatedTrial, Repeats, VerifiedRun
+from nw_eval.api.verifying import RepeatedTrial, Repeats, VerifiedRun
 from nw_eval.cli.verbs.verify import verification_lines
 from nw_eval.errors import IncomparableError
 from nw_eval.results.evidence_check import CheckedFiles, Discrepancy

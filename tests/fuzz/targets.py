@@ -361,7 +361,7 @@ def _card(folder):
 
 
 def _suite(folder):
-    from nw_eval.api.running.faults import Faults, open_scenes
+    from nw_eval.api.plans import Faults, open_scenes
     from nw_eval.suite import draft_suite
 
     draft = draft_suite(folder / "mine.yaml")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.api.running.reports import RunReport
+from nw_eval.api.reports import RunReport
 from nw_eval.api.series import BisectedSeries
 from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.gate.absolute import judge

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.gate.ledger_report import LedgerReport
 
 
@@ -24,7 +24,7 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
         UsageError: the run is a part of one, and has no verdict.
         StoreError: the ledger is damaged, or cannot be written.
     """
-    from nw_eval.api.running.saved_run import check_whole
+    from nw_eval.api.saved_run import check_whole
     from nw_eval.gate.ledger import append_verdict
 
     check_whole(judged.info)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.engine.listener import Listener
     from nw_eval.gate.bisection import Bisection, Decision
     from nw_eval.request import Request
@@ -175,7 +175,7 @@ def _bank_of(
     Raises:
         IncomparableError: there is a bank of its name, of something else.
     """
-    from nw_eval.api.baselines.saved import save_baseline
+    from nw_eval.api.baselines_saved import save_baseline
     from nw_eval.errors import IncomparableError
 
     if _is_bank(good, suite):
@@ -206,9 +206,9 @@ def _bank_of(
 
 def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     """Return the judged run of a checkpoint, begun or gone on with."""
-    from nw_eval.api.running.plans import plan_of
-    from nw_eval.api.running.runs import judged, roll_out
-    from nw_eval.api.running.saved_run import continued
+    from nw_eval.api.plans import plan_of
+    from nw_eval.api.runs import judged, roll_out
+    from nw_eval.api.saved_run import continued
     from nw_eval.results.journal import has_begun
     from nw_eval.suite import draft_of, load_suite
 

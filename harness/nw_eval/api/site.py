@@ -17,7 +17,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.gate.side_by_side import Entrant, PolicyComparison
     from nw_eval.reporting.site.board import BoardSection
 
@@ -72,8 +72,8 @@ def write_site(
         UsageError: one is no run's folder, there is none, or the folder holds something else.
         StoreError: the site cannot be written.
     """
-    from nw_eval.api.running.comparisons import check_share
-    from nw_eval.api.running.reports import as_published, fault_of
+    from nw_eval.api.comparisons import check_share
+    from nw_eval.api.reports import as_published, fault_of
     from nw_eval.reporting.markdown import write_report
     from nw_eval.reporting.site.board import render_board
     from nw_eval.results.run_folder import open_run_folder
@@ -147,7 +147,7 @@ def _suite_of(run: RunReport) -> str:
 
 def _rendered(judged: Sequence[RunReport], site: Path, left_out: list[str]) -> dict[Path, str]:
     """Write a report of each run, and return its address from the page, by the run's folder."""
-    from nw_eval.api.running.reports import fault_of, write_anew
+    from nw_eval.api.reports import fault_of, write_anew
 
     hrefs: dict[Path, str] = {}
     for number, run in enumerate(judged, 1):
@@ -170,7 +170,7 @@ def _sections(
     confidence: float,
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
-    from nw_eval.api.running.reports import fault_of
+    from nw_eval.api.reports import fault_of
     from nw_eval.gate.side_by_side import check_alike, entrant_of_run
     from nw_eval.reporting.site.board import BoardRun, BoardSection
 
@@ -227,7 +227,7 @@ def _compared(
     group: list[tuple[RunReport, Entrant]], confidence: float, left_out: list[str]
 ) -> list[tuple[list[tuple[RunReport, Entrant]], PolicyComparison]]:
     """Return runs with their comparison: each alone where they have none together."""
-    from nw_eval.api.running.reports import fault_of
+    from nw_eval.api.reports import fault_of
     from nw_eval.gate.side_by_side import compared
 
     try:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.running.plans import check_workers, plan
-from nw_eval.api.running.reports import judge
-from nw_eval.api.running.runs import roll_out
+from nw_eval.api.plans import check_workers, plan
+from nw_eval.api.reports import judge
+from nw_eval.api.runs import roll_out
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.request import Request
 from nw_eval.rollout.confined.start import prepare
@@ -72,7 +72,7 @@ def sweep(
         UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
         StoreError: results cannot be written.
     """
-    from nw_eval.api.running.comparisons import check_share
+    from nw_eval.api.comparisons import check_share
     from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep.pages import write_sweep
 

@@ -337,6 +337,12 @@ def log_path(folder: RunFolder, row: Row) -> Path | None:
         return None
 
 
+def present_logs(folder: RunFolder, rows: Iterable[Row]) -> dict[str, Path]:
+    """Return where logs lie, by trial, as far as there are any in the folder."""
+    paths = ((row.trial_id, log_path(folder, row)) for row in rows)
+    return {trial: path for trial, path in paths if path is not None and what_is(path) == "file"}
+
+
 def _look_at(folder: RunFolder, row: Row) -> LookedAt:
     path = log_path(folder, row)
     if path is None:

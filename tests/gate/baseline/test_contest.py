@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running.against.contest import Contest
+from nw_eval.api.contest import Contest
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.provenance import run_info
 from nw_eval.gate.absolute import word_of_bar

@@ -36,7 +36,7 @@ GATE = {"gate": {"max_drop": 0.1}}
 
 def write_run(run: RunInfo, rows: Iterable[Row]) -> str:
     """Write a run that has ended with these rows; their seeds become those of its trials."""
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.api.saved_run import saved_suite, saved_trials
 
     folder = RunFolder(path=Path("run"))
     folder.path.mkdir()

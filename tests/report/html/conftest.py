@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.api.running.saved_run import saved_suite, saved_trials
+from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.verdict import Comparison, SceneDrop

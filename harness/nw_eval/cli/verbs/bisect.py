@@ -13,7 +13,7 @@ from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.api.series import BisectedSeries
     from nw_eval.gate.bisection import Bisection
 
