@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.request import Shard
-from nw_eval.suite.trials import MAX_TRIALS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -234,6 +233,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """
     from nw_eval.gate.baseline.match import drawn_order
     from nw_eval.suite import expand
+    from nw_eval.suite.trials import MAX_TRIALS
 
     scenes = saved_scenes(info)
     order = None
