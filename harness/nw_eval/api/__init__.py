@@ -21,19 +21,9 @@ from nw_eval.api.blaming import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.cause import FoundCause, find_cause
 from nw_eval.api.comparisons import agree, compare
-from nw_eval.api.elsewhere import PushedScene, fetch_policy, fetch_scene, push_scene
+from nw_eval.api.hub import PushedScene, fetch_policy, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.merges import merge
-from nw_eval.api.places import (
-    CheckedScene,
-    ListedScene,
-    WarmUp,
-    check_scenes,
-    list_scenes,
-    render_scenes,
-    show_scene,
-    warmup,
-)
 from nw_eval.api.plans import check, plan
 from nw_eval.api.policies import (
     CardDraft,
@@ -56,6 +46,16 @@ from nw_eval.api.replays import (
 from nw_eval.api.reports import RunIndex, RunReport, index_runs, judge, report
 from nw_eval.api.runs import ActingPolicy, evaluate, run
 from nw_eval.api.saved_run import read_rows
+from nw_eval.api.scenes import (
+    CheckedScene,
+    ListedScene,
+    WarmUp,
+    check_scenes,
+    list_scenes,
+    render_scenes,
+    show_scene,
+    warmup,
+)
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect

@@ -99,7 +99,7 @@ def save_baseline(
     else:
         _check_decided({"policy": policy, "starts": starts, "workers": workers, **changes})
         folder = load_suite(suite).name
-        run, rows = finished_results(Path(from_run), folder)
+        run, rows = _finished_results(Path(from_run), folder)
         own = run.policy.name
     file = _file(root, folder, name or own)
     earlier = _earlier(file, renew=renew)
@@ -107,7 +107,7 @@ def save_baseline(
         starts = starts or (earlier.manifest.starts if earlier else STARTS)
         if earlier is not None and not renew and place.is_in(earlier, starts):
             return SavedBaseline(file=file, action="unchanged", bank=earlier)
-        run, rows = new_results(
+        run, rows = _new_results(
             place.with_starts(starts), workers=workers, cache=cache, listener=listener
         )
     assert run is not None, "results are of a run, new or finished"
@@ -208,7 +208,7 @@ def _written(
     return SavedBaseline(file=file, action="renewed", bank=found, change=change)
 
 
-def new_results(
+def _new_results(
     place: Here, *, workers: int | None, cache: bool, listener: Listener | None
 ) -> tuple[RunInfo, tuple[Row, ...]]:
     """Run what has no result yet, and say first how much that is, and after Ctrl-C how to go on.
@@ -294,7 +294,7 @@ def _kept(place: Here) -> int:
     return sum(row.trial_id in planned and row.status == "ok" for row in rows)
 
 
-def finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]]:
+def _finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]]:
     """Return what a run of a suite has.
 
     Raises:

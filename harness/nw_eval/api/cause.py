@@ -213,8 +213,6 @@ def _rolled(
         planned,
         workers=workers,
         out=out / "run",
-        resume=None,
-        in_process=False,
         listener=listener,
         cache=cache,
     )

@@ -140,7 +140,6 @@ def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0
         IncomparableError: the runs differ in suite, scenes or simulator; each field is named.
         StoreError: rows are damaged.
     """
-    from nw_eval.errors import UsageError
     from nw_eval.gate.side_by_side import measured
     from nw_eval.results.real import read_real_results
     from nw_eval.stats.agreement import agreement

@@ -400,8 +400,6 @@ class Beside:
         )
 
     def _next(self, ended: Mapping[int, Row]) -> RunStanding:
-        from nw_eval.engine.rounds import RunStanding
-
         places = tuple(sorted(self.places))
         return RunStanding(
             first=0, followed=places, ahead=tuple(place for place in places if place not in ended)

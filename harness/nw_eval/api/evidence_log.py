@@ -25,8 +25,6 @@ from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, logged
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from nw_eval.rollout.mcap.records import LoggedMessage
-
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Point = tuple[_Metres, _Metres]
 """x and y in the world frame, m."""

@@ -100,7 +100,7 @@ def plan_of(
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
     if own_policy is None:
-        own_policy = bundle is None and is_own_policy(draft, request)
+        own_policy = bundle is None and _is_own_policy(draft, request)
     # A process of its own reads the bank, for no longer than an interrupt can wait.
     with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
@@ -112,7 +112,7 @@ def plan_of(
         if bundle is None:
             bundle = open_policy(draft, faults, request, card=card, may_fail=may_fail)
         else:
-            bundle = vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+            bundle = _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -456,10 +456,10 @@ def open_policy(
     except NwEvalError as error:
         faults.add(error)
         return None
-    return vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+    return _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
 
 
-def is_own_policy(draft: Draft, request: Request) -> bool:
+def _is_own_policy(draft: Draft, request: Request) -> bool:
     """Return whether the policy of a request is the suite's own, also by another path to its card.
 
     With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
@@ -483,7 +483,7 @@ def is_own_policy(draft: Draft, request: Request) -> bool:
         return False
 
 
-def vet_policy(
+def _vet_policy(
     draft: Draft, faults: Faults, request: Request, bundle: Bundle, *, may_fail: bool
 ) -> Bundle | None:
     """Return a policy that is loaded already, checked; None if it cannot be used.

@@ -20,7 +20,6 @@ from nw_eval.words import Engine
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from nw_eval.api.reports import RunReport
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
@@ -103,8 +102,8 @@ def roll_out(
     *,
     workers: int | None,
     out: Path | None,
-    resume: Path | None,
-    in_process: bool,
+    resume: Path | None = None,
+    in_process: bool = False,
     listener: Listener | None,
     cache: bool = True,
     all_rounds: bool = False,
@@ -240,10 +239,10 @@ def _check_in_process(request: Request, workers: int | None, cluster: str | None
             f"--workers {workers} with --in-process: it runs one trial after another",
             fix="drop one of them",
         )
-    check_limits(request, "--in-process")
+    _check_limits(request, "--in-process")
 
 
-def check_limits(request: Request, door: str) -> None:
+def _check_limits(request: Request, door: str) -> None:
     """Refuse limits to trials that run in this very process.
 
     Args:
@@ -333,8 +332,6 @@ def evaluate(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.plans import plan_of
-    from nw_eval.errors import UsageError
-    from nw_eval.request import Request
     from nw_eval.suite import draft_suite
 
     out = None if out is None else Path(out)
@@ -352,12 +349,11 @@ def evaluate(
         )
     bundle = _bundle(policy, suite, card, version)
     request = Request.of(suite, policy=bundle.name, **changes)
-    check_limits(request, "a policy that is an object")
+    _check_limits(request, "a policy that is an object")
     folder = roll_out(
         plan_of(request, draft_suite(suite), bundle=bundle),
         workers=1,
         out=out,
-        resume=None,
         listener=listener,
         in_process=True,
     )

@@ -160,7 +160,7 @@ def saved_suite(info: RunInfo) -> Suite:
     return suite
 
 
-def saved_scenes(info: RunInfo) -> list[SceneLike]:
+def _saved_scenes(info: RunInfo) -> list[SceneLike]:
     """Return the scenes of a run, as far as run.json says what they are."""
     return [
         _Scene(name=name, task=scene.task, digest=scene.digest)
@@ -235,7 +235,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     from nw_eval.suite import expand
     from nw_eval.suite.trials import MAX_TRIALS
 
-    scenes = saved_scenes(info)
+    scenes = _saved_scenes(info)
     order = None
     if info.drawn_from is not None or (info.panel == "fresh" and info.baseline is not None):
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]

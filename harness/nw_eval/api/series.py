@@ -226,7 +226,6 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
             workers=means.workers,
             out=None if begun else folder,
             resume=folder if begun else None,
-            in_process=False,
             cache=means.cache,
             listener=means.listener,
         )

@@ -19,7 +19,6 @@ from nw_eval.words import Tracker
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
-    from nw_eval.words import Tracker
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,8 +98,6 @@ def sweep(
             planned,
             workers=workers,
             out=folder / name / f"{number}",
-            resume=None,
-            in_process=False,
             listener=listener,
             cache=cache,
         )

@@ -152,7 +152,7 @@ class LedgerEntry(_Line):
         return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()))
 
 
-def entry_of(
+def _entry_of(
     verdict: Verdict,
     run: RunInfo,
     rows: Sequence[Row],
@@ -276,7 +276,7 @@ def append_verdict(
     Raises:
         StoreError: the ledger is damaged, or cannot be written.
     """
-    entry = entry_of(verdict, run, rows, time=datetime.now(tz=UTC), bank=bank)
+    entry = _entry_of(verdict, run, rows, time=datetime.now(tz=UTC), bank=bank)
     append_entry(path, entry)
     return entry
 

@@ -20,10 +20,6 @@ panel: the baseline's result from every start is known exactly on this class of 
 bits are others here, and the baseline's policy ran beside the candidate, from the same starts.
 fresh: the candidate met other starts."""
 
-Checked = Literal["bits", "control"]
-"""What trials of the baseline have shown on a class of machine that the bank was not made on: that
-they repeat the bits of its first panel; or that they do not, so that a control runs."""
-
 Claim = Literal["fresh", "panel"]
 """Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the bank's
 panel alone (`gate.claim`)."""

@@ -208,7 +208,7 @@ def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | Non
     return None
 
 
-def is_harmless(text: str) -> bool:
+def _is_harmless(text: str) -> bool:
     """Say whether `as_kept` leaves a text as it is."""
     return _harmless(text) == text
 
@@ -275,7 +275,7 @@ def _are_harmless(texts: Collection[str]) -> bool:
     """Say whether texts are as `clean` leaves them: most are digests and names."""
     if max(map(len, texts), default=0) <= LONGEST and _NAMES.fullmatch("".join(texts)):
         return True
-    return all(map(is_harmless, texts))
+    return all(map(_is_harmless, texts))
 
 
 def _are_numbers(lists: Sequence[tuple[Any, ...]]) -> bool:

@@ -68,14 +68,14 @@ def check_files(
         info: its run.json.
         planned: ids of the trials of its plan.
     """
-    copies = copies_of(folder, planned, ended=bool(info.rows_digest))
+    copies = _copies_of(folder, planned, ended=bool(info.rows_digest))
     remarks = [copy.remark for copy in copies if copy.remark]
     findings: list[Discrepancy] = []
     sealed = None
     if info.merkle_root:
         sealed, findings = _sealed(folder, info, copies)
         findings += _of_what(info, sealed)
-        findings += row_findings(copies, sealed)
+        findings += _row_findings(copies, sealed)
         findings += _lines_besides(copies[0], info, findings)
     else:
         remarks.append(_without_root(info))
@@ -87,7 +87,7 @@ def check_files(
     still = [row for row in rows.values() if info.merkle_root or row.status == "ok"]
     looked = look_at_logs(folder, still)
     findings += (each.finding for each in looked if each.finding is not None)
-    extra = [*unnamed_logs(folder, [*rows.values(), *copies[0].others])]
+    extra = [*_unnamed_logs(folder, [*rows.values(), *copies[0].others])]
     if info.merkle_root and not info.interrupted:
         findings += (Discrepancy(what="extra", file=name) for name in extra)
     elif extra:  # Of trials that were under way.
@@ -193,13 +193,13 @@ class Copy:
     """Of the journal's last line."""
 
 
-def copies_of(folder: RunFolder, planned: Collection[str], *, ended: bool) -> tuple[Copy, ...]:
+def _copies_of(folder: RunFolder, planned: Collection[str], *, ended: bool) -> tuple[Copy, ...]:
     """Return the journal's rows and, once the run has ended, those of trials.parquet."""
     journal = _journal(folder, planned)
     return (journal, _parquet(folder)) if ended else (journal,)
 
 
-def row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrepancy]:
+def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrepancy]:
     """Yield what is wrong with each row of each copy.
 
     Args:
@@ -285,14 +285,14 @@ def _short(value: object) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LookedAt:
+class _LookedAt:
     """A log, and what was found of it."""
 
     bytes: int  # 0 where there is none.
     finding: Discrepancy | None
 
 
-def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> list[LookedAt]:
+def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> list[_LookedAt]:
     """Compare the log of every row that has its digest.
 
     Args:
@@ -304,7 +304,7 @@ def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> list[LookedAt]:
         return list(pool.map(lambda row: _look_at(folder, row), known))
 
 
-def unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
+def _unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
     """Yield the logs that no row names, relative to the run's folder.
 
     Where a trial ended in an error, its worker may have left a log that it could not speak of.
@@ -343,7 +343,7 @@ def present_logs(folder: RunFolder, rows: Iterable[Row]) -> dict[str, Path]:
     return {trial: path for trial, path in paths if path is not None and what_is(path) == "file"}
 
 
-def _look_at(folder: RunFolder, row: Row) -> LookedAt:
+def _look_at(folder: RunFolder, row: Row) -> _LookedAt:
     path = log_path(folder, row)
     if path is None:
         return _wrong(row, "unreadable", "its row names no file of this folder")
@@ -360,9 +360,9 @@ def _look_at(folder: RunFolder, row: Row) -> LookedAt:
         sizes = f"{size:,} bytes, not {row.mcap_bytes:,}; " if size != row.mcap_bytes else ""
         about = f"{sizes}SHA-256 {digest[:12]}, not {row.mcap_sha256[:12]}"
         return _wrong(row, "changed", about, size)
-    return LookedAt(bytes=size, finding=None)
+    return _LookedAt(bytes=size, finding=None)
 
 
-def _wrong(row: Row, what: What, about: str = "", size: int = 0) -> LookedAt:
+def _wrong(row: Row, what: What, about: str = "", size: int = 0) -> _LookedAt:
     finding = Discrepancy(what=what, file=row.mcap_path, trial=row.trial_id, about=about)
-    return LookedAt(bytes=size, finding=finding)
+    return _LookedAt(bytes=size, finding=finding)

@@ -398,7 +398,7 @@ def _fill(
     folder: RunFolder, arm: MergedArm, against: Against | None
 ) -> tuple[RunInfo, tuple[str, ...]]:
     info = arm.info
-    lost = take_logs(arm.held, folder)
+    lost = _take_logs(arm.held, folder)
     if against is not None:
         path = folder.bank(against.info.name)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -450,7 +450,7 @@ def _there(out: Path, info: RunInfo, held: Sequence[SourcedRow]) -> RunInfo | No
     return there
 
 
-def take_logs(held: Iterable[SourcedRow], folder: RunFolder) -> tuple[str, ...]:
+def _take_logs(held: Iterable[SourcedRow], folder: RunFolder) -> tuple[str, ...]:
     """Put the logs that rows name into a folder; return sentences about those that are not there.
 
     Raises:

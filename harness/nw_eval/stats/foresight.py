@@ -163,7 +163,7 @@ def shares_after(
     return _judge([fresh, seen], courses, bar, confidence)
 
 
-def runs_at(
+def _runs_at(
     courses: list[SceneCounts],
     mean: float,
     *,
@@ -273,7 +273,7 @@ def luck_of_the_best(
         raise ValueError("the best of no candidates")
     best, any_passes = np.zeros(RUNS), np.zeros(RUNS, dtype=bool)
     for stream, courses in enumerate(candidates, start=1):
-        shown, passed = runs_at(courses, truth, stream=stream, bar=bar, confidence=confidence)
+        shown, passed = _runs_at(courses, truth, stream=stream, bar=bar, confidence=confidence)
         best, any_passes = np.maximum(best, shown), any_passes | passed
     return Luck(
         overstated=float(best.mean()) - truth,

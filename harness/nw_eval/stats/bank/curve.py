@@ -259,10 +259,10 @@ def progress_at(
     chances = chances_of(seen, success_of(seen) - drop)
     drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
     rulings = settle_all(drawn.bank, drawn.trials(chances), rules)
-    return progress_of(rulings, [ruling.trials for ruling in rulings], budget)
+    return _progress_of(rulings, [ruling.trials for ruling in rulings], budget)
 
 
-def progress_of(rulings: Sequence[TrialRuling], trials: Sequence[int], most: int) -> Progress:
+def _progress_of(rulings: Sequence[TrialRuling], trials: Sequence[int], most: int) -> Progress:
     """Return the shares that have ended after each trial.
 
     Args:
@@ -332,7 +332,7 @@ def progress_from(
     first = np.concatenate([[0], np.cumsum(~ended)])  # To come among the first 0, 1, ... places.
     after = [int(first[end.mean]) + sum(not ended[place] for place in end.followed) for end in ends]
     # Whatever is settled already is so after the next trial.
-    return progress_of(ends, np.maximum(after, 1).tolist(), more)
+    return _progress_of(ends, np.maximum(after, 1).tolist(), more)
 
 
 def _seeded_by(trials: DrawnTrials, ended: Truths) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Places: listed, explained, checked, drawn, built ahead."""
+"""Scenes: listed, explained, checked, drawn, built ahead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places and policies of a hub: fetched ahead of a run, and pushed."""
+"""Scenes and policies of a hub: fetched ahead of a run, and pushed."""
 
 from __future__ import annotations
 
