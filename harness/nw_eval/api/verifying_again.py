@@ -59,7 +59,7 @@ def run_again(
         info: its run.json.
         rows: of its trials, by their ids.
         request: where the policy lies, if not where it did, and whether code is allowed.
-        sample: how many trials, as `sample.check_sample` has it.
+        sample: how many trials, as `verifying.check_sample` has it.
         seed: draws them.
         workers: processes; one for each core if None.
         listener: hears of progress.

@@ -154,7 +154,7 @@ def by_place(
         rows: in any order; those of strata that the order has none of, and of starts beyond the
             budget, are left out.
         run: what they are of.
-        order: `draw.drawn_order`.
+        order: `match.drawn_order`.
         arm: whose rows they are.
 
     Raises:

@@ -445,7 +445,7 @@ def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
 
 
 def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
-    """Return z of `panel`, shape (..., T)."""
+    """Return z of `evidence`, shape (..., T)."""
     if bank.means.ndim == 1:
         means = bank.means[trials.scenes]
     else:
