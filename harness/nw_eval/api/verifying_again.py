@@ -105,13 +105,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
             "its pictures were drawn with CUDA, which cannot be confined",
             fix="add --allow-code if you trust the run and its policy",
         )
-    recorded = JournalHeader(
-        suite_digest=info.suite_digest,
-        policy_digest=info.policy.card_digest,
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-        engine=info.engine,
-    )
-    if differences := recorded.differences(journal_header(plan)):
+    if differences := JournalHeader.of_run(info).differences(journal_header(plan)):
         raise IncomparableError(
             f"trials cannot be compared bit for bit here: {', '.join(differences)} changed",
             fix="verify the run with the nw-eval and on the kind of machine that made it",

@@ -26,6 +26,7 @@ from pydantic_core import from_json
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.files.cache import atomic_path, open_own, sync_folder
+from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, RowTexts, from_dicts, texts_of
 from nw_eval.results.seal import seal, sum_of, unseal
 
@@ -44,6 +45,16 @@ class JournalHeader:
     policy_digest: str
     scene_digests: Mapping[str, str]
     engine: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_run(cls, info: RunInfo) -> Self:
+        """Return what the journal of a run begins with."""
+        return cls(
+            suite_digest=info.suite_digest,
+            policy_digest=info.policy.card_digest,
+            scene_digests={name: scene.digest for name, scene in info.scenes.items()},
+            engine=info.engine,
+        )
 
     def differences(self, other: JournalHeader) -> list[str]:
         """Return what differs, in words; scenes that only one of the two has do not count."""

@@ -409,14 +409,8 @@ def _fill(
             folder.layout.write_bytes(bounded_bytes(layout, _LAYOUT_BYTES))
             break
     rows = [one.row for one in arm.held]
-    header = JournalHeader(
-        suite_digest=info.suite_digest,
-        policy_digest=info.policy.card_digest,
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-        engine=info.engine,
-    )
     gathered = Gathered()
-    write_journal(folder.journal, header, gathered.passing(texts_of(rows)))
+    write_journal(folder.journal, JournalHeader.of_run(info), gathered.passing(texts_of(rows)))
     ended = write_gathered(folder, info, gathered)
     write_run_info(folder.run_json, ended)
     return ended, lost

@@ -233,6 +233,21 @@ class Finding:
         )
 
 
+def strata_that_count(strata: Iterable[Stratum], gate: Gate) -> tuple[Stratum, ...]:
+    """Return those of some strata that a comparison is about, in their order.
+
+    Raises:
+        IncomparableError: none is.
+    """
+    judged = tuple(stratum for stratum in strata if gate.tier(stratum[0]) != "informational")
+    if not judged:
+        raise IncomparableError(
+            "no scene counts against the baseline: all are informational",
+            fix="make one supporting or critical",
+        )
+    return judged
+
+
 def margins_of(gate: Gate) -> Margins:
     """Return the drops that a gate allows."""
     return Margins(max_drop=gate.most_drop, tolerate=gate.tolerate, scene_drop=gate.scene_drop)

@@ -14,7 +14,14 @@ import numpy as np
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.absolute import percent, trials_to_pass
-from nw_eval.gate.baseline.finding import Met, bank_of, margins_of, numbers_of, rules_of
+from nw_eval.gate.baseline.finding import (
+    Met,
+    bank_of,
+    margins_of,
+    numbers_of,
+    rules_of,
+    strata_that_count,
+)
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.row import Row
@@ -186,12 +193,7 @@ def _outset(
     *,
     known: bool,
 ) -> Outset:
-    judged = sorted(place for place in groups if gate.tier(place[0]) != "informational")
-    if not judged:
-        raise IncomparableError(
-            "no scene counts against the baseline: all are informational",
-            fix="make one supporting or critical",
-        )
+    judged = sorted(strata_that_count(groups, gate))
     seen = tuple(_counts(groups[place]) for place in judged)
     margins = margins_of(gate)
     if not success_of(seen) > margins.max_drop:

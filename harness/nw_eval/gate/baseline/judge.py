@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.finding import (
     Finding,
     Met,
@@ -25,6 +24,7 @@ from nw_eval.gate.baseline.finding import (
     margins_of,
     numbers_of,
     scores_of,
+    strata_that_count,
 )
 from nw_eval.gate.baseline.foresee import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.baseline.known import recheck
@@ -125,12 +125,7 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
     left_aside = {start.scene for start in panel.starts} - set(run.scenes)
     panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
     strata = tuple(panel.by_stratum)
-    judged = tuple(stratum for stratum in strata if gate.tier(stratum[0]) != "informational")
-    if not judged:
-        raise IncomparableError(
-            "no scene counts against the baseline: all are informational",
-            fix="make one supporting or critical",
-        )
+    judged = strata_that_count(strata, gate)
     rounds = budget_of(run)
     return ComparisonSetup(
         run=run,
