@@ -113,16 +113,15 @@ from nw_eval.errors import (
     TrialError,
     UsageError,
 )
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.ledger.report import LedgerReport
-from nw_eval.gate.side_by_side.result import PolicyComparison
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.ledger_report import LedgerReport
+from nw_eval.gate.side_by_side import PolicyComparison
+from nw_eval.gate.verdict import Comparison, Verdict
 from nw_eval.hub.fetched import Fetched
 from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.request import Request
 from nw_eval.results.bank import SavedBank
-from nw_eval.results.bank.changes import BankChange
+from nw_eval.results.bank_changes import BankChange
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.blame.report import BlameReport
 from nw_eval.rollout.replaying.report import ReplayReport
@@ -130,7 +129,7 @@ from nw_eval.rollout.replaying.takeover.report import TakeoverReport
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.gaussians import SplatFigures
-from nw_eval.stats.agreement.agree import Agreement
+from nw_eval.stats.agreement import Agreement
 from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running.plans import rechecked
+from nw_eval.api.plans import rechecked
 from nw_eval.cli import main
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session
@@ -28,8 +28,8 @@ from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.reporting import headline
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bank.build import bank_of_run
-from nw_eval.results.bank.file import read_bank, write_bank
+from nw_eval.results.bank_build import bank_of_run
+from nw_eval.results.bank_file import read_bank, write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import read_journal, write_journal
 from nw_eval.results.provenance import StopInfo, read_run_info

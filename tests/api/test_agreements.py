@@ -10,9 +10,8 @@ import pytest
 import nw_eval
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.file import write_bank
-from nw_eval.results.bank.manifest import BankPolicy
+from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank_file import write_bank
 
 SCENES = {"hurdles/a": "11" * 32, "hurdles/b": "22" * 32}
 MACHINE = {"cpu": "znver4 1f0c77a2"}

@@ -16,7 +16,7 @@ from nw_eval import api, cli
 from nw_eval.engine.listener import Silence
 from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_eval.files.shipped import shipped
-from nw_eval.results.bank.file import read_bank
+from nw_eval.results.bank_file import read_bank
 from nw_eval.results.provenance import read_run_info, write_run_info
 
 SUITE = """\

@@ -9,8 +9,7 @@ import pytest
 
 from nw_eval import api, cli
 from nw_eval.files.shipped import available
-from nw_eval.gate import judge
-from nw_eval.gate.outlook import trials_to_pass
+from nw_eval.gate.absolute import judge, trials_to_pass
 from nw_eval.results.row import Row
 from nw_eval.suite import Gate
 from nw_eval.suite.ready import write_ready_suite

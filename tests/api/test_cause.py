@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 import nw_eval
-from nw_eval.api.blaming.exchange import apart, write_crossed
+from nw_eval.api.cause import apart, write_crossed
 from nw_eval.cli import main
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle

@@ -8,12 +8,20 @@ import sys
 import pytest
 
 import nw_eval
-from nw_eval.api.running.saved_run import saved_trials
+from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.file import write_bank
-from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
+from nw_eval.results.bank import (
+    BankPolicy,
+    Manifest,
+    Panel,
+    PanelInfo,
+    SavedBank,
+    Start,
+    key_of,
+    machine_of,
+)
+from nw_eval.results.bank_file import write_bank
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import (
     CodeInfo,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import nw_eval
-from nw_eval.api.running.saved_run import saved_suite, saved_trials
+from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import (

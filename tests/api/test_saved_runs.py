@@ -13,10 +13,10 @@ from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import StoreError
-from nw_eval.results.columns import SCHEMA
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.parquet import SCHEMA
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
@@ -26,7 +26,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.tables.sealed import sealed
+from nw_eval.results.sealed import sealed
 from nw_eval.suite import new_suite
 from nw_eval.suite.trials import Trial
 

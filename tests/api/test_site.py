@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import pytest
 
 import nw_eval
-from nw_eval.api.running.saved_run import saved_trials
+from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
 from nw_eval.engine.shards import shard_of
 from nw_eval.errors import UsageError

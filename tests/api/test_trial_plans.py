@@ -13,9 +13,8 @@ from PIL import Image
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.file import read_bank, write_bank
-from nw_eval.results.bank.manifest import BankPolicy
+from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank_file import read_bank, write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.machine import code_info, machine_info

@@ -15,10 +15,18 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nw_eval.api.running.saved_run import saved_suite, saved_trials
-from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.file import write_bank
-from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
+from nw_eval.api.saved_run import saved_suite, saved_trials
+from nw_eval.results.bank import (
+    BankPolicy,
+    Manifest,
+    Panel,
+    PanelInfo,
+    SavedBank,
+    Start,
+    key_of,
+    machine_of,
+)
+from nw_eval.results.bank_file import write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.machine import code_info, machine_info

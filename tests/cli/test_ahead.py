@@ -37,14 +37,14 @@ def test_that_is_the_one_that_the_run_goes_on_with():
     code = (
         "from nw_eval.cli.verbs import begin; begin(['run', 'hurdles']); "
         "from nw_eval.rollout.confined import start; first = start._nursery; "
-        "from nw_eval.cli.verbs import parse; import nw_eval.api.running.runs; start.prepare(); "
+        "from nw_eval.cli.verbs import parse; import nw_eval.api.runs; start.prepare(); "
         "assert first is not None and first is start._nursery; first.__del__()"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 def test_nobody_waits_for_the_simulator_before_the_first_trial_starts():
-    modules = ("nw_eval.api.running.runs", "nw_eval.api.running.plans", "nw_eval.engine.session")
+    modules = ("nw_eval.api.runs", "nw_eval.api.plans", "nw_eval.engine.session")
     modules += ("nw_eval.rollout.confined.vetting", "nw_eval.engine.cache.opening")
     code = f"import sys, {', '.join(modules)}; print(*sys.modules)"
     done = subprocess.run(

@@ -8,7 +8,7 @@ import pytest
 
 from nw_eval import api, cli
 from nw_eval.errors import StoreError
-from nw_eval.gate.ledger.file import read_ledger
+from nw_eval.gate.ledger import read_ledger
 
 
 def left(*arguments):

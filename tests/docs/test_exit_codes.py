@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
-from nw_eval.gate import EXIT_CODES
+from nw_eval.gate.verdict import EXIT_CODES
 from nw_eval.results.bank import Panel
-from nw_eval.results.bank.build import bank_of_run
-from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank_build import bank_of_run
+from nw_eval.results.bank_file import write_bank
 
 README = Path(__file__).parents[2] / "README.md"
 

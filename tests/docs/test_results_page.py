@@ -10,8 +10,8 @@ import pytest
 from nw_eval.confinement import environment
 from nw_eval.engine.machine import cpu
 from nw_eval.errors import UsageError
-from nw_eval.gate import EXIT_CODES
-from nw_eval.results.columns import SCHEMA, columns_table
+from nw_eval.gate.verdict import EXIT_CODES
+from nw_eval.results.parquet import SCHEMA, columns_table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import MEASURED, OF_THE_PLAN
 from nw_eval.results.run_folder import RunFolder

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running import reports
+from nw_eval.api import reports
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import private_dir
 from nw_eval.results.journal import read_journal
@@ -149,7 +149,7 @@ def test_a_folder_that_is_removed_while_the_report_is_written_has_no_verdict(tmp
         (path / "report.md").write_text("PASS")
         return told
 
-    monkeypatch.setattr("nw_eval.api.running.runs.report_here", remove_and_report)
+    monkeypatch.setattr("nw_eval.api.runs.report_here", remove_and_report)
     with pytest.raises(StoreError, match="run was removed or replaced"):
         api.run(suite, out=tmp_path / "run", workers=1)
 
@@ -163,7 +163,7 @@ def test_a_folder_that_is_removed_before_the_report_is_a_fault_and_no_misuse(tmp
         shutil.rmtree(path)
         return written(path, **settings)
 
-    monkeypatch.setattr("nw_eval.api.running.runs.report_here", report_on_nothing)
+    monkeypatch.setattr("nw_eval.api.runs.report_here", report_on_nothing)
     with pytest.raises(StoreError, match="run was removed or replaced"):
         api.run(suite, out=tmp_path / "run", workers=1)
 

@@ -361,7 +361,7 @@ def _card(folder):
 
 
 def _suite(folder):
-    from nw_eval.api.running.faults import Faults, open_scenes
+    from nw_eval.api.plans import Faults, open_scenes
     from nw_eval.suite import draft_suite
 
     draft = draft_suite(folder / "mine.yaml")
@@ -629,8 +629,8 @@ def _bank_seeds(_folder):
 def _bank(folder):
     """Read it as its file would be read, once its sum is right."""
     from nw_eval.errors import StoreError
-    from nw_eval.results.bank.file import bank_of
-    from nw_eval.results.tables.small import PlainTable
+    from nw_eval.results.bank_file import bank_of
+    from nw_eval.results.tables import PlainTable
 
     try:
         manifest, starts = json.loads((folder / "bank.json").read_bytes())

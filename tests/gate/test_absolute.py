@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.gate import judge
-from nw_eval.stats import lower_bound, upper_bound
+from nw_eval.gate.absolute import judge
+from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:

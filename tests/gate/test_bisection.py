@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.api.running.reports import RunReport
+from nw_eval.api.reports import RunReport
 from nw_eval.api.series import BisectedSeries
 from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.bisection import Decision, bisect
+from nw_eval.gate.verdict import Comparison
 from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.provenance import PolicyInfo, RunInfo
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 from nw_eval.suite.model import Gate
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval.gate.sweep.curve import curve_of
+from nw_eval.gate.sweep import curve_of
 from nw_eval.reporting.sweep.pages import write_sweep
 from nw_eval.reporting.sweep.words import cliff_words, parting_words, sweep_table
 
@@ -167,11 +167,10 @@ def test_a_curve_that_is_flat_seldom_has_a_cliff(share):
 
 
 def _cliffs(rows, monkey=pytest.MonkeyPatch):
-    from nw_eval.gate.sweep import curve
-    from nw_eval.stats import Interval
-    from nw_eval.stats.interval import Estimate
+    from nw_eval.gate import sweep
+    from nw_eval.stats.interval import Estimate, Interval
 
     quick = Estimate(mean=0.5, interval=Interval(0.0, 1.0), n=1, confidence=0.95)
     with monkey.context() as patch:
-        patch.setattr(curve, "mean_of_scenes", lambda *_: quick)
+        patch.setattr(sweep, "mean_of_scenes", lambda *_: quick)
         return curve_of("friction", "p", rows).cliffs

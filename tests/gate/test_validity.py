@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.validity import has_left, seconds_outside
-from nw_eval.stats import lower_bound, upper_bound
+from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
 from nw_eval.suite.model import Validity
 

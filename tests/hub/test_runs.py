@@ -13,7 +13,7 @@ import pytest
 from hub_server import WRITER
 
 from nw_eval import api
-from nw_eval.api.baselines.here import card_reference
+from nw_eval.api.baselines import card_reference
 from nw_eval.cli import main
 from nw_eval.errors import SuiteError
 from nw_eval.policies import load_bundle

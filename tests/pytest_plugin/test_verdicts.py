@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from nw_eval import api
-from nw_eval.api.baselines import saved
+from nw_eval.api import baselines_saved
 from nw_eval.engine import session
 from nw_eval.reporting.junit import junit_xml
 from nw_eval.rollout import trial
@@ -264,7 +264,7 @@ def test_ctrl_c_ends_the_session_and_says_how_the_run_goes_on(
 def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     suite, run, pytester, monkeypatch, folders, other
 ):
-    monkeypatch.setattr(saved, "STARTS", 1)
+    monkeypatch.setattr(baselines_saved, "STARTS", 1)
     monkeypatch.setattr(session, "carry_out", partial(session.carry_out, in_process=True))
     suite(gate="gate: {max_drop: 0.1, rounds: 1}")
     arguments = ("tiny.yaml", "-v", "-rfs", "--nw-update-baseline")

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval
-from nw_eval.stats.bank import CurvePoint
+from nw_eval.stats.bank.curve import CurvePoint
+from nw_eval.stats.interval import Interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable

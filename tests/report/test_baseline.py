@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.baseline.comparison import Comparison, Recheck, SceneDrop
+from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting import print_summary, render_markdown
 from nw_eval.reporting.console import draw
 from nw_eval.reporting.tables.baseline import baseline_table
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:

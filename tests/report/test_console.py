@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
-from nw_eval.gate import EXIT_CODES, judge
-from nw_eval.gate.verdict import Word
+from nw_eval.gate.absolute import judge
+from nw_eval.gate.verdict import EXIT_CODES, Word
 from nw_eval.reporting import headline, print_summary
 from nw_eval.reporting.console import _COLOURS
 from nw_eval.suite import Gate

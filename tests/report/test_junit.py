@@ -10,7 +10,7 @@ import pytest
 from junitparser import JUnitXml
 
 from nw_eval.errors import Problem, SuiteError, UsageError
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import without_bank
 from nw_eval.reporting.junit import junit_of_error, junit_xml
 from nw_eval.reporting.suite_lines import suite_lines

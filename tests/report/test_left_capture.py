@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.reporting.headline import headline
 from nw_eval.reporting.html import render_html
 from nw_eval.reporting.junit import junit_xml

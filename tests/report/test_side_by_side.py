@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from PIL import Image
 
 from nw_eval.cli.verbs.compare import comparison_text
-from nw_eval.gate.side_by_side.result import (
+from nw_eval.gate.side_by_side import (
     ComparedPolicy,
     ComparedScene,
     ComparedTask,
@@ -18,8 +18,8 @@ from nw_eval.gate.side_by_side.result import (
 )
 from nw_eval.reporting.side_by_side.page import comparison_page
 from nw_eval.reporting.side_by_side.picture import draw_comparison
-from nw_eval.stats import Estimate, Interval
 from nw_eval.stats.hazard import differences
+from nw_eval.stats.interval import Estimate, Interval
 from nw_eval.stats.ranks import Ranks
 
 

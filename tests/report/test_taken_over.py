@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.reporting import print_summary
 from nw_eval.reporting.markdown import render_markdown

@@ -12,7 +12,7 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from nw_eval.results.columns import SCHEMA, columns_table
+from nw_eval.results.parquet import SCHEMA, columns_table
 
 RECORD = Path(__file__).with_name("row_schema.jsonl")
 PAGE = Path(__file__).parents[2] / "docs" / "results.md"

@@ -12,9 +12,9 @@ from typing import Annotated
 
 import pytest
 
-from nw_eval.results.columns import SCHEMA, columns_table
-from nw_eval.results.row import COLUMNS, MEASURED, OF_THE_PLAN, Column, Row
-from nw_eval.results.row.column import columns_of
+from nw_eval.results.column import Column, columns_of
+from nw_eval.results.parquet import SCHEMA, columns_table
+from nw_eval.results.row import COLUMNS, MEASURED, OF_THE_PLAN, Row
 
 
 def _record():

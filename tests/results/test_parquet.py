@@ -14,11 +14,9 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import StoreError
 from nw_eval.results import parquet
-from nw_eval.results.columns import SCHEMA
-from nw_eval.results.parquet import read_rows, write_rows
+from nw_eval.results.parquet import SCHEMA, array_of, read_rows, write_rows
 from nw_eval.results.row import Row, rows_digest, to_dict
-from nw_eval.results.tables.arrays import array_of
-from nw_eval.results.tables.sealed import sealed
+from nw_eval.results.sealed import sealed
 from nw_eval.words import FAULTS, OUTCOMES
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.results.planned import of_plan
+from nw_eval.results.ended import of_plan
 from nw_eval.suite.trials import Trial
 
 if TYPE_CHECKING:

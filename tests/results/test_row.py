@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.results.evidence.leaves import row_leaf, row_leaves
+from nw_eval.results import row as row_module
+from nw_eval.results.evidence import row_leaf, row_leaves
 from nw_eval.results.row import (
     COLUMNS,
     MEASURED,
@@ -21,8 +22,6 @@ from nw_eval.results.row import (
     texts_of,
     to_dict,
 )
-from nw_eval.results.row import row as row_module
-from nw_eval.results.row import texts as texts_module
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -146,8 +145,7 @@ def test_a_column_that_came_later_is_in_the_digest_of_many_rows_where_it_is_not_
     rows = [make_row(seed_index=k, coverage_min=c) for k, c in enumerate((None, 0.5))]
     later = replace(COLUMNS["coverage_min"], added=True)
     monkeypatch.setitem(COLUMNS, "coverage_min", later)
-    monkeypatch.setattr(row_module, "CAME_LATER", ("coverage_min",))
-    monkeypatch.setattr(texts_module, "CAME_LATER", ("coverage_min",))
+    monkeypatch.setattr(row_module, "_CAME_LATER", ("coverage_min",))
     (texts,) = texts_of(rows)
     assert [digest for _, _, digest in texts.results()] == [row.digest for row in rows]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nw_eval.stats import SceneCounts, evidence_above, shares_after, shares_at
-from nw_eval.stats.courses import chances_at, ends
+from nw_eval.stats.betting import evidence_above
+from nw_eval.stats.foresight import SceneCounts, chances_at, ends, shares_after, shares_at
 
 # The hurdles suite as it was measured, ten trials in each of 16 scenes: the waypoints of a scene,
 # and how many trials ended after 0, 1, ... of them. Scene means .525, .9, 3 x .933, 3 x .95,

@@ -9,7 +9,6 @@ from math import comb
 import numpy as np
 import pytest
 
-from nw_eval.stats.binomial import fisher, newcombe
 from nw_eval.stats.hazard import (
     differences,
     differences_over,
@@ -18,6 +17,7 @@ from nw_eval.stats.hazard import (
     hazards,
     holm,
 )
+from nw_eval.stats.interval import fisher, newcombe
 
 # Newcombe (1998), Table II, method 10; and statsmodels 0.15.0, confint_proportions_2indep(newcomb).
 NEWCOMBE = [

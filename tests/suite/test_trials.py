@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nw_eval.errors import UsageError
 from nw_eval.request import Request
-from nw_eval.results.planned import wanted
+from nw_eval.results.ended import wanted
 from nw_eval.results.provenance import StopInfo
 from nw_eval.suite import Trial, expand, new_suite, override
 

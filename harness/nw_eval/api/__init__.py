@@ -6,31 +6,25 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
-from nw_eval.api.baselines.checked import CheckedBaseline, check_baseline
-from nw_eval.api.baselines.listed import (
+from nw_eval.api.baselines import (
+    CheckedBaseline,
     ListedBaseline,
     ShownBaseline,
+    check_baseline,
     diff_baselines,
     list_baselines,
     show_baseline,
 )
-from nw_eval.api.baselines.saved import SavedBaseline, save_baseline
-from nw_eval.api.baselines.verified import VerifiedBaseline, verify_baseline
-from nw_eval.api.blaming.blame import BlamedTrial, BlamePlan, Blames, blame
-from nw_eval.api.blaming.cause import FoundCause, find_cause
+from nw_eval.api.baselines_saved import SavedBaseline, save_baseline
+from nw_eval.api.baselines_verified import VerifiedBaseline, verify_baseline
+from nw_eval.api.blaming import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
-from nw_eval.api.elsewhere import PushedScene, fetch_policy, fetch_scene, push_scene
+from nw_eval.api.cause import FoundCause, find_cause
+from nw_eval.api.comparisons import agree, compare
+from nw_eval.api.hub import PushedScene, fetch_policy, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
-from nw_eval.api.places import (
-    CheckedScene,
-    ListedScene,
-    WarmUp,
-    check_scenes,
-    list_scenes,
-    render_scenes,
-    show_scene,
-    warmup,
-)
+from nw_eval.api.merges import merge
+from nw_eval.api.plans import check, plan
 from nw_eval.api.policies import (
     CardDraft,
     FoldedGraph,
@@ -42,13 +36,6 @@ from nw_eval.api.policies import (
     serve_policy,
     show_policy,
 )
-from nw_eval.api.publishing.surfaces import (
-    Published,
-    Surfaces,
-    check_surfaces,
-    publish,
-    publish_error,
-)
 from nw_eval.api.replays import (
     foxglove_layout,
     replay,
@@ -56,26 +43,29 @@ from nw_eval.api.replays import (
     rerun_recording,
     take_over,
 )
-from nw_eval.api.running.agreements import agree
-from nw_eval.api.running.comparisons import compare
-from nw_eval.api.running.evaluation import ActingPolicy, evaluate
-from nw_eval.api.running.indexes import RunIndex, index_runs
-from nw_eval.api.running.merges import merge
-from nw_eval.api.running.plans import check, plan
-from nw_eval.api.running.reports import RunReport, judge, report
-from nw_eval.api.running.rows import read_rows
-from nw_eval.api.running.runs import run
-from nw_eval.api.running.shard_plans import ShardPlan, plan_shards
-from nw_eval.api.running.trial_plans import BarPlan, TrialPlan, plan_trials
+from nw_eval.api.reports import RunIndex, RunReport, index_runs, judge, report
+from nw_eval.api.runs import ActingPolicy, evaluate, run
+from nw_eval.api.saved_run import read_rows
+from nw_eval.api.scenes import (
+    CheckedScene,
+    ListedScene,
+    WarmUp,
+    check_scenes,
+    list_scenes,
+    render_scenes,
+    show_scene,
+    warmup,
+)
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.site import WrittenSite, write_site
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
+from nw_eval.api.surfaces import Published, Surfaces, check_surfaces, publish, publish_error
 from nw_eval.api.sweeping import SweptSuite, sweep
-from nw_eval.api.verifying.result import VerifiedRun
-from nw_eval.api.verifying.verify import verify
+from nw_eval.api.trial_plans import BarPlan, ShardPlan, TrialPlan, plan_shards, plan_trials
+from nw_eval.api.verifying import VerifiedRun, verify
 from nw_eval.request import Request
 
 __all__ = [

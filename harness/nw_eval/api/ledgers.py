@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
-    from nw_eval.gate.ledger.report import LedgerReport
+    from nw_eval.api.reports import RunReport
+    from nw_eval.gate.ledger_report import LedgerReport
 
 
 def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
@@ -24,8 +24,8 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
         UsageError: the run is a part of one, and has no verdict.
         StoreError: the ledger is damaged, or cannot be written.
     """
-    from nw_eval.api.running.saved_run import check_whole
-    from nw_eval.gate.ledger.file import append_verdict
+    from nw_eval.api.saved_run import check_whole
+    from nw_eval.gate.ledger import append_verdict
 
     check_whole(judged.info)
 
@@ -44,8 +44,8 @@ def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     Raises:
         StoreError: it is missing or damaged, or its end was cut off.
     """
-    from nw_eval.gate.ledger import file as ledger_file
-    from nw_eval.gate.ledger.report import ledger_report
+    from nw_eval.gate import ledger
+    from nw_eval.gate.ledger_report import ledger_report
 
-    contents = ledger_file.read_ledger(Path(file), head=head)
+    contents = ledger.read_ledger(Path(file), head=head)
     return ledger_report(contents.entries, dropped=contents.dropped, head=contents.last_sum)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.engine.listener import Listener
     from nw_eval.gate.bisection import Bisection, Decision
     from nw_eval.request import Request
@@ -139,7 +139,7 @@ class _InterruptedSeriesError(Exception):
 def _is_bank(good: str | Path, suite: str) -> bool:
     """Whether a name or path means a bank, and no checkpoint."""
     from nw_eval.errors import UsageError
-    from nw_eval.results.bank.find import find_bank
+    from nw_eval.results.bank_file import find_bank
 
     try:
         return find_bank(good, suite=suite).suffix == ".parquet"
@@ -175,7 +175,7 @@ def _bank_of(
     Raises:
         IncomparableError: there is a bank of its name, of something else.
     """
-    from nw_eval.api.baselines.saved import save_baseline
+    from nw_eval.api.baselines_saved import save_baseline
     from nw_eval.errors import IncomparableError
 
     if _is_bank(good, suite):
@@ -206,9 +206,9 @@ def _bank_of(
 
 def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     """Return the judged run of a checkpoint, begun or gone on with."""
-    from nw_eval.api.running.plans import plan_of
-    from nw_eval.api.running.runs import judged, roll_out
-    from nw_eval.api.running.saved_run import continued
+    from nw_eval.api.plans import plan_of
+    from nw_eval.api.runs import judged, roll_out
+    from nw_eval.api.saved_run import continued
     from nw_eval.results.journal import has_begun
     from nw_eval.suite import draft_of, load_suite
 
@@ -226,7 +226,6 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
             workers=means.workers,
             out=None if begun else folder,
             resume=folder if begun else None,
-            in_process=False,
             cache=means.cache,
             listener=means.listener,
         )

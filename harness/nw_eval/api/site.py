@@ -17,9 +17,8 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
-    from nw_eval.gate.side_by_side.entrant import Entrant
-    from nw_eval.gate.side_by_side.result import PolicyComparison
+    from nw_eval.api.reports import RunReport
+    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
     from nw_eval.reporting.site.board import BoardSection
 
 PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
@@ -73,8 +72,8 @@ def write_site(
         UsageError: one is no run's folder, there is none, or the folder holds something else.
         StoreError: the site cannot be written.
     """
-    from nw_eval.api.running.comparisons import check_share
-    from nw_eval.api.running.reports import as_published, fault_of
+    from nw_eval.api.comparisons import check_share
+    from nw_eval.api.reports import as_published, fault_of
     from nw_eval.reporting.markdown import write_report
     from nw_eval.reporting.site.board import render_board
     from nw_eval.results.run_folder import open_run_folder
@@ -148,7 +147,7 @@ def _suite_of(run: RunReport) -> str:
 
 def _rendered(judged: Sequence[RunReport], site: Path, left_out: list[str]) -> dict[Path, str]:
     """Write a report of each run, and return its address from the page, by the run's folder."""
-    from nw_eval.api.running.reports import fault_of, write_anew
+    from nw_eval.api.reports import fault_of, write_anew
 
     hrefs: dict[Path, str] = {}
     for number, run in enumerate(judged, 1):
@@ -171,8 +170,8 @@ def _sections(
     confidence: float,
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
-    from nw_eval.api.running.reports import fault_of
-    from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
+    from nw_eval.api.reports import fault_of
+    from nw_eval.gate.side_by_side import check_alike, entrant_of_run
     from nw_eval.reporting.site.board import BoardRun, BoardSection
 
     groups: list[list[tuple[RunReport, Entrant]]] = []
@@ -228,8 +227,8 @@ def _compared(
     group: list[tuple[RunReport, Entrant]], confidence: float, left_out: list[str]
 ) -> list[tuple[list[tuple[RunReport, Entrant]], PolicyComparison]]:
     """Return runs with their comparison: each alone where they have none together."""
-    from nw_eval.api.running.reports import fault_of
-    from nw_eval.gate.side_by_side.compare import compared
+    from nw_eval.api.reports import fault_of
+    from nw_eval.gate.side_by_side import compared
 
     try:
         return [(group, compared([entrant for _, entrant in group], confidence))]

@@ -64,7 +64,7 @@ def show_suite(suite: str | Path) -> ShownSuite:
         UsageError: there is no such suite.
         SuiteError: what is wrong with the file and its scenes, all of it.
     """
-    from nw_eval.api.running.faults import Faults, open_scenes
+    from nw_eval.api.plans import Faults, open_scenes
     from nw_eval.catalogue import open_scene, references
     from nw_eval.suite import draft_suite
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.running.plans import check_workers, plan
-from nw_eval.api.running.reports import judge
-from nw_eval.api.running.runs import roll_out
+from nw_eval.api.plans import check_workers, plan
+from nw_eval.api.reports import judge
+from nw_eval.api.runs import roll_out
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.request import Request
 from nw_eval.rollout.confined.start import prepare
@@ -18,7 +18,7 @@ from nw_eval.rollout.confined.start import prepare
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.sweep.curve import AxisCurve
+    from nw_eval.gate.sweep import AxisCurve
     from nw_eval.suite.swept import SweptAxis
 
 _MOST_FOLDERS = 1000
@@ -72,8 +72,8 @@ def sweep(
         UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
         StoreError: results cannot be written.
     """
-    from nw_eval.api.running.comparisons import check_share
-    from nw_eval.gate.sweep.curve import curve_of
+    from nw_eval.api.comparisons import check_share
+    from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep.pages import write_sweep
 
     check_workers(workers)
@@ -98,8 +98,6 @@ def sweep(
             planned,
             workers=workers,
             out=folder / name / f"{number}",
-            resume=None,
-            in_process=False,
             listener=listener,
             cache=cache,
         )

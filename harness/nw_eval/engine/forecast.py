@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.machine.cores import worker_count
 from nw_eval.engine.provenance import engine_of
 from nw_eval.plural import plural
-from nw_eval.results.bank.manifest import machine_in
+from nw_eval.results.bank import machine_in
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
+    from nw_eval.results.column import Settings
     from nw_eval.results.provenance import ShardInfo
-    from nw_eval.results.row.column import Settings
     from nw_eval.suite import Suite
     from nw_eval.suite.trials import DrawnStart, Trial
 
@@ -118,7 +118,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     Args:
         plan: what would be run.
     """
-    from nw_eval.gate.reach import bar_obstacles
+    from nw_eval.gate.baseline.foresee import bar_obstacles
 
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
@@ -140,7 +140,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 def _warnings(plan: Plan) -> tuple[str, ...]:
     """Return that the bar is above what the baseline's own policy scores, if it is."""
-    from nw_eval.results.bank.changes import bank_mean
+    from nw_eval.results.bank_changes import bank_mean
 
     bar, against = plan.suite.gate.success_rate, plan.against
     if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:
@@ -154,7 +154,7 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.gate.reach import trials_to_pass_baseline
+    from nw_eval.gate.baseline.foresee import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
     fresh = plan.drawn_from is None
@@ -180,7 +180,7 @@ def _against_the_bank(plan: Plan, against: Against) -> list[str]:
 def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.draw import draw_fresh, draw_trials
+    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
 
     suite, most = plan.suite, against.bank.manifest.starts
     strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]

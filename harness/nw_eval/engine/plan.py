@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
-    from nw_eval.results.bank.against import Against
+    from nw_eval.results.bank import Against
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene

@@ -20,9 +20,8 @@ from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.policies.bundle import senses_by_code
-from nw_eval.results.ended import write_trials
+from nw_eval.results.ended import of_plan, wanted, write_trials
 from nw_eval.results.journal import Journal, has_begun
-from nw_eval.results.planned import of_plan, wanted
 from nw_eval.results.provenance import StopInfo, read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot

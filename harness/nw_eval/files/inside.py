@@ -88,3 +88,20 @@ def what_is(path: Path) -> Literal["file", "folder", "nothing"]:
     except (OSError, ValueError):  # Too long a name, a zero byte, a circle of links.
         return "nothing"
     return "file" if stat.S_ISREG(mode) else "folder" if stat.S_ISDIR(mode) else "nothing"
+
+
+def bounded_bytes(path: Path, most: int) -> bytes:
+    """Return the content of a plain file of at most `most` bytes.
+
+    Raises:
+        FileNotFoundError: there is none.
+        OSError: it cannot be read.
+        ValueError: it is too large, or a device or pipe, which may never end.
+    """
+    facts = path.stat()
+    if not stat.S_ISREG(facts.st_mode):
+        raise ValueError("it is not a file")
+    if facts.st_size > most:
+        raise ValueError(f"it has {facts.st_size / 2**20:.0f} MiB, over {most // 2**20}")
+    with path.open("rb") as stream:
+        return stream.read(most)

@@ -27,21 +27,20 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.outlook import advice, courses
-from nw_eval.gate.scores import by_scene, score, successes
+from nw_eval.errors import StoreError
 from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left, too_many
-from nw_eval.gate.verdict import SceneScore, Verdict, Word
+from nw_eval.gate.verdict import Comparison, SceneScore, Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.results.row import Row
-from nw_eval.stats import (
-    Interval,
-    lower_bound,
-    upper_bound,
-)
+from nw_eval.stats.betting import Groups, lower_bound, trials_to_certify, upper_bound
+from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_eval.stats.foresight import SceneCounts, shares_after
+from nw_eval.stats.interval import Interval
 from nw_eval.suite.model import Gate
 
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
@@ -322,3 +321,149 @@ def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
 def _listed(words: Sequence[str], between: str = ", ") -> str:
     more = len(words) - _NAMED
     return between.join(words[:_NAMED]) + (f"{between}and {more} more" if more > 0 else "")
+
+
+_DRAWS = 2000
+"""For the interval of one scene, of which there may be hundreds: shown with two digits."""
+
+
+def successes(
+    rows: Sequence[Row], left: Collection[str] = (), *, counted: float | None = None
+) -> NDArray[np.float64]:
+    """Return the success rates of the trials that have a result, shape (n,).
+
+    Args:
+        rows: in any order.
+        left: trials that left the captured volume.
+        counted: as which success these count; they are left out if None.
+    """
+    values = [
+        counted if row.trial_id in left else row.success for row in rows if row.success is not None
+    ]
+    return np.array([value for value in values if value is not None], dtype=np.float64)
+
+
+def by_scene(rows: Sequence[Row], planned: Mapping[str, int]) -> dict[str, list[Row]]:
+    """Return the rows of every scene that was planned or met, scenes in alphabetical order.
+
+    Raises:
+        StoreError: a trial appears twice, which would count it twice.
+    """
+    groups: dict[str, list[Row]] = {scene: [] for scene in sorted({*planned, *_scenes(rows)})}
+    seen: set[str] = set()
+    for row in rows:
+        if row.trial_id in seen:
+            raise StoreError(
+                f"trial {row.trial_id} appears twice among the rows", fix="keep one row of a trial"
+            )
+        seen.add(row.trial_id)
+        groups[row.scene].append(row)
+    return groups
+
+
+def score(
+    scene: str, rows: Sequence[Row], planned: int, gate: Gate, left: Collection[str] = ()
+) -> SceneScore:
+    """Return the score of one scene from its rows, but for trials that left the captured volume."""
+    outside = sum(row.trial_id in left for row in rows)
+    rows = [row for row in rows if row.trial_id not in left]
+    values = successes(rows)
+    completed = sum(row.completed for row in rows)
+    estimate = mean_of_scenes([values], gate.confidence, draws=_DRAWS) if values.size else None
+    bar = gate.success_rate
+    return SceneScore(
+        scene=scene,
+        tier=gate.tier(scene),
+        planned=planned,
+        n=values.size,
+        errors=sum(row.status == "error" for row in rows),
+        completed=completed,
+        mean=estimate.mean if estimate else None,
+        interval=estimate.interval if estimate else Interval(0.0, 1.0),
+        weak=bar is not None and estimate is not None and estimate.interval.high < bar,
+        outside=outside,
+        unseen=too_many(outside, outside + values.size, gate),
+    )
+
+
+def _scenes(rows: Sequence[Row]) -> set[str]:
+    return {row.scene for row in rows}
+
+
+def courses(
+    groups: Mapping[str, Sequence[Row]],
+    scores: Sequence[SceneScore],
+    left: Collection[str] = (),
+) -> list[SceneCounts]:
+    """Return what was seen in each scene that counts, as waypoints reached.
+
+    Args:
+        groups: rows of each scene.
+        scores: of the scenes.
+        left: trials that left the captured volume, of which nothing is known.
+    """
+    found: list[SceneCounts] = []
+    for item in scores:
+        rows = [
+            row
+            for row in groups[item.scene]
+            if row.success is not None and row.trial_id not in left
+        ]
+        if item.tier != "informational" and rows:
+            reached = [row.waypoints_reached for row in rows]
+            waypoints = [row.waypoints_total for row in rows]
+            found.append(SceneCounts.of(reached, waypoints, alone=item.tier == "critical"))
+    return found
+
+
+def advice(
+    groups: Groups, seen: list[SceneCounts], gate: Gate, bar: float, *, cells: int = 1
+) -> str:
+    """Return in words what more trials may bring to a run that was not decided.
+
+    Args:
+        groups: success of the trials of each scene that counts.
+        seen: the same as waypoints reached.
+        gate: its confidence.
+        bar: what the lower bound must reach.
+        cells: of perturbations, in each of which a scene has its trials.
+    """
+    n, strata = sum(len(values) for values in groups), len(seen) * cells
+    if n < trials_to_certify(bar, gate.confidence):
+        needed = trials_to_pass(gate, strata)
+        return (
+            f"{plural(n, 'trial')} cannot reach this bar even if all are perfect: run "
+            f"{plural(needed, 'trial')} in each scene at least (--trials {needed})"
+        )
+    twice, four_times = (
+        percent(shares.passed + shares.regressed)
+        for shares in (
+            shares_after(seen, times, bar=bar, confidence=gate.confidence) for times in (2, 4)
+        )
+    )
+    # Trials that were drawn are not as many in each scene.
+    each, rest = divmod(n, len(seen))
+    now, where = (n, "") if rest else (each, " in each scene")
+    return (
+        f"{2 * now} trials{where} (now {now}) decide the bar with {twice} probability, "
+        f"{4 * now} with {four_times}; --resume with more --trials adds them"
+    )
+
+
+def trials_to_pass(gate: Gate, strata: int) -> int:
+    """Return how many trials of each scene a bar needs of a policy that never fails.
+
+    Args:
+        gate: of a suite; 0 is returned where it has no bar.
+        strata: scenes that count, each as often as it has cells of perturbations; at least 1.
+    """
+    if gate.success_rate is None:
+        return 0
+    return ceil(trials_to_certify(gate.success_rate, gate.confidence) / strata)
+
+
+def percent(share: float) -> str:
+    """Return a simulated share as words that claim no more than a simulation can."""
+    if share < 0.01:
+        return "< 1 %"
+    return "> 99 %" if share > 0.99 else f"{100 * share:.0f} %"

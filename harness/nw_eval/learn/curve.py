@@ -18,8 +18,8 @@ import pyarrow as pa
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
-from nw_eval.results.bounded import bounded_bytes
-from nw_eval.results.tables.sealed import table_of, write_table
+from nw_eval.files.inside import bounded_bytes
+from nw_eval.results.sealed import table_of, write_table
 
 _MOST_ROWS = 5_000_000
 _MOST_BYTES = 2**30

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.verdict import Comparison
 from nw_eval.plural import plural
 
 _SAME = (

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.stats.bank import CurvePoint, Margins
+from nw_eval.stats.bank.curve import CurvePoint
+from nw_eval.stats.bank.evidence import Margins
 
 _WORDS = (
     ("REGRESSED", "#c0392b"),

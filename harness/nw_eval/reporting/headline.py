@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, Recheck, percent_sure
 from nw_eval.gate.baseline.foresee import in_a_sentence
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import Comparison, Recheck, Verdict, percent_sure
 from nw_eval.plural import plural
 from nw_eval.results.provenance import RunInfo
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
-from nw_eval.gate.cause.two_by_two import Cause
+from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.certainty import how_sure
 from nw_eval.reporting.headline import blind_spot, headline

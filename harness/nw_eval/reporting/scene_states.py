@@ -12,8 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from nw_eval.gate.baseline.comparison import SceneDrop
-from nw_eval.gate.verdict import SceneScore, Verdict
+from nw_eval.gate.verdict import SceneDrop, SceneScore, Verdict
 from nw_eval.plural import plural
 
 State = Literal[

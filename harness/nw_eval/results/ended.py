@@ -2,7 +2,8 @@
 
 The journal has every row from the moment on which its trial ended. trials.parquet has those that
 are judged, once the run has ended, and run.json has the digests of both. A copy that is damaged
-costs nothing while the other is whole; what neither can show is no result.
+costs nothing while the other is whole; what neither can show is no result. Rows count that are of
+the trials which the run planned, if they are what they say.
 """
 
 from __future__ import annotations
@@ -10,17 +11,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import regular
 from nw_eval.plural import plural
-from nw_eval.results.evidence.digests import Digests, write_digests
-from nw_eval.results.evidence.gathered import Gathered
-from nw_eval.results.evidence.leaves import run_leaf
+from nw_eval.results.evidence import Digests, Gathered, run_leaf, write_digests
 from nw_eval.results.journal import last_sum, read_journal
-from nw_eval.results.planned import PlannedTrial, of_plan
-from nw_eval.results.provenance import RunInfo, write_run_info
+from nw_eval.results.provenance import RunInfo, StopInfo, write_run_info
 from nw_eval.results.row import (
     Row,
     by_column,
@@ -221,3 +219,79 @@ def _left_out(rows: Sequence[Row]) -> str:
         "not judged, because the run does not plan their trials: "
         f"{plural(len(names), 'row')} of the journal ({', '.join(names[:_NAMED])}{more})"
     )
+
+
+class PlannedTrial(Protocol):
+    """What a row must agree with; a `suite.Trial`."""
+
+    @property
+    def id(self) -> str: ...  # noqa: D102
+    @property
+    def scene(self) -> str: ...  # noqa: D102
+    @property
+    def task(self) -> str: ...  # noqa: D102
+    @property
+    def index(self) -> int: ...  # noqa: D102
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def scene_digest(self) -> str: ...  # noqa: D102
+    @property
+    def place(self) -> int | None: ...  # noqa: D102
+    @property
+    def perturbation(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
+
+
+_Planned = TypeVar("_Planned", bound=PlannedTrial)
+
+
+def wanted(trials: Iterable[_Planned], stop: StopInfo | None) -> tuple[_Planned, ...]:
+    """Return the trials of a plan that are judged: all where no trial was left out."""
+    return tuple(trial for trial in trials if stop is None or stop.wants(trial.place))
+
+
+def of_plan(
+    rows: Iterable[Row], trials: Iterable[PlannedTrial], *, checkpoint: str
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of planned trials, and all others, which no verdict may count.
+
+    Args:
+        rows: in any order.
+        trials: the plan.
+        checkpoint: the digest of the policy that the plan is for, as rows have it.
+
+    Raises:
+        StoreError: a row has the name of a planned trial, but another scene, seed or policy.
+    """
+    plan = {trial.id: trial for trial in trials}
+    mine: list[Row] = []
+    others: list[Row] = []
+    for row in rows:
+        trial = plan.get(row.trial_id)
+        if trial is None:
+            others.append(row)
+            continue
+        if difference := _difference(row, trial, checkpoint):
+            raise StoreError(
+                f"the row of trial {row.trial_id} is not of this run: {difference}",
+                fix="start a new run",
+            )
+        mine.append(row)
+    return mine, others
+
+
+def _difference(row: Row, trial: PlannedTrial, checkpoint: str) -> str | None:
+    """Return in what a row contradicts its trial, or None."""
+    pairs = {
+        "scene": (row.scene, trial.scene),
+        "task": (row.task, trial.task),
+        "index": (row.seed_index, trial.index),
+        "perturbation": (row.perturbation, trial.perturbation),
+        "scene digest": (row.scene_digest, trial.scene_digest),
+        "checkpoint digest": (row.checkpoint_digest, checkpoint),
+        "seed": (row.seed, trial.seed),
+    }
+    for name, (found, planned) in pairs.items():
+        if found != planned:
+            return f"its {name} is {found!r}, planned was {planned!r}"
+    return None

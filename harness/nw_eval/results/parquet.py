@@ -1,20 +1,66 @@
-"""Rows in one Parquet file: the explicit Arrow schema, sealed as `tables.sealed` has it."""
+"""Rows in one Parquet file: the explicit Arrow schema, sealed as `sealed` has it.
+
+The schema is made from what `Row` says of its fields. Arrow's arrays are laid out here from plain
+values, as https://arrow.apache.org/docs/format/Columnar.html has it: Arrow's own `array`, on which
+all its other ways stand, imports pandas wherever that is installed, to see whether it was given
+something of it: longer than to write ten thousand rows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.results.bounded import bounded_bytes
-from nw_eval.results.columns import SCHEMA
+from nw_eval.files.inside import bounded_bytes
+from nw_eval.results.column import Column, Numbers, Settings
 from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
-from nw_eval.results.tables.arrays import array_of
-from nw_eval.results.tables.sealed import is_foreign, metadata_of, table_of, write_table
+from nw_eval.results.sealed import is_foreign, metadata_of, table_of, write_table
+
+_TYPES: Mapping[Any, pa.DataType] = {
+    str: pa.string(),
+    bool: pa.bool_(),
+    float: pa.float64(),
+    float | None: pa.float64(),
+    Numbers: pa.list_(pa.float32()),
+    Settings: pa.map_(pa.string(), pa.float64()),
+}
+_WHOLE = {31: pa.int32(), 63: pa.int64(), 64: pa.uint64()}
+
+
+def _type(column: Column) -> pa.DataType:
+    if column.words or column.repeats:
+        return pa.dictionary(pa.int32(), pa.string())
+    return _WHOLE[column.bits] if column.kind is int else _TYPES[column.kind]
+
+
+SCHEMA = pa.schema(
+    [
+        pa.field(name, _type(column), nullable=column.nullable, metadata={"about": column.about})
+        for name, column in COLUMNS.items()
+    ]
+)
+"""The columns in the order of the file. Its metadata say what each one holds (`about`)."""
+
+
+def columns_table() -> str:
+    """Return the columns as the Markdown table of docs/results.md."""
+    lines = ["| column | type | what |", "|---|---|---|"]
+    lines += [f"| `{name}` | {_shown(name)} | {column.about} |" for name, column in COLUMNS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _shown(name: str) -> str:
+    field = SCHEMA.field(name)
+    kind = str(field.type.value_type if pa.types.is_dictionary(field.type) else field.type)
+    return f"{kind} or none" if field.nullable else kind
+
 
 SCHEMA_VERSION = "2"
 """Raised when a column changes its meaning; new columns may be added without."""
@@ -112,3 +158,74 @@ def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
 def _plain(table: pa.Table) -> list[dict[str, Any]]:
     schema = pa.schema([field for field in SCHEMA if field.name in table.schema.names])
     return table.select(schema.names).cast(schema).to_pylist()
+
+
+def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """Return what `pa.array` does, of a type that rows have.
+
+    Args:
+        values: texts, numbers, truth values, sequences of numbers, or of pairs of text and number;
+            None where a number may be missing.
+        kind: the type.
+
+    Raises:
+        OverflowError, TypeError, ValueError: a value is not of that type.
+    """
+    if pa.types.is_dictionary(kind):
+        words = {word: number for number, word in enumerate(dict.fromkeys(values))}
+        numbers = array_of(list(map(words.__getitem__, values)), kind.index_type)
+        return pa.DictionaryArray.from_arrays(numbers, array_of(list(words), kind.value_type))
+    if pa.types.is_string(kind):
+        data = "".join(values).encode()
+        lengths = values if data.isascii() else [value.encode() for value in values]
+        return _laid_out(kind, values, _ends(lengths), data)
+    if pa.types.is_map(kind):
+        pairs = list(chain.from_iterable(values))
+        keys = array_of([name for name, _ in pairs], kind.key_type)
+        items = array_of([number for _, number in pairs], kind.item_type)
+        return pa.MapArray.from_arrays(_offsets(values), keys, items)
+    if pa.types.is_list(kind):
+        parts = array_of(list(chain.from_iterable(values)), kind.value_type)
+        return pa.ListArray.from_arrays(_offsets(values), parts)
+    if pa.types.is_boolean(kind):
+        return _laid_out(kind, values, _bits(values))
+    if None not in values:
+        return _laid_out(kind, values, np.array(values, _number(kind)))
+    known = [value is not None for value in values]
+    numbers = np.array([0 if value is None else value for value in values], _number(kind))
+    return _laid_out(kind, values, numbers, known=pa.py_buffer(_bits(known)))
+
+
+def _laid_out(
+    kind: pa.DataType, values: Sequence[Any], *content: Any, known: Any = None
+) -> pa.Array:
+    """Return an array of what lies in memory as Arrow wants it.
+
+    Args:
+        kind: of the array.
+        values: so many it has.
+        content: its buffers.
+        known: bits that say which values there are; None = all.
+    """
+    return pa.Array.from_buffers(kind, len(values), [known, *map(pa.py_buffer, content)])
+
+
+def _number(kind: pa.DataType) -> str:
+    """Return NumPy's name of a type of numbers."""
+    is_whole = not pa.types.is_floating(kind)
+    family = ("u" if pa.types.is_unsigned_integer(kind) else "i") if is_whole else "f"
+    return f"<{family}{kind.bit_width // 8}"
+
+
+def _offsets(values: Sequence[Any]) -> pa.Array:
+    ends = _ends(values)
+    return _laid_out(pa.int32(), ends, ends)
+
+
+def _bits(values: Sequence[bool]) -> Any:
+    return np.packbits(np.array(values, bool), bitorder="little")
+
+
+def _ends(values: Sequence[Any]) -> Any:
+    """Return where each of some sequences begins when they are joined, and where the last ends."""
+    return np.fromiter(accumulate(map(len, values), initial=0), "<i4", len(values) + 1)

@@ -1,4 +1,4 @@
-"""A file of rows, read by a process of its own: see `tables.apart`."""
+"""A file of rows, read by a process of its own: see `tables`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nw_eval.results.row import Row, from_dicts, to_dict
-from nw_eval.results.tables.apart import answer, values_apart
+from nw_eval.results.tables import answer, values_apart
 
 _FIX = "restore the run's folder from a copy, or run again"
 

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import bounded_bytes
 from nw_eval.request import Request
-from nw_eval.results.bounded import bounded_bytes
 from nw_eval.results.seal import seal, unseal
 from nw_eval.words import PanelKind, RasterizeMode
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.errors import Problem, UsageError
-from nw_eval.results.bounded import bounded_bytes
+from nw_eval.files.inside import bounded_bytes
 
 COLUMNS = ("policy", "scene", "trials", "success")
 _MOST = 2**20  # Bytes: some 10,000 lines.

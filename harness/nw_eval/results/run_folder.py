@@ -42,7 +42,7 @@ class RunFolder:
 
     @property
     def digests(self) -> Path:
-        """What the Merkle root of run.json is made of; see `evidence.digests`."""
+        """What the Merkle root of run.json is made of; see `evidence.Digests`."""
         return self.path / "digests.json"
 
     @property

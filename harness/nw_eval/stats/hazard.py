@@ -25,8 +25,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from nw_eval.stats.binomial import fisher, newcombe, wilson
-from nw_eval.stats.interval import Interval, check_confidence
+from nw_eval.stats.interval import Interval, check_confidence, fisher, newcombe, wilson
 
 Ends = Sequence[int]
 """How many trials of a scene ended after 0, 1, .. K waypoints: K + 1 numbers."""

@@ -13,7 +13,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.stats import trials_to_certify
+from nw_eval.stats.betting import trials_to_certify
 
 _POLICIES: Mapping[str, str] = MappingProxyType(
     {"go1": "go1-parkour", "go2": "examples/himloco-go2"}

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from nw_eval.api.running.evidence.chosen import clipped_trials, drawn_trials
-from nw_eval.api.running.evidence.compose import composed
-from nw_eval.api.running.evidence.content import ReadLog
+from nw_eval.api.evidence import clipped_trials, composed, drawn_trials
+from nw_eval.api.evidence_log import ReadLog
 
 
 @pytest.fixture

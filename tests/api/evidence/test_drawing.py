@@ -9,9 +9,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from PIL import Image
 
-from nw_eval.api.running.evidence.above import box_round, picture_from_above
-from nw_eval.api.running.evidence.clip import clip_of, sized
-from nw_eval.api.running.evidence.pictures import LatestPictures
+from nw_eval.api.evidence_log import LatestPictures, box_round, clip_of, picture_from_above, sized
 from nw_eval.rollout.mcap.content.images import image_message
 from nw_eval.rollout.mcap.records import LoggedMessage
 

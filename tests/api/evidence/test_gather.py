@@ -18,10 +18,9 @@ from mcap.writer import CompressionType, Writer
 from PIL import Image
 
 from nw_eval import api
-from nw_eval.api.running.evidence import apart
-from nw_eval.api.running.evidence.content import ReadLogs
-from nw_eval.api.running.evidence.gather import gather_evidence
-from nw_eval.api.running.evidence.log import read_logs
+from nw_eval.api import evidence as evidence_module
+from nw_eval.api.evidence import gather_evidence
+from nw_eval.api.evidence_log import ReadLogs, read_logs
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.mcap.reader import LogReader
 
@@ -159,7 +158,7 @@ def test_a_damaged_log_costs_its_own_part_and_a_remark(run):
 DEADLY = """\
 import os
 from pathlib import Path
-from nw_eval.api.running.evidence.log import read_logs as read
+from nw_eval.api.evidence_log import read_logs as read
 
 def read_logs(wanted, clips, room):
     if any(Path(path).read_bytes() == b"deadly" for path, _ in wanted):
@@ -171,7 +170,7 @@ def read_logs(wanted, clips, room):
 def test_a_log_that_ends_its_reader_costs_only_itself(run, tmp_path, monkeypatch):
     (tmp_path / "deadly_reader.py").write_text(DEADLY)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(apart, "read_logs", __import__("deadly_reader").read_logs)
+    monkeypatch.setattr(evidence_module, "read_logs", __import__("deadly_reader").read_logs)
     first, second = sorted(logs(run))
     logs(run)[first].write_bytes(b"deadly")
     evidence = gathered(run)
@@ -268,8 +267,8 @@ def test_reading_logs_loads_no_simulation(whole):
     log = str(folder / rows[0].mcap_path)
     code = (
         "import sys\n"
-        "import nw_eval.api.running.evidence.gather\n"
-        "from nw_eval.api.running.evidence.log import read_logs\n"
+        "import nw_eval.api.evidence\n"
+        "from nw_eval.api.evidence_log import read_logs\n"
         f"answer = read_logs([({log!r}, 'a')], [{log!r}], {{'picture': 20000, 'clip': 100000}})\n"
         "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'trimesh', 'matplotlib'}\n"
         "print(len(answer) > 5000, sorted(heavy & set(sys.modules)))"

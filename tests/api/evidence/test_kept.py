@@ -9,10 +9,9 @@ from dataclasses import replace
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running.evidence import gather, kept
-from nw_eval.api.running.evidence.apart import WantedLog
-from nw_eval.api.running.evidence.kept import KeptEvidence
-from nw_eval.api.running.reports import as_begun, written
+from nw_eval.api import evidence
+from nw_eval.api.evidence import KeptEvidence, WantedLog, gather_evidence
+from nw_eval.api.reports import as_begun, written
 from nw_eval.results.provenance import CacheInfo
 from nw_eval.results.run_folder import RunFolder
 
@@ -33,20 +32,20 @@ def filled(store, recorded):
 
 
 def gathered(folder, rows, store=None):
-    return gather.gather_evidence(RunFolder(path=folder), rows, store)
+    return gather_evidence(RunFolder(path=folder), rows, store)
 
 
 def nothing_is_read(monkeypatch):
     def read(*_):
         raise AssertionError("a log is read")
 
-    monkeypatch.setattr(gather, "read_apart", read)
+    monkeypatch.setattr(evidence, "read_apart", read)
 
 
 def reads(monkeypatch):
     """Return a list that grows whenever logs are read."""
-    count, read = [], gather.read_apart
-    monkeypatch.setattr(gather, "read_apart", lambda *all_: count.append(1) or read(*all_))
+    count, read = [], evidence.read_apart
+    monkeypatch.setattr(evidence, "read_apart", lambda *all_: count.append(1) or read(*all_))
     return count
 
 
@@ -94,7 +93,7 @@ def test_a_run_that_ends_asks_what_was_kept_and_one_without_the_cache_does_not(
         lambda file: file.write_bytes(b"\0" * 2000),
         lambda file: (file.unlink(), file.mkdir()),
         lambda file: (file.unlink(), os.mkfifo(file)),
-        lambda file: os.truncate(file, kept._MOST_FILE + 1),
+        lambda file: os.truncate(file, evidence._MOST_FILE + 1),
     ],
     ids=["empty", "cut", "changed", "zeros", "a folder", "a pipe", "huge"],
 )
@@ -159,7 +158,7 @@ def test_files_that_were_not_used_for_longest_go_first(filled, recorded, monkeyp
     os.utime(used, (2, 2))
     gathered(recorded.folder, recorded.rows, store)
     assert used.stat().st_mtime > 2, "it has been of use"
-    monkeypatch.setattr(kept, "_MOST", 2 * size)
+    monkeypatch.setattr(evidence, "_MOST", 2 * size)
     gathered(recorded.folder, recorded.rows[:1], store)
     assert used in set(store.folder.iterdir())
     assert not old.exists()

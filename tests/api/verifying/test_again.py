@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from nw_eval import api
-from nw_eval.api.verifying.logs import partings, partings_apart
+from nw_eval.api.verifying_again import partings, partings_apart
 from nw_eval.cli import main
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, read_journal

@@ -6,7 +6,7 @@ import time
 
 from case import send
 
-from nw_eval.results.evidence.logs import look_at_logs
+from nw_eval.results.evidence_check import look_at_logs
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
 

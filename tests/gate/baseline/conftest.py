@@ -6,10 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.draw import drawn_order
-from nw_eval.results.bank import Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.against import Against, ControlArm
-from nw_eval.results.bank.manifest import BankPolicy, key_of, machine_of
+from nw_eval.gate.baseline.match import drawn_order
+from nw_eval.results.bank import (
+    Against,
+    BankPolicy,
+    ControlArm,
+    Manifest,
+    Panel,
+    PanelInfo,
+    SavedBank,
+    Start,
+    key_of,
+    machine_of,
+)
 from nw_eval.results.provenance import (
     BaselineInfo,
     CodeInfo,

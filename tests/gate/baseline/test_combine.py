@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate import judge
-from nw_eval.gate.absolute import word_of_bar
+from nw_eval.gate.absolute import judge, word_of_bar
 from nw_eval.gate.baseline.combine import combined, judge_run
-from nw_eval.gate.baseline.draw import drawn_order
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.baseline.match import drawn_order
 from nw_eval.reporting import headline
 from nw_eval.results.bank import trajectory
 from nw_eval.results.provenance import PolicyInfo, StopInfo, recheck_key
@@ -21,8 +20,7 @@ from nw_eval.suite import Gate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.baseline.comparison import Comparison
-    from nw_eval.gate.verdict import Verdict
+    from nw_eval.gate.verdict import Comparison, Verdict
     from nw_eval.results.bank import SavedBank
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.running.against.contest import Contest
+from nw_eval.api.contest import Contest
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.provenance import run_info
 from nw_eval.gate.absolute import word_of_bar
 from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.gate.baseline.judge import compare
-from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank_file import write_bank
 from nw_eval.results.provenance import StopInfo
 from nw_eval.results.run_folder import RunFolder
 

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.baseline.holding.known import contradictions
 from nw_eval.gate.baseline.judge import compare, setup_of
+from nw_eval.gate.baseline.known import contradictions
 from nw_eval.reporting.tables.baseline import baseline_table
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
@@ -20,8 +20,7 @@ from nw_eval.suite.model import Validity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank.against import Against, ControlArm
+    from nw_eval.results.bank import Against, ControlArm, SavedBank
     from nw_eval.results.provenance import RunInfo
 
     Make = Callable[..., Any]

@@ -14,7 +14,7 @@ from nw_eval.gate.baseline.foresee import (
     outset_of_bank,
     outset_of_rows,
 )
-from nw_eval.stats.bank import CurvePoint, Progress
+from nw_eval.stats.bank.curve import CurvePoint, Progress
 from nw_eval.suite.model import Gate
 
 if TYPE_CHECKING:

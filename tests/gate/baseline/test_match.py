@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.holding.match import check_match
+from nw_eval.gate.baseline.match import check_match
 from nw_eval.request import Request
 from nw_eval.results.provenance import SceneInfo
 

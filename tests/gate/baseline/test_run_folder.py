@@ -15,7 +15,7 @@ import pytest
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.results.bank.file import write_bank
+from nw_eval.results.bank_file import write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info
@@ -36,7 +36,7 @@ GATE = {"gate": {"max_drop": 0.1}}
 
 def write_run(run: RunInfo, rows: Iterable[Row]) -> str:
     """Write a run that has ended with these rows; their seeds become those of its trials."""
-    from nw_eval.api.running.saved_run import saved_suite, saved_trials
+    from nw_eval.api.saved_run import saved_suite, saved_trials
 
     folder = RunFolder(path=Path("run"))
     folder.path.mkdir()

@@ -12,9 +12,9 @@ from typing import IO, TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import StoreError
+from nw_eval.gate import ledger as ledger_file
 from nw_eval.gate.absolute import judge
-from nw_eval.gate.ledger import file
-from nw_eval.gate.ledger.file import append_entry, append_verdict, read_ledger
+from nw_eval.gate.ledger import append_entry, append_verdict, read_ledger
 from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.seal import seal
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.gate.ledger.entry import LedgerEntry
+    from nw_eval.gate.ledger import LedgerEntry
     from nw_eval.results.row import Row
 
 
@@ -219,8 +219,8 @@ def test_gates_that_end_at_once_all_get_their_line(tmp_path: Path, entries: list
 APPEND = """
 import sys
 from pathlib import Path
-from nw_eval.gate.ledger.entry import LedgerEntry
-from nw_eval.gate.ledger.file import append_entry
+from nw_eval.gate.ledger import LedgerEntry
+from nw_eval.gate.ledger import append_entry
 
 entry = LedgerEntry.model_validate_json(Path(sys.argv[2]).read_text())
 for _ in range(25):
@@ -247,7 +247,7 @@ def test_a_line_that_another_machine_writes_over_is_added_once_more(
     """On a share whose locks are of one machine alone: no local file can be made to do that."""
     path = tmp_path / "l.jsonl"
     append_entry(path, entries[0])
-    write, begun = file._write, path.read_bytes()
+    write, begun = ledger_file._write, path.read_bytes()
 
     def write_over(handle: IO[bytes], data: bytes) -> None:
         write(handle, data)
@@ -255,7 +255,7 @@ def test_a_line_that_another_machine_writes_over_is_added_once_more(
             times.pop()
             path.write_bytes(begun)
 
-    monkeypatch.setattr(file, "_write", write_over)
+    monkeypatch.setattr(ledger_file, "_write", write_over)
     times = [1, 2]
     append_entry(path, entries[1])
     assert read_ledger(path).entries == tuple(entries[:2])

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.gate.side_by_side.compare import side_by_side
-from nw_eval.gate.side_by_side.entrant import Entrant
+from nw_eval.gate.side_by_side import Entrant, side_by_side
 from nw_eval.results.bank import BankKey, Start
 
 SCENES = {"hurdles/low": "11" * 32, "hurdles/high": "22" * 32}

@@ -14,7 +14,7 @@ from nw_eval.learn.studies.plan import (
     settled,
 )
 from nw_eval.learn.studies.scores import Outcome, difference, score, write_page, write_scores
-from nw_eval.stats import mean_of_scenes
+from nw_eval.stats.bootstrap import mean_of_scenes
 
 
 def trials(scene, successes, *, student="me", number=1):

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from nw_eval.errors import Problem, SuiteError, UsageError
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.reporting.github.annotations import error_annotations, run_annotations
 from nw_eval.reporting.github.commands import END_GROUP, begin_group, command
 from nw_eval.reporting.suite_lines import suite_lines

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from cmarkgfm.cmark import Options, github_flavored_markdown_to_html
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined, without_bank
-from nw_eval.gate.baseline.comparison import Comparison
+from nw_eval.gate.verdict import Comparison
 from nw_eval.reporting.github.comment import comment_page
 from nw_eval.reporting.github.summary import summary_page
 from nw_eval.reporting.markdown import escaped, markdown_table

@@ -11,7 +11,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 from nw_eval.errors import StoreError
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.reporting.github.comment import comment_page
 from nw_eval.reporting.github.summary import SUMMARY, summary_page
 from nw_eval.suite import Gate

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.api.running.saved_run import saved_suite, saved_trials
-from nw_eval.gate import judge
+from nw_eval.api.saved_run import saved_suite, saved_trials
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.reporting.html import render_html
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,

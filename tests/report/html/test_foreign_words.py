@@ -93,7 +93,7 @@ def test_every_surface_of_the_page_shows_them_as_text(nasty_page: str, read: Mak
 def test_the_page_over_many_runs_shows_them_as_text(
     make_run: Make, make_row: Make, read: Make
 ) -> None:
-    from nw_eval.gate import judge
+    from nw_eval.gate.absolute import judge
     from nw_eval.suite import Gate
 
     run = make_run({NASTY: 1}, id=NASTY, started=NASTY, suite={"name": NASTY})

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("websockets")
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.reporting.html import ListedRun, render_index
 from nw_eval.suite import Gate
@@ -25,7 +25,7 @@ from browser import CHROMIUM, Browser, browser
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from nw_eval.gate.baseline.comparison import Comparison
+    from nw_eval.gate.verdict import Comparison
 
     Make = Callable[..., Any]
 

@@ -7,7 +7,7 @@ from io import BytesIO
 import pytest
 from PIL import Image
 
-from nw_eval.gate import judge
+from nw_eval.gate.absolute import judge
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers import tracked_run
 from nw_eval.results.provenance import PolicyInfo

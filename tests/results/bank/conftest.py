@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.results.bank import BankKey, Manifest, Panel, PanelInfo, SavedBank, Start
-from nw_eval.results.bank.manifest import BankPolicy
+from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
 
 if TYPE_CHECKING:
     from collections.abc import Callable

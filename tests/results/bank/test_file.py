@@ -14,11 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.results.bank.file import bank_of, read_bank, write_bank
-from nw_eval.results.bank.table import bank_table
+from nw_eval.results.bank_file import bank_of, bank_table, read_bank, write_bank
 from nw_eval.results.parquet import write_rows
-from nw_eval.results.tables.sealed import metadata_of
-from nw_eval.results.tables.small import small_table, write_small_table
+from nw_eval.results.sealed import metadata_of
+from nw_eval.results.tables import small_table, write_small_table
 from nw_eval.words import OUTCOMES
 
 if TYPE_CHECKING:

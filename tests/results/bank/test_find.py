@@ -6,8 +6,8 @@ import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.files.shipped import shipped as shipped_folder
-from nw_eval.results.bank import find
-from nw_eval.results.bank.find import bank_files, find_any, find_bank
+from nw_eval.results import bank_file
+from nw_eval.results.bank_file import bank_files, find_any, find_bank
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """The project's banks and the shipped ones, each with one for `hurdles`."""
     mine, shipped = tmp_path / "mine", tmp_path / "shipped"
-    monkeypatch.setattr(find, "shipped", lambda _: shipped)
+    monkeypatch.setattr(bank_file, "shipped", lambda _: shipped)
     for folder, name in ((mine, "best"), (shipped, "go1-parkour")):
         (folder / "hurdles").mkdir(parents=True)
         (folder / "hurdles" / f"{name}.parquet").write_bytes(name.encode())

@@ -7,8 +7,8 @@ from operator import attrgetter
 
 import pytest
 
-from nw_eval.results.evidence import leaves
-from nw_eval.results.evidence.leaves import row_leaf, run_leaf
+from nw_eval.results import evidence
+from nw_eval.results.evidence import row_leaf, run_leaf
 from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo, StopInfo
 from nw_eval.results.row import COLUMNS, Row, from_dict, to_dict
 
@@ -86,7 +86,7 @@ def test_a_row_keeps_its_hash_through_files_and_under_versions_with_more_columns
     assert row_leaf(from_dict(to_dict(replace(row, sim_s=4)))) == row_leaf(row)
     # As a version wrote it that knew fewer columns: those that it lacked have their defaults.
     before = row_leaf(row)
-    monkeypatch.setattr(leaves, "_VALUES", attrgetter(*list(COLUMNS)[:-1]))
+    monkeypatch.setattr(evidence, "_VALUES", attrgetter(*list(COLUMNS)[:-1]))
     assert row_leaf(row) == before
 
 

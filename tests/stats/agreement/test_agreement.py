@@ -8,9 +8,14 @@ from math import atanh, comb, sqrt, tanh
 import numpy as np
 import pytest
 
-from nw_eval.stats.agreement import agreement, mmrv, pearson, perfect_simulator
-from nw_eval.stats.agreement.agree import Measured
-from nw_eval.stats.agreement.floor import likely_rates
+from nw_eval.stats.agreement import (
+    Measured,
+    agreement,
+    likely_rates,
+    mmrv,
+    pearson,
+    perfect_simulator,
+)
 
 
 def measured(real, simulated, trials=10):

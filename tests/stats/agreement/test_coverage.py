@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.stats.agreement.figures import FIGURES
-from nw_eval.stats.agreement.jackknife import jackknife
+from nw_eval.stats.agreement import FIGURES, jackknife
 
 SUMMARY = Path(__file__).with_name("coverage.json")
 CAMPAIGNS = 2000

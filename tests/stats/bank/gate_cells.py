@@ -24,8 +24,8 @@ from zlib import crc32
 import numpy as np
 
 from nw_eval.results.bank import score
-from nw_eval.results.bank.file import read_bank
-from nw_eval.stats.bank import Bank, Margins
+from nw_eval.results.bank_file import read_bank
+from nw_eval.stats.bank.evidence import Bank, Margins
 from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle_all
 
 GATES = 2000

@@ -22,17 +22,18 @@ from record_gate_page import (
     recorded,
 )
 
-from nw_eval.stats import SceneCounts
-from nw_eval.stats.bank import (
+from nw_eval.stats.bank.curve import (
     Against,
-    Margins,
-    TrialRules,
+    chances_of,
+    draw,
     operating_curve,
     progress_at,
-    settle_all,
+    success_of,
     trials_for,
 )
-from nw_eval.stats.bank.simulate import chances_of, draw, success_of
+from nw_eval.stats.bank.evidence import Margins
+from nw_eval.stats.bank.trials import TrialRules, settle_all
+from nw_eval.stats.foresight import SceneCounts
 
 BANK = [replace(course, counts=6 * course.counts) for course in SEEN]
 RULES = TrialRules(tiers=("supporting",) * len(SEEN))

@@ -7,16 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.stats.bank import (
-    Bank,
-    DrawnTrials,
-    Margins,
-    Progress,
-    TrialRules,
-    progress_from,
-    settle,
-    trials_for,
-)
+from nw_eval.stats.bank.curve import Progress, progress_from, trials_for
+from nw_eval.stats.bank.evidence import Bank, Margins
+from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle
 
 SCENES, STARTS = 8, 60
 ALL = SCENES * STARTS

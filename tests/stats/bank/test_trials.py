@@ -11,15 +11,14 @@ import pytest
 from gate_cells import HURDLES, scores_of
 from measured import real_run
 
-from nw_eval.stats.bank import (
+from nw_eval.stats.bank.evidence import Bank, Margins
+from nw_eval.stats.bank.interval import drop_interval_after
+from nw_eval.stats.bank.trials import (
     CRITICAL_TRIALS,
     SUSPECT,
-    Bank,
     DrawnTrials,
-    Margins,
     TrialRules,
     TrialRuling,
-    drop_interval_after,
     looks,
     most_false_alarms,
     settle,

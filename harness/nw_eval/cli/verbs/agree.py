@@ -13,7 +13,7 @@ from nw_eval.clean import clean
 from nw_eval.cli.terminal.lines import aligned
 
 if TYPE_CHECKING:
-    from nw_eval.stats.agreement.agree import Agreement, AgreementFigure
+    from nw_eval.stats.agreement import Agreement, AgreementFigure
     from nw_eval.stats.interval import Interval
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         VerifiedBaseline,
     )
     from nw_eval.results.bank import Panel, SavedBank, Start, Stratum
-    from nw_eval.results.bank.changes import BankChange, FieldChange, SceneChange
+    from nw_eval.results.bank_changes import BankChange, FieldChange, SceneChange
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,7 +303,7 @@ def _line(listed: ListedBaseline) -> tuple[str, ...]:
 
 
 def _facts(shown: ShownBaseline) -> Iterator[str]:
-    from nw_eval.results.bank.changes import bank_mean
+    from nw_eval.results.bank_changes import bank_mean
 
     manifest, bank = shown.bank.manifest, shown.bank
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
@@ -333,7 +333,7 @@ def _against_first(panel: Panel, first: Panel) -> str:
 
 
 def _scenes(bank: SavedBank) -> Iterator[tuple[str, ...]]:
-    from nw_eval.results.bank.changes import mean_of
+    from nw_eval.results.bank_changes import mean_of
 
     yield "scene", "mean", "completed", "others"
     for stratum, starts in bank.panels[0].by_stratum.items():
@@ -450,7 +450,7 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
 
 
 def _mean(change: BankChange) -> tuple[str, ...]:
-    from nw_eval.results.bank.changes import bank_mean
+    from nw_eval.results.bank_changes import bank_mean
 
     then, now = bank_mean(change.then), bank_mean(change.now)
     return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
@@ -469,7 +469,7 @@ def _flipped(change: SceneChange) -> str:
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
-    from nw_eval.results.bank.changes import bank_mean
+    from nw_eval.results.bank_changes import bank_mean
 
     manifest = saved.bank.manifest
     size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"

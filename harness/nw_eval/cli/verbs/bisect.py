@@ -13,7 +13,7 @@ from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
-    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.reports import RunReport
     from nw_eval.api.series import BisectedSeries
     from nw_eval.gate.bisection import Bisection
 
@@ -145,7 +145,7 @@ def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
 
 def _worse(run: RunReport | None) -> str:
     """Return between which drops a flagged checkpoint lies; nothing where that is unknown."""
-    from nw_eval.gate.baseline.comparison import percent_sure
+    from nw_eval.gate.verdict import percent_sure
 
     against = None if run is None else run.verdict.against
     if against is None or against.interval is None:
@@ -159,7 +159,7 @@ def _worse(run: RunReport | None) -> str:
 
 def _up_to(run: RunReport | None) -> str:
     """Return how much worse a checkpoint that passed may be; nothing where that is unknown."""
-    from nw_eval.gate.baseline.comparison import percent_sure
+    from nw_eval.gate.verdict import percent_sure
 
     against = None if run is None else run.verdict.against
     if against is None or against.interval is None or against.basis == "same":

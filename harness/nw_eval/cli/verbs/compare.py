@@ -12,7 +12,7 @@ import tyro
 from nw_eval.cli.terminal.lines import aligned
 
 if TYPE_CHECKING:
-    from nw_eval.gate.side_by_side.result import PolicyComparison
+    from nw_eval.gate.side_by_side import PolicyComparison
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from nw_eval.clean import clean
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.gate.ledger.report import Alarms, BestOfMany, LedgerReport, Reroll
+    from nw_eval.gate.ledger_report import Alarms, BestOfMany, LedgerReport, Reroll
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -174,7 +174,7 @@ def _detection(planned: TrialPlan) -> str:
 
 def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     """Return after how many trials something is so in 80 and in 90 %."""
-    from nw_eval.stats.bank import trials_for
+    from nw_eval.stats.bank.curve import trials_for
 
     found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
     parts = [

@@ -14,8 +14,8 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
-    from nw_eval.api.verifying.result import RepeatedTrial, Repeats
-    from nw_eval.results.evidence.discrepancy import CheckedFiles, Discrepancy
+    from nw_eval.api.verifying import RepeatedTrial, Repeats
+    from nw_eval.results.evidence_check import CheckedFiles, Discrepancy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Verify:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.api.verifying.sample import SAMPLE
+        from nw_eval.api.verifying import SAMPLE
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress

@@ -19,7 +19,7 @@ from nw_eval.engine.cache.entry import NO_ENTRY, CacheEntry
 from nw_eval.engine.trials.rows import taken_over
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
-from nw_eval.results.planned import of_plan
+from nw_eval.results.ended import of_plan
 from nw_eval.results.provenance import CacheInfo
 
 if TYPE_CHECKING:

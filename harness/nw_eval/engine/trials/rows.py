@@ -6,7 +6,7 @@ import platform
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nw_eval.results.evidence.leaves import log_sha256
+from nw_eval.results.evidence import log_sha256
 from nw_eval.results.row import Row
 from nw_eval.rollout.result import policy_fault
 

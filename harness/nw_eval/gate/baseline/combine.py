@@ -1,4 +1,10 @@
-"""The bar and the baseline in one verdict: both must pass."""
+"""The verdict on a run: by the bar and by the baseline, both of which must pass.
+
+Of a part of a run it is only said whether its trials ran. Which trials a part has follows from
+hashes: it is no sample that anything is claimed of, it need not have met a critical scene, and it
+has no whole round. So the word is RAN, or what keeps the part from being put together with the
+others. The whole is judged.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,11 @@ from functools import partial
 from shlex import quote
 
 from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.baseline.holding.known import known_rows
+from nw_eval.gate.baseline.finding import by_place
 from nw_eval.gate.baseline.judge import compare, setup_of
-from nw_eval.gate.baseline.met import by_place
-from nw_eval.gate.part import of_part
-from nw_eval.gate.verdict import Verdict, Word
-from nw_eval.results.bank.against import Against
+from nw_eval.gate.baseline.known import known_rows
+from nw_eval.gate.verdict import Comparison, Verdict, Word
+from nw_eval.results.bank import Against
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.suite.model import Gate
@@ -28,7 +32,7 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Where the bank's own policy did other than the bank says on the machine of the run, the verdict
     is INVALID: nothing is charged to the candidate. Where the candidate is the bank's own policy,
     the bank's results are judged in place of the run's only if all that ran again is equal. A part
-    of a run is not judged (`gate.part`).
+    of a run is not judged (`_of_part`).
 
     Args:
         rows: of the run's plan.
@@ -40,7 +44,7 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
         IncomparableError, StoreError: as `compare`.
     """
     whole = run.shard is None
-    verdict = _of_rows(rows, run, gate, against) if whole else of_part(rows, run, gate)
+    verdict = _of_rows(rows, run, gate, against) if whole else _of_part(rows, run, gate)
     verdict = replace(
         verdict,
         per_scene=tuple(
@@ -156,3 +160,26 @@ def _word(bar: Word, baseline: Word) -> Word:
     if "REGRESSED" in both:
         return "REGRESSED"
     return "INCONCLUSIVE" if "INCONCLUSIVE" in both else "PASS"
+
+
+def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
+    """Return RAN, INFRASTRUCTURE where a trial has no result, INVALID where the bank fails here.
+
+    Args:
+        rows: of the part's plan.
+        run: what they are of; `run.shard` says which part.
+        gate: the suite's settings, of which no bar and no tier counts.
+    """
+    bare = gate.model_copy(
+        update={"success_rate": None, "max_drop": None, "tiers": {}, "validity": None}
+    )
+    planned = {scene: count for scene, count in run.planned.items() if count}
+    verdict = judge(rows, bare, planned)
+    scores = tuple(replace(item, tier=gate.tier(item.scene)) for item in verdict.per_scene)
+    word, reasons = verdict.verdict, verdict.reasons
+    if run.baseline is not None and run.baseline.moved:
+        word, reasons = "INVALID", run.baseline.moved
+    elif word == "RAN":
+        reasons = ()
+    whole = f"{run.shard}: `nw-eval merge` puts all parts together, and judges the whole"
+    return replace(verdict, verdict=word, reasons=(*reasons, whole), per_scene=scores)

@@ -1,33 +1,43 @@
-"""What a gate against a baseline would show of policies that it has not met, by simulation.
+"""What a gate would show of policies that it has not met: by simulation, or of one without a fault.
 
-From a bank, or from the rows of a plain run: then for a bank that is not there yet, as if what the
-run scored were the baseline's true success.
+The simulation starts from a bank, or from the rows of a plain run: then for a bank that is not
+there yet, as if what the run scored were the baseline's true success. Whether a gate can pass at
+all is asked before anything runs, by a policy that never fails.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.baseline.finding import margins_of
-from nw_eval.gate.outlook import percent
+from nw_eval.gate.absolute import percent, trials_to_pass
+from nw_eval.gate.baseline.finding import (
+    Met,
+    bank_of,
+    margins_of,
+    numbers_of,
+    rules_of,
+    strata_that_count,
+)
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, Start, score
-from nw_eval.results.bank.start import Stratum
+from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.row import Row
-from nw_eval.stats import SceneCounts
-from nw_eval.stats.bank import (
+from nw_eval.stats.bank.curve import (
     Against,
     CurvePoint,
     Progress,
-    TrialRules,
     operating_curve,
     progress_at,
+    success_of,
     trials_for,
 )
-from nw_eval.stats.bank.simulate import success_of
+from nw_eval.stats.bank.trials import TrialRules, settle
+from nw_eval.stats.foresight import SceneCounts
 from nw_eval.suite.model import Gate
+from nw_eval.suite.trials import DrawnStart
 
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
@@ -183,12 +193,7 @@ def _outset(
     *,
     known: bool,
 ) -> Outset:
-    judged = sorted(place for place in groups if gate.tier(place[0]) != "informational")
-    if not judged:
-        raise IncomparableError(
-            "no scene counts against the baseline: all are informational",
-            fix="make one supporting or critical",
-        )
+    judged = sorted(strata_that_count(groups, gate))
     seen = tuple(_counts(groups[place]) for place in judged)
     margins = margins_of(gate)
     if not success_of(seen) > margins.max_drop:
@@ -197,12 +202,7 @@ def _outset(
             f"max_drop {margins.max_drop:g}",
             fix="lower max_drop, or compare with a better policy",
         )
-    rules = TrialRules(
-        tiers=tuple(gate.tier(scene) for scene, _ in judged),
-        margins=margins,
-        alpha_pass=1.0 - gate.confidence,
-        alpha_regr=gate.false_alarm,
-    )
+    rules = rules_of(gate, judged)
     budget = min(gate.rounds, starts) * len(seen)
     return Outset(seen=seen, rules=rules, budget=budget, starts=starts, known=known)
 
@@ -222,3 +222,67 @@ def _fate(point: CurvePoint) -> str:
         f"passes in {percent(point.passed)}, regresses in {percent(point.regressed)}, "
         f"undecided in {percent(point.undecided)}"
     )
+
+
+def trials_to_pass_baseline(
+    gate: Gate, panel: Panel, order: Sequence[DrawnStart], *, fresh: bool
+) -> int | None:
+    """Return after how many trials a policy that never fails passes against a bank.
+
+    Args:
+        gate: its margins, errors and tiers.
+        panel: of the bank.
+        order: of trials, in which they would be met.
+        fresh: whether these are of others than the bank's starts.
+
+    Returns:
+        None if it does not within all that `order` has.
+    """
+    strata = {(scene, cell) for scene, cell, _ in order}
+    judged = sorted(place for place in strata if gate.tier(place[0]) != "informational")
+    met = Met(order=order, rows=[None] * len(order))
+    basis = "fresh" if fresh else "panel"
+    bank = bank_of(panel, judged, basis, gate.claim if not fresh else "fresh")
+    trials = numbers_of(met, judged, panel, basis, bank)
+    perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
+    ruling = settle(bank, perfect, rules_of(gate, judged))
+    return ruling.trials if ruling.word == "PASS" else None
+
+
+def bar_obstacles(
+    gate: Gate,
+    scenes: Sequence[str],
+    left_out: Collection[str],
+    *,
+    trials: int,
+    cells: int = 1,
+    against: bool = False,
+) -> list[str]:
+    """Return why no policy can reach PASS by the bar of a suite, a sentence for each reason.
+
+    Args:
+        gate: of the suite; without a bar the verdict is RAN.
+        scenes: that are to be run, by name.
+        left_out: scenes of the suite that are not, by name.
+        trials: of each scene in each cell.
+        cells: of perturbations.
+        against: whether the run is compared with a baseline.
+    """
+    reasons = [
+        f"critical scene {scene} is left out, and the suite cannot pass without it"
+        for scene in sorted(left_out)
+        if gate.tier(scene) == "critical"
+    ]
+    counted = sum(gate.tier(scene) != "informational" for scene in scenes)
+    if not counted:
+        return [*reasons, "no scene counts: all are informational; make one supporting or critical"]
+    needed = trials_to_pass(gate, counted * cells)
+    if needed > trials:
+        key = "gate.rounds" if against else "trials"
+        where = f"of {plural(counted, 'scene')}"
+        where += f" at each of {plural(cells, 'perturbation')}" if cells > 1 else ""
+        reasons.append(
+            f"{plural(trials, 'trial')} {where} cannot reach the bar {gate.success_rate:g} even if "
+            f"all are perfect: --trials {needed} (`{key}: {needed}`) is the least that can"
+        )
+    return reasons

@@ -1,33 +1,43 @@
 """Whether the candidate is worse than the baseline: a run's rows and a bank in, a comparison out.
 
-The candidate's rows become trials in the order of the draw (`met`), these become evidence and a
-word (`finding`), and what that may claim depends on what the bank is to the run (`basis`).
+The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
+and a word (`finding.find`), and what that may claim depends on what the bank is to the run
+(`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
+comparison in words, and what is simulated for a report: other policies at this gate, and this one
+after more trials.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.comparison import Basis, Claim, Comparison, SceneDrop
-from nw_eval.gate.baseline.draw import drawn_order
-from nw_eval.gate.baseline.finding import Finding, find, margins_of
-from nw_eval.gate.baseline.further import foresight
-from nw_eval.gate.baseline.holding.basis import basis_of, claim_of
-from nw_eval.gate.baseline.holding.known import recheck
-from nw_eval.gate.baseline.holding.match import check_match
-from nw_eval.gate.baseline.met import Met, budget_of, by_place, scores_of
-from nw_eval.gate.baseline.parting import ends, waypoints
-from nw_eval.gate.baseline.reasons import in_words
+from nw_eval.gate.baseline.finding import (
+    Finding,
+    Met,
+    bank_of,
+    budget_of,
+    by_place,
+    find,
+    margins_of,
+    numbers_of,
+    scores_of,
+    strata_that_count,
+)
+from nw_eval.gate.baseline.foresee import Outset, about_more_trials, outset_of_bank
+from nw_eval.gate.baseline.known import recheck
+from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order
 from nw_eval.gate.validity import over_the_cap, that_left
-from nw_eval.results.bank import Panel, SavedBank, Stratum, score
-from nw_eval.results.bank.against import Against
+from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
+from nw_eval.plural import plural
+from nw_eval.results.bank import Against, Panel, SavedBank, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
-from nw_eval.stats.bank import most_false_alarms
+from nw_eval.stats.bank.curve import CurvePoint, progress_from
+from nw_eval.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
+from nw_eval.stats.hazard import Ends, first_partings
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 
@@ -115,12 +125,7 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
     left_aside = {start.scene for start in panel.starts} - set(run.scenes)
     panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
     strata = tuple(panel.by_stratum)
-    judged = tuple(stratum for stratum in strata if gate.tier(stratum[0]) != "informational")
-    if not judged:
-        raise IncomparableError(
-            "no scene counts against the baseline: all are informational",
-            fix="make one supporting or critical",
-        )
+    judged = strata_that_count(strata, gate)
     rounds = budget_of(run)
     return ComparisonSetup(
         run=run,
@@ -160,7 +165,7 @@ def compare(
     used = frozenset(finding.used) | {
         place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
     }
-    parting = waypoints(finding.worst, met, used, panel)
+    parting = _waypoints(finding.worst, met, used, panel)
     scenes = [
         _scene(stratum, met, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
@@ -200,16 +205,16 @@ def compare(
         control=0 if met.control is None else sum(row is not None for row in met.control),
         again=recheck(rows, run, setup.bank) if meets_starts else None,
     )
-    simulated = None
+    curve = more = None
     if foresee and basis != "same":
-        simulated = foresight(comparison, setup.met(rows, further=True), setup.judged, panel, gate)
-    more = None if capped else simulated and simulated.more
-    reasons = in_words(comparison, finding)
+        further = setup.met(rows, further=True)
+        curve, more = _foresee(comparison, further, setup.judged, panel, gate)
+    reasons = _in_words(comparison, finding)
     return replace(
         comparison,
         reasons=(capped, *reasons) if capped else reasons,
-        more=more,
-        curve=simulated.curve if simulated else None,
+        more=None if capped else more,
+        curve=curve,
     )
 
 
@@ -244,7 +249,7 @@ def _scene(
         named=stratum in finding.named,
         interval=finding.alone.get(stratum),
         waypoint=waypoint,
-        ends=ends(stratum, met, used, panel),
+        ends=_ends(stratum, met, used, panel),
     )
 
 
@@ -253,3 +258,216 @@ def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
     if finding.control is not None:
         return finding.control
     return float(np.mean([scores_of(panel, stratum).mean() for stratum in judged]))
+
+
+def _waypoints(
+    strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
+) -> Mapping[Stratum, int]:
+    """Return the first waypoint, from 1, of each stratum at which the two part beyond doubt.
+
+    The baseline is all starts of its panel, or the control's trials beside the candidate's; the
+    candidate is the trials judged that came to a result. All strata are looked at together
+    (`stats.hazard`), and some may have none.
+
+    Args:
+        strata: where to look.
+        met: trials of the candidate.
+        used: places of those that are judged.
+        panel: of the baseline.
+    """
+    pairs = {stratum: _ends(stratum, met, used, panel) for stratum in strata}
+    known = {stratum: pair for stratum, pair in pairs.items() if pair is not None}
+    return {stratum: found.waypoint for stratum, found in first_partings(known).items()}
+
+
+def _ends(
+    stratum: Stratum, met: Met, used: Collection[int], panel: Panel
+) -> tuple[Ends, Ends] | None:
+    """Return how many trials of both ended after 0, 1, .. K waypoints; None without waypoints."""
+    starts = panel.by_stratum[stratum] if met.control is None else met.beside(stratum, used)
+    rows = met.of(stratum, used)
+    total = max((trial.waypoints_total for trial in (*starts, *rows)), default=0)
+    return (_ended(starts, total), _ended(rows, total)) if total else None
+
+
+def _ended(trials: Sequence[Start | Row], total: int) -> Ends:
+    reached = np.array([trial.waypoints_reached for trial in trials], dtype=np.int64)
+    return [int(count) for count in np.bincount(reached, minlength=total + 1)]
+
+
+_NONE_LEFT = "this run has no trial of these scenes left"
+_NAMED = 3  # scenes that a reason names before it says "and more"
+
+
+def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
+    """Return why a comparison says what it says, and of what it speaks: the main reason first.
+
+    Args:
+        found: the comparison.
+        finding: what it rests on.
+    """
+    if found.basis == "same":
+        again = found.again
+        if again is None:
+            return (f"the same policy as the baseline {found.policy}: nothing to test",)
+        over = "taken over from the baseline, " if again.taken_over else ""
+        return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
+    fallen, mean = _fallen(found), _mean(found)
+    by_scenes_alone = found.word == "REGRESSED" and not found.mean_convicts
+    return (
+        *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
+        *_largest(found),
+        *_waiting(found, finding),
+        *_limits(found),
+    )
+
+
+def _mean(found: Comparison) -> str:
+    """Return what was found of the mean."""
+    name, drops = f"the baseline {found.bank}", found.interval
+    if not found.trials or found.drop is None:
+        return f"no trial has been compared with {name} yet"
+    in_trials = f"in {plural(found.trials, 'trial')}"
+    if drops is None:
+        return f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}"
+    at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
+    if found.word == "PASS":
+        worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
+        if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
+            worst = f"less than {found.max_drop:g} worse"
+        return (
+            f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
+            f"{found.max_drop:g} is excluded"
+        )
+    span = (
+        f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
+    )
+    if found.mean_convicts:
+        return f"mean success regressed from {name}: {span} worse {in_trials}"
+    change = f"dropped by {found.drop:z.3f} from {name}"
+    if found.drop < 0.0:
+        change = f"rose by {-found.drop:.3f} from {name}"
+        span = f"which leaves a drop of {span}"
+    drop = f"mean success {change} {in_trials}, {span}"
+    if drops.high < found.max_drop:
+        return f"{drop}: a drop of {found.max_drop:g} is excluded"
+    return (
+        f"{drop}: undecided, the data fit a drop of {found.max_drop:g} and a drop below "
+        f"{found.tolerate:g}"
+    )
+
+
+def _fallen(found: Comparison) -> tuple[str, ...]:
+    """Return which scenes regressed, whatever the word; those that convict first."""
+    order = {"critical": 0, "supporting": 1, "informational": 2}
+    named = [item for item in found.scenes if item.named]
+    named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
+    shown = tuple(_fell(item) for item in named[:_NAMED])
+    if len(named) > _NAMED:
+        return (*shown, f"{plural(len(named) - _NAMED, 'more scene')} regressed, see the table")
+    return shown
+
+
+def _fell(item: SceneDrop) -> str:
+    which = "critical scene" if item.tier == "critical" else "scene"
+    return f"{which} {item.name} regressed: {_change(item)}"
+
+
+def _largest(found: Comparison) -> Iterable[str]:
+    """Return where a policy that the mean convicts seems worst, if no scene convicts alone."""
+    if not found.mean_convicts or any(item.named for item in found.scenes):
+        return
+    lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
+    lower.sort(key=lambda item: (-item.evidence, item.name))
+    if lower:
+        worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
+        yield f"no single scene regressed significantly; largest drops: {worst}"
+
+
+def _change(item: SceneDrop) -> str:
+    onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
+    return f"{item.baseline:.2f} -> {item.candidate:.2f}{onwards}"
+
+
+def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
+    waited = [item for item in found.scenes if item.stratum in finding.waits_for]
+    suspect = [item.name for item in waited if item.evidence >= SUSPECT]
+    critical = [item.name for item in waited if item.evidence < SUSPECT]
+    if suspect:
+        which = "it" if len(suspect) == 1 else "they"
+        held = f"the mean passes; PASS is held back by {_listed(suspect)}"
+        yield f"{held}: {which} may have regressed"
+    if critical:
+        yield (
+            f"the mean passes; PASS is held back by {_listed(critical)}: a critical scene needs "
+            f"{CRITICAL_TRIALS} trials"
+        )
+    if waited and not finding.ahead:
+        yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
+
+
+def _limits(found: Comparison) -> Iterable[str]:
+    """Return of which starts it speaks, and what was left out."""
+    if found.claim == "panel":
+        yield (
+            f"gate.claim is panel: this holds for the baseline's {plural(found.starts, 'start')} "
+            "in each scene, not for new ones"
+        )
+    if found.basis == "control":
+        yield (
+            f"this machine or version gives other bits than the baseline's: its policy "
+            f"{found.policy} ran beside the candidate from the same starts "
+            f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
+            "saved here saves these trials"
+        )
+    unmet = [item.name for item in found.scenes if item.counts and not item.trials]
+    if found.word == "PASS" and unmet:
+        yield (
+            f"PASS is on the mean: no trial met {_listed(unmet)}; "
+            f"a critical scene is met by {CRITICAL_TRIALS} before a PASS (gate.tiers)"
+        )
+    if found.left_aside:
+        left_aside = plural(found.left_aside, "scene")
+        yield f"the run was asked for some scenes only: {left_aside} of the baseline not compared"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
+
+
+def _foresee(
+    found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
+) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
+    """Simulate what a comparison leaves open.
+
+    Returns:
+        How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
+        and about how many more trials would settle it, None where it is settled.
+
+    Args:
+        found: the comparison.
+        met: trials of the candidate, and those that may be run beyond the budget.
+        judged: strata that count, in the order of the panel.
+        panel: of the baseline, in the scenes of the run.
+        gate: margins, errors and tiers.
+    """
+    against = "control" if found.basis == "control" else found.claim
+    outset = outset_of_bank(panel, gate, budget=found.budget, against=against)
+    is_open = found.word == "INCONCLUSIVE" and found.trials > 0
+    more = _more(met, judged, panel, found, outset) if is_open else None
+    return outset.foresee(), more
+
+
+def _more(
+    met: Met, judged: Sequence[Stratum], panel: Panel, found: Comparison, outset: Outset
+) -> str:
+    bank = bank_of(panel, judged, found.basis, found.claim)
+    progress = progress_from(
+        bank,
+        numbers_of(met, judged, panel, found.basis, bank),
+        outset.rules,
+        known=met.ended(met.places(judged).tolist()),
+        waypoints=[len(course.counts) - 1 for course in outset.seen],
+    )
+    return f"{about_more_trials(progress)}; --resume with more --trials runs them"

@@ -13,9 +13,9 @@ import pyarrow as pa
 
 from nw_eval.plural import plural
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
-from nw_eval.results.tables.sealed import write_table
-from nw_eval.stats import Estimate, mean_of_scenes
-from nw_eval.stats.interval import Interval
+from nw_eval.results.sealed import write_table
+from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_eval.stats.interval import Estimate, Interval
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

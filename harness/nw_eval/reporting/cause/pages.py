@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nw_eval.gate.cause.two_by_two import Cause
+from nw_eval.gate.cause import Cause
 from nw_eval.reporting.cause.words import cause_table
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.cause.two_by_two import Cause, Effect
+from nw_eval.gate.cause import Cause, Effect
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
 

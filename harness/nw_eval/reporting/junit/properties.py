@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import Comparison, Verdict
 from nw_eval.reporting.scene_states import SceneState
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row

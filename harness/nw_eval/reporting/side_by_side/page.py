@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.side_by_side.result import PolicyComparison
+from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.side_by_side.tables import comparison_tables
 

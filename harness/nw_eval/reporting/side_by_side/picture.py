@@ -9,7 +9,7 @@ import numpy as np
 
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.gate.side_by_side.result import PolicyComparison
+from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.plural import plural
 from nw_eval.reporting.side_by_side.tables import ranks_text
 

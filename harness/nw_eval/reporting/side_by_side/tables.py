@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.side_by_side.result import ComparedPolicy, PolicyComparison, SceneParting
+from nw_eval.gate.side_by_side import ComparedPolicy, PolicyComparison, SceneParting
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table, span
 from nw_eval.stats.hazard import Hazard

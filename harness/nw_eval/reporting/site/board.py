@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from nw_eval.gate.side_by_side.result import PolicyComparison
+from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.headline import part_of_suite
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.side_by_side.tables import ranks_text
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.provenance import RunInfo
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 
 _LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
 """Shares of success lost over which a cell is drawn one step stronger."""

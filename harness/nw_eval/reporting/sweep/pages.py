@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nw_eval.files.cache import atomic_path
-from nw_eval.gate.sweep.curve import AxisCurve, Point
+from nw_eval.gate.sweep import AxisCurve, Point
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
 from nw_eval.reporting.sweep.picture import draw_sweep
 from nw_eval.reporting.sweep.words import cliff_words, parting_words, sweep_table

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
-from nw_eval.gate.sweep.curve import AxisCurve
+from nw_eval.gate.sweep import AxisCurve
 from nw_eval.reporting.sweep.words import axis_label
 
 if TYPE_CHECKING:

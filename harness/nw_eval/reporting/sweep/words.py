@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nw_eval.gate.sweep.curve import AxisCurve, Cliff, Point, chance, needed_to_part
+from nw_eval.gate.sweep import AxisCurve, Cliff, Point, chance, needed_to_part
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table, span
 from nw_eval.suite.perturb import UNITS

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 
-from nw_eval.gate.cause.two_by_two import Cause
+from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.cause.words import cause_table
 from nw_eval.reporting.tables.baseline import baseline_table

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.comparison import Comparison, SceneDrop
+from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Bar, Table, bounds_header, span, uncorrected
-from nw_eval.stats import Interval
-from nw_eval.stats.bank import SUSPECT
+from nw_eval.stats.bank.trials import SUSPECT
+from nw_eval.stats.interval import Interval
 
 _SHOWN = 1e6
 """Evidence over which a cell says only that it is over it."""

@@ -20,7 +20,8 @@ from nw_eval.reporting.tables.table import (
     uncorrected,
 )
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval, lower_bound, upper_bound
+from nw_eval.stats.betting import lower_bound, upper_bound
+from nw_eval.stats.interval import Interval
 from nw_eval.words import OUTCOMES
 
 _LEFT = "left capture"

@@ -10,7 +10,7 @@ from typing import Self
 from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 
 WORST = 8
 """Trials that a table of the worst ones names."""

@@ -10,8 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from nw_eval.clean import clean
-from nw_eval.gate.baseline.comparison import Comparison
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import Comparison, Verdict
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers.keys import key_of, keys_of

@@ -23,10 +23,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from nw_eval.stats.bank.evidence import DOWN, UP, nulls_at_least, nulls_at_most
-from nw_eval.stats.bank.panel import Bank, Floats, Places, Truths
+from nw_eval.stats.bank.evidence import (
+    DOWN,
+    UP,
+    Bank,
+    Bets,
+    Floats,
+    Places,
+    Truths,
+    along,
+    nulls_at_least,
+    nulls_at_most,
+)
 from nw_eval.stats.bank.trials import DrawnTrials, above_at, below_at
-from nw_eval.stats.bank.wealth import Bets, along
 from nw_eval.stats.interval import Interval
 
 _PARTS, _TIMES = 32, 6

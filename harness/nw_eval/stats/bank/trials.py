@@ -3,7 +3,7 @@
 All S x M pairs of a scene and a start are drawn as one random sample without replacement
 (`order_of_trials`), and the gate looks after each trial, in that order. The nulls and the numbers y
 are those of `evidence`; here one box has all the pairs' numbers, z is centred by scene already, and
-each null is bet against by `wealth.along`. A scene's own bets are settled when a trial of it is.
+each null is bet against by `along`. A scene's own bets are settled when a trial of it is.
 
 **The rule.** REGRESSED once E_regr >= 1 / alpha_regr, or once a critical scene is named: E_s >=
 S / alpha_regr. It comes first where one trial does both. Once E_pass >= 1 / alpha_pass the drop of
@@ -23,9 +23,9 @@ and from the results of those before. Workers may run ahead in the order (`Trial
 they find beyond the trial that settles it is not judged. So no batch has to be waited for, and the
 number of trials that are judged is the least that there can be.
 
-**Validity.** With M finite, `wealth` has the proof, for one box of S M numbers: the claim is of
+**Validity.** With M finite, `evidence` has the proof, for one box of S M numbers: the claim is of
 these starts only. With M infinite the null's mean is not moved by what was drawn. Were scenes drawn
-with replacement and starts afresh, that would be the case of M infinite in `wealth`. Pairs are
+with replacement and starts afresh, that would be the case of M infinite there. Pairs are
 drawn without replacement, which makes sums vary less: a product of 1 + k (y - n) / n over t draws
 still has at most the expectation 1 (Maclaurin's inequality for elementary symmetric means;
 Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evidence *ever* reaches
@@ -41,12 +41,17 @@ to go on with more trials after it: it is not used.
 
 Source: I. Waudby-Smith and A. Ramdas, arXiv 2006.04347; W. Hoeffding, "Probability inequalities for
 sums of bounded random variables", JASA 58 (1963).
+
+In which order starts are drawn from the bank: in each scene, and of all scenes together.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from hashlib import sha256
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -54,14 +59,18 @@ import numpy as np
 from nw_eval.stats.bank.evidence import (
     DOWN,
     UP,
+    Bank,
+    Floats,
     Margins,
+    Places,
+    Truths,
+    along,
+    check_successes,
     nulls_at_least,
     nulls_at_most,
     scene_losses,
     scene_nulls,
 )
-from nw_eval.stats.bank.panel import Bank, Floats, Places, Truths, check_successes
-from nw_eval.stats.bank.wealth import along
 from nw_eval.words import Tier
 
 SUSPECT = 4.0
@@ -436,7 +445,7 @@ def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
 
 
 def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
-    """Return z of `panel`, shape (..., T)."""
+    """Return z of `evidence`, shape (..., T)."""
     if bank.means.ndim == 1:
         means = bank.means[trials.scenes]
     else:
@@ -485,3 +494,65 @@ def _check(bank: Bank, rules: TrialRules) -> None:
 def _check_baseline(bank: Bank, trials: DrawnTrials) -> None:
     if not bank.paired and np.isnan(trials.baseline).any():
         raise ValueError("a baseline has a result from every start; one is missing")
+
+
+def order_of_starts(
+    starts: int, *, candidate_digest: str, suite_digest: str, scene: str
+) -> list[int]:
+    """Return the indexes 0 .. M - 1 in the order in which they are to be drawn.
+
+    The order is random as far as scores go: it follows sha256 of who is judged by what, so that it
+    is the same on every machine and in every run, differs between scenes and between candidates,
+    and cannot be chosen after the trials have been seen. A bank with more starts keeps the order of
+    those that it had.
+
+    Args:
+        starts: M.
+        candidate_digest: of the policy that is judged.
+        suite_digest: of the suite.
+        scene: its name.
+    """
+    ranks = _ranks(starts, json.dumps([candidate_digest, suite_digest, scene]))
+    return sorted(range(starts), key=ranks.__getitem__)
+
+
+def order_of_trials(
+    scenes: Sequence[str], starts: int, *, candidate_digest: str, suite_digest: str
+) -> list[tuple[int, int]]:
+    """Return all S x M pairs of a scene and a start of it in the order in which they are drawn.
+
+    They are one simple random sample without replacement, as far as scores go: whoever has the
+    smaller sha256 comes first, whatever its scene. Within a scene the starts come as in
+    `order_of_starts`. Scenes that are left out, or starts that are added to a bank, do not change
+    the order of the others.
+
+    Args:
+        scenes: their names, shape (S,), each once.
+        starts: M.
+        candidate_digest: of the policy that is judged.
+        suite_digest: of the suite.
+
+    Returns:
+        Pairs of the place of a scene among `scenes` and the index of a start, shape (S M, 2).
+    """
+    drawn = [
+        (rank, place, start)
+        for place, scene in enumerate(scenes)
+        for start, rank in enumerate(
+            _ranks(starts, json.dumps([candidate_digest, suite_digest, scene]))
+        )
+    ]
+    return [(place, start) for _, place, start in sorted(drawn)]
+
+
+@lru_cache(maxsize=4096)  # Who plans a run, who judges it and who words it ask for the same.
+def _ranks(starts: int, drawn_by: str) -> tuple[bytes, ...]:
+    """Return for 0 .. M - 1 the sha256 of the JSON list of what draws them, and the start."""
+    beginning = sha256(drawn_by.removesuffix("]").encode())
+
+    def rank(start: int) -> bytes:
+        one = beginning.copy()
+        one.update(f", {start}]".encode())
+        return one.digest()
+
+    return tuple(map(rank, range(starts)))

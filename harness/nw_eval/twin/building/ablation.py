@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import UsageError
 from nw_eval.reporting.markdown import markdown_table, write_report
 from nw_eval.reporting.tables.table import Table
-from nw_eval.stats.student import t_quantile
+from nw_eval.stats.interval import t_quantile
 from nw_eval.twin.align.alignment import read_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, AppearanceReport, train_splat
 from nw_eval.twin.capture import read_capture

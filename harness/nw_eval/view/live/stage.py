@@ -196,7 +196,7 @@ def open_stage(
     Raises:
         NwEvalError: either cannot be used.
     """
-    from nw_eval.api.running.plans import plan
+    from nw_eval.api.plans import plan
     from nw_eval.engine.plan import plan_jobs
     from nw_eval.policies import load_bundle
     from nw_eval.results.run_folder import RunFolder

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.gate.baseline.comparison import SceneDrop
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import SceneDrop, Verdict
 from nw_eval.results.row import Row
-from nw_eval.stats import Interval, wilson
 from nw_eval.stats.hazard import Ends, Hazard, differences_over, hazards
+from nw_eval.stats.interval import Interval, wilson
 
 _LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
 """Shares of trials over which a cell is drawn one step stronger."""

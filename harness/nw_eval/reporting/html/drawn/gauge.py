@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from nw_eval.gate.baseline.comparison import Comparison, percent_sure
-from nw_eval.gate.verdict import Verdict
+from nw_eval.gate.verdict import Comparison, Verdict, percent_sure
 from nw_eval.reporting.headline import confidence
-from nw_eval.stats import Interval
+from nw_eval.stats.interval import Interval
 
 WIDTH = 340.0
 """Of a gauge's axis, in units of its drawing."""

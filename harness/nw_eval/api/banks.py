@@ -1,0 +1,206 @@
+"""Which bank a run is compared with: the one that is asked for, the suite's own, or none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import IncomparableError, TrialError
+from nw_eval.plural import plural
+from nw_eval.request import Request
+
+if TYPE_CHECKING:
+    from nw_eval.results.bank import Against
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite import Suite
+
+NO_BASELINE = "none"
+"""What is asked for where a suite names a bank and none is wanted."""
+
+_latest: dict[tuple[str, str], Against] = {}
+"""The bank that this process read last, by its file's name and digest: a run is judged by the bank
+that it was planned with, and a process of its own takes a third of a second to read it."""
+
+
+def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
+    """Return the bank to compare with; None if there is to be none.
+
+    Args:
+        request: what is asked for.
+        suite: the suite.
+        own_policy: whether the policy is the suite's own. Its baseline counts for no other: a
+            user's first verdict is about the user's policy.
+
+    Raises:
+        UsageError: there is no such bank.
+        StoreError: it is damaged.
+        IncomparableError: it is none, or of another version.
+    """
+    from nw_eval.results.bank_file import find_bank
+
+    reference = request.baseline
+    if reference is None and own_policy:
+        reference = suite.gate.baseline
+    if reference is None or reference == NO_BASELINE:
+        return None
+    return _opened(find_bank(reference, suite=suite.name))
+
+
+def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
+    """Return the bank that a run was begun with, from the copy in its folder, or where it was.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        elsewhere: whether the path that run.json names may be read.
+
+    Raises:
+        IncomparableError: it is in neither place, or not as it was.
+    """
+    if info.baseline is None:
+        return None
+    places = [folder.bank(info.baseline.name), *([Path(info.baseline.path)] if elsewhere else [])]
+    for path in places:
+        if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
+            against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
+            return _beside(against, folder, info)
+    raise IncomparableError(
+        f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
+        f"nor {info.baseline.path} is there as it was",
+        fix="restore the file",
+    )
+
+
+def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
+    """Return a bank with the trials of its policy that ran beside those of a run, if any did.
+
+    Raises:
+        StoreError: they are damaged.
+        TrialError: one is an error.
+    """
+    from nw_eval.files.inside import what_is
+    from nw_eval.results.bank import ControlArm
+    from nw_eval.results.provenance import read_run_info
+
+    nested, known = folder.baseline, info.baseline
+    if known is None or known.checked != "control" or what_is(nested.run_json) != "file":
+        return against
+    own = read_run_info(nested.run_json)
+    return replace(against, control=ControlArm(run=own, rows=control_rows(nested, own, folder)))
+
+
+def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Row, ...]:
+    """Return the rows of the baseline's run beside a candidate.
+
+    Args:
+        nested: its folder.
+        own: its run.json.
+        folder: of the candidate's run.
+
+    Raises:
+        TrialError: one is an error.
+        StoreError: it is damaged.
+    """
+    from nw_eval.api.saved_run import saved_rows
+
+    rows = saved_rows(nested, own)
+    if errors := [row for row in rows if row.status == "error"]:
+        raise TrialError(
+            f"{plural(len(errors), 'trial')} of the baseline's policy {own.policy.name} ended in "
+            f"errors, first {errors[0].trial_id}: {errors[0].error_text or errors[0].error_type}",
+            fix=f"--resume {folder.path} tries them again",
+        )
+    return rows
+
+
+def judging_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
+) -> Against | None:
+    """Return the bank to judge the rows of a run against; None if there is to be none.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        reference: the bank that is asked for; if None, that which the run was begun against, or
+            else the one that the suite names for its own policy.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`.
+        TrialError: a trial of the control is an error.
+    """
+    if reference is None and info.baseline is not None:
+        return kept_bank(folder, info)
+    against = wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
+    if against and info.baseline and against.info.sha256 == info.baseline.sha256:
+        return _beside(against, folder, info)
+    return against
+
+
+def resumed_bank(
+    folder: RunFolder, info: RunInfo, suite: Suite, request: Request
+) -> Against | None:
+    """Return the bank to go on with in a run: the one that it was begun with.
+
+    Args:
+        folder: of the run.
+        info: its run.json.
+        suite: its suite.
+        request: what is asked for now.
+
+    Raises:
+        UsageError, StoreError: as `wanted_bank`.
+        IncomparableError: as `kept_bank`; or another bank is asked for now.
+    """
+    kept = kept_bank(folder, info)
+    if request.baseline is None:
+        return kept
+    wanted = wanted_bank(request, suite, own_policy=info.own_policy)
+    if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
+        return wanted
+    now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
+    raise IncomparableError(
+        f"run {info.id} was begun against baseline {kept.info.name} ({kept.info.sha256[:8]}), not "
+        f"{now}",
+        fix="start a new run without --resume",
+    )
+
+
+def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) -> None:
+    """Refuse more trials of each scene than a bank has starts.
+
+    Raises:
+        IncomparableError: it has fewer.
+    """
+    from nw_eval.gate.baseline.match import saving
+
+    name, starts = against.info.name, against.bank.manifest.starts
+    if rounds > starts:
+        policy = request.baseline_policy or against.bank.manifest.policy.typed
+        words = (str(request.suite or suite.name), policy, "--starts", str(rounds))
+        raise IncomparableError(
+            f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
+            "each draw more",
+            fix=f"--trials {starts}, or more starts: `{saving(against.bank, *words)}`",
+        )
+
+
+def _opened(path: Path) -> Against:
+    from nw_eval.results.bank import Against
+    from nw_eval.results.bank_file import read_bank
+    from nw_eval.results.provenance import BaselineInfo
+
+    bank, content = read_bank(path), path.read_bytes()
+    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
+    _latest.clear()
+    _latest[path.name, info.sha256] = against = Against(info=info, bank=bank, content=content)
+    return against
+
+
+def _digest(content: bytes) -> str:
+    return sha256(content).hexdigest()

@@ -1,0 +1,281 @@
+"""Baselines: banks that there are, what they hold, and whether they still hold here and now.
+
+Listing, showing and comparing them imports no simulator.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import IncomparableError, NwEvalError, PolicyError
+
+if TYPE_CHECKING:
+    from nw_eval.engine.plan import Plan
+    from nw_eval.results.bank import BankKey, BankPolicy, SavedBank
+    from nw_eval.results.bank_changes import BankChange, FieldChange
+
+_READERS = 4
+"""Files that are read at a time: each by a process of its own, which mostly starts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedBaseline:
+    """A bank, as far as it can be read."""
+
+    file: Path
+    suite: str
+    """The folder that it lies in."""
+    name: str
+    bank: SavedBank | None = None
+    mean: float | None = None
+    """Mean success over scenes."""
+    problem: str | None = None
+    """Why it cannot be read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownBaseline:
+    """One bank, and where it lies."""
+
+    file: Path
+    bank: SavedBank
+
+
+def list_baselines() -> tuple[ListedBaseline, ...]:
+    """Return the project's banks, those of `reports/baselines`, and then the shipped ones."""
+    from nw_eval.results.bank_file import bank_files
+
+    with ThreadPoolExecutor(_READERS) as readers:
+        return tuple(readers.map(_listed, bank_files()))
+
+
+def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBaseline:
+    """Read one bank.
+
+    Args:
+        baseline: its name, `<suite>/<name>` as `list_baselines` has them, or its path.
+        suite: the suite's name, where several have a bank of that name.
+
+    Raises:
+        UsageError: there is none, or it is not clear which.
+        StoreError: it is damaged.
+        IncomparableError: it is no bank that anything can be compared with.
+    """
+    from nw_eval.results.bank_file import find_any, read_bank
+
+    file = find_any(baseline, suite=suite)
+    return ShownBaseline(file=file, bank=read_bank(file))
+
+
+def diff_baselines(then: str | Path, now: str | Path, *, suite: str | None = None) -> BankChange:
+    """Compare two banks: what they hold for, and what happened from their starts, by scene.
+
+    Args:
+        then: the earlier one; as for `show_baseline`.
+        now: the later one.
+        suite: as for `show_baseline`.
+
+    Raises:
+        UsageError, StoreError, IncomparableError: as `show_baseline`.
+    """
+    from nw_eval.results.bank_changes import bank_change
+
+    banks = [show_baseline(each, suite=suite).bank for each in (then, now)]
+    return bank_change(*banks)
+
+
+def _listed(file: Path) -> ListedBaseline:
+    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank_file import read_bank
+
+    suite, name = file.parent.name, file.stem
+    try:
+        bank = read_bank(file)
+    except NwEvalError as error:
+        return ListedBaseline(file=file, suite=suite, name=name, problem=str(error))
+    return ListedBaseline(file=file, suite=suite, name=name, bank=bank, mean=bank_mean(bank))
+
+
+_REPORTS = Path("reports")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Here:
+    """A suite and a policy on this machine, with this nw-eval."""
+
+    plan: Plan
+    key: BankKey
+    policy: BankPolicy
+    machine: dict[str, str]
+
+    @property
+    def work(self) -> Path:
+        """Where its trials are kept: one folder for each key, policy and class of machine."""
+        from nw_eval.engine.provenance import journal_header
+        from nw_eval.suite.digest import digest_of
+
+        header = journal_header(self.plan)
+        key = [header.suite_digest, header.policy_digest, self.policy.checkpoint_digest]
+        digest = digest_of([key, dict(header.scene_digests), dict(header.engine)])
+        return _REPORTS / f"bank-{self.plan.suite.name}-{digest[:8]}"
+
+    def is_in(self, bank: SavedBank, starts: int) -> bool:
+        """Whether a bank has all of it, so that nothing need be run."""
+        from nw_eval.results.bank_changes import key_changes, policy_changes
+
+        return (
+            bank.manifest.starts == starts
+            and not key_changes(bank.manifest.key, self.key)
+            and not policy_changes(bank.manifest.policy, self.policy)
+            and bank.panel_of(self.machine) is not None
+        )
+
+    def with_starts(self, starts: int) -> Here:
+        """Return the same with another number of starts.
+
+        Raises:
+            UsageError: it is none.
+        """
+        from nw_eval.request import Request
+        from nw_eval.suite import expand, override
+
+        suite = override(self.plan.suite, Request(trials=starts))
+        trials = expand(suite, self.plan.scenes)
+        return replace(self, plan=replace(self.plan, suite=suite, trials=trials))
+
+
+def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
+    """Return what a bank of a suite would be.
+
+    Args:
+        suite: a file, or the name of a shipped one.
+        policy: as for `run`; the suite's own if None.
+        changes: other fields of `Request`.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: as `plan`.
+    """
+    from nw_eval.api.plans import plan as plan_of
+    from nw_eval.engine.provenance import run_info
+    from nw_eval.results.bank import BankPolicy, key_of, machine_of
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite import load_suite
+
+    read = load_suite(suite)
+    # Without a baseline: a bank is a run like any other, of all its starts.
+    gate = read.gate.model_copy(update={"baseline": None, "max_drop": None})
+    alone = read.model_copy(update={"gate": gate})
+    plan = plan_of(alone, policy=policy, record="none", **changes)
+    run = run_info(
+        plan, RunFolder(path=Path(read.name)), workers=None, in_process=False, command=()
+    )
+    return Here(
+        plan=plan,
+        key=key_of(run),
+        policy=BankPolicy(
+            name=plan.bundle.name,
+            card_digest=run.policy.card_digest,
+            checkpoint_digest=run.policy.checkpoint_digest,
+            card=card_reference(run.policy.card),
+        ),
+        machine=machine_of(run),
+    )
+
+
+def card_reference(card: str) -> str:
+    """Return what finds a card on another machine: a shipped name, a path, a hub's revision.
+
+    Args:
+        card: its absolute path; empty for a policy without one.
+
+    Returns:
+        Empty for a card that lies elsewhere.
+    """
+    from nw_eval.files.shipped import shipped
+    from nw_eval.hub.fetched import origin_of
+
+    folder = Path(card).parent
+    fetched = origin_of(folder) if card else None
+    if fetched is not None:
+        return f"{fetched.reference}@{fetched.revision}"
+    for root in (shipped("policies").resolve(), Path.cwd()):
+        if card and folder.is_relative_to(root):
+            relative = folder.relative_to(root).as_posix()
+            return relative if root != Path.cwd() else f"./{relative}"
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedBaseline:
+    """A bank against what it would be here and now."""
+
+    file: Path
+    bank: SavedBank
+    changes: tuple[FieldChange, ...]
+    """What must match and does not; none of it, and the bank holds."""
+    has_panel: bool
+    """Whether it has this class of machine."""
+    machine: tuple[FieldChange, ...]
+    """In what the bank's first class of machine is another one; empty with a panel of this one."""
+    unchecked: str | None = None
+    """Why its policy was not looked at, where it is not here."""
+    suite: str
+    """The suite as it was asked for, or by its name."""
+    policy: str
+    """The bank's policy as it was asked for, or as the bank knows where it lies."""
+
+    @property
+    def exit_code(self) -> int:
+        """0 if the bank holds, 5 if it does not."""
+        return IncomparableError.exit_code if self.changes else 0
+
+
+def check_baseline(
+    baseline: str | Path,
+    *,
+    suite: str | Path | None = None,
+    policy: str | None = None,
+    **changes: Any,
+) -> CheckedBaseline:
+    """Compare what a bank holds for with what is here: suite, scenes, simulator, policy.
+
+    Args:
+        baseline: its name, `<suite>/<name>`, or its path.
+        suite: the suite's file; the suite of the bank's own by name if None.
+        policy: where the bank's policy lies; where the bank says if None.
+        changes: of `Request`: checkpoint, render, allow_code.
+
+    Raises:
+        UsageError: there is no such bank or suite.
+        SuiteError: the suite cannot be used.
+        StoreError: the bank is damaged.
+        IncomparableError: it is no bank that anything can be compared with.
+    """
+    from nw_eval.results.bank_changes import key_changes, machine_changes, policy_changes
+    from nw_eval.suite import load_suite
+
+    named = None if suite is None else load_suite(suite).name
+    shown = show_baseline(baseline, suite=named)
+    bank, wanted = shown.bank, str(suite or shown.bank.manifest.suite)
+    own, unchecked = bank.manifest.policy, None
+    try:
+        place: Here = here(wanted, policy=policy or own.card or own.name, **changes)
+        moved = policy_changes(own, place.policy)
+    except PolicyError as error:
+        if policy is not None:
+            raise
+        place, moved, unchecked = here(wanted, policy=None, **changes), (), error.message
+    has_panel = bank.panel_of(place.machine) is not None
+    return CheckedBaseline(
+        file=shown.file,
+        bank=bank,
+        changes=(*key_changes(bank.manifest.key, place.key), *moved),
+        has_panel=has_panel,
+        machine=() if has_panel else machine_changes(bank.panels[0].machine, place.machine),
+        unchecked=unchecked,
+        suite=wanted,
+        policy=policy or own.typed,
+    )

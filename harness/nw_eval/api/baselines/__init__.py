@@ -1,1 +1,0 @@
-"""Baselines: banks are saved, listed, shown, checked and compared."""

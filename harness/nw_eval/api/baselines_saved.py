@@ -1,0 +1,332 @@
+"""Saving a bank: what is missing is run, and what a renewal moves is shown before it replaces.
+
+Results come from trials that are run now, or from a run that has ended.
+"""
+
+from __future__ import annotations
+
+import getpass
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api.baselines import Here
+    from nw_eval.engine.listener import Listener
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank_changes import BankChange
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+
+STARTS = 60
+"""M where nobody says: three times the default `gate.rounds`, so a run draws a third at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedBaseline:
+    """What became of a bank."""
+
+    file: Path
+    action: Literal["new", "panel", "unchanged", "renewed", "kept"]
+    """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
+    this. renewed: it was replaced. kept: it would hold for something else, or say something else,
+    and is as it was, because nobody asked for a renewal."""
+    bank: SavedBank
+    """The bank that is there now; for `kept` the one that would be."""
+    change: BankChange | None = None
+    """What differs from the one that was there."""
+
+
+def save_baseline(
+    suite: str | Path,
+    *,
+    policy: str | None = None,
+    starts: int | None = None,
+    name: str | None = None,
+    note: str = "",
+    from_run: str | Path | None = None,
+    renew: bool = False,
+    root: Path | None = None,
+    workers: int | None = None,
+    cache: bool = True,
+    listener: Listener | None = None,
+    **changes: Any,
+) -> SavedBaseline:
+    """Save what a policy scores from every start of a panel: the baseline of later gates.
+
+    Trials that are missing are run, into a folder in `reports/` from which an interrupted save goes
+    on, and a later one with more starts.
+
+    Args:
+        suite: a suite file or the name of a shipped one.
+        policy: as for `run`; the suite's own if None.
+        starts: in each scene; if None, as many as the bank has, and 60 for a new one.
+        name: the bank's; the policy's if None.
+        note: why it is saved; if empty, as before.
+        from_run: the folder of a run to take the results from; nothing is run.
+        renew: whether a bank that is there is replaced, with the panels of all machines.
+        root: the folder of banks; `reports/baselines` if None.
+        workers: processes; one for each core if None.
+        cache: as for `run`.
+        listener: hears of progress.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit,
+            allow_code.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: nothing was run.
+        KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
+        TrialError: a trial came to no result, or to another one than the cache says; no bank was
+            written.
+        StoreError: results cannot be written, or the bank that is there is damaged.
+        IncomparableError: the run makes no bank.
+    """
+    from nw_eval.api.baselines import card_reference, here
+    from nw_eval.results.bank_build import bank_of_run
+    from nw_eval.suite import load_suite
+
+    if starts is not None and starts < 1:
+        raise UsageError(f"--starts {starts}", fix="give at least 1")
+    place, run, rows = None, None, ()
+    if from_run is None:
+        place = here(suite, policy=policy, **changes)
+        folder, own = place.plan.suite.name, place.policy.name
+    else:
+        _check_decided({"policy": policy, "starts": starts, "workers": workers, **changes})
+        folder = load_suite(suite).name
+        run, rows = _finished_results(Path(from_run), folder)
+        own = run.policy.name
+    file = _file(root, folder, name or own)
+    earlier = _earlier(file, renew=renew)
+    if place is not None:
+        starts = starts or (earlier.manifest.starts if earlier else STARTS)
+        if earlier is not None and not renew and place.is_in(earlier, starts):
+            return SavedBaseline(file=file, action="unchanged", bank=earlier)
+        run, rows = _new_results(
+            place.with_starts(starts), workers=workers, cache=cache, listener=listener
+        )
+    assert run is not None, "results are of a run, new or finished"
+    _check_seen(rows, run)
+    found = bank_of_run(
+        rows,
+        run,
+        name=file.stem,
+        card=card_reference(run.policy.card),
+        by=author(),
+        note=note or (earlier.manifest.note if earlier else ""),
+    )
+    return _written(file, earlier, found, renew=renew)
+
+
+def _check_decided(wanted: dict[str, Any]) -> None:
+    """Refuse what is asked for besides a run that has decided it.
+
+    Raises:
+        UsageError: something is.
+    """
+    if decided := [option for option, value in wanted.items() if value]:
+        raise UsageError(
+            f"--from and --{decided[0].replace('_', '-')}: the run has decided that",
+            fix="drop one of them",
+        )
+
+
+def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
+    """Refuse a baseline that mostly shows what its policy does in fog.
+
+    Raises:
+        IncomparableError: more of its trials left the captured volume than the suite allows.
+    """
+    from nw_eval.api.saved_run import saved_suite
+    from nw_eval.gate.validity import over_the_cap, that_left
+
+    gate = saved_suite(run).gate
+    if capped := over_the_cap(rows, that_left(rows, gate), gate):
+        raise IncomparableError(
+            f"run {run.id} makes no baseline: {capped}", fix="photograph the places again"
+        )
+
+
+def _file(root: Path | None, suite: str, name: str) -> Path:
+    """Return where a bank belongs.
+
+    Raises:
+        UsageError: its name is none.
+    """
+    from nw_eval.results.bank_build import fault_of_name
+    from nw_eval.results.bank_file import BANKS, SUFFIX
+
+    if fault := fault_of_name(name):
+        raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
+    return (root or BANKS) / suite / (name + SUFFIX)
+
+
+def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
+    """Return the bank that is there; None if there is none, or one to replace that is unreadable.
+
+    Raises:
+        StoreError, IncomparableError: it cannot be read, and nobody wants it replaced.
+    """
+    from nw_eval.results.bank_file import read_bank
+
+    try:
+        return read_bank(file) if file.exists() else None
+    except (StoreError, IncomparableError):
+        if not renew:
+            raise
+        return None
+
+
+def _written(
+    file: Path, earlier: SavedBank | None, found: SavedBank, *, renew: bool
+) -> SavedBaseline:
+    """Write a bank unless it would silently become another one."""
+    from nw_eval.files.cache import followed
+    from nw_eval.results.bank_build import with_panel
+    from nw_eval.results.bank_changes import bank_change
+    from nw_eval.results.bank_file import write_bank
+
+    if earlier is None:
+        write_bank(followed(file), found)
+        return SavedBaseline(file=file, action="new", bank=found)
+    change = bank_change(earlier, found)
+    known = earlier.panel_of(found.panels[0].machine)
+    if not change.fields and known == found.panels[0]:
+        return SavedBaseline(file=file, action="unchanged", bank=earlier)
+    if not renew and not change.fields and known is None:
+        whole = with_panel(earlier, found)
+        write_bank(followed(file), whole)
+        return SavedBaseline(file=file, action="panel", bank=whole, change=change)
+    if not renew:
+        return SavedBaseline(file=file, action="kept", bank=found, change=change)
+    write_bank(followed(file), found)
+    return SavedBaseline(file=file, action="renewed", bank=found, change=change)
+
+
+def _new_results(
+    place: Here, *, workers: int | None, cache: bool, listener: Listener | None
+) -> tuple[RunInfo, tuple[Row, ...]]:
+    """Run what has no result yet, and say first how much that is, and after Ctrl-C how to go on.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted, and its results stay.
+        StoreError: results cannot be written; those that were written stay.
+        TrialError: one is not what the cache of trials says.
+    """
+    from nw_eval.engine import session
+    from nw_eval.engine.listener import Silence
+    from nw_eval.results.ended import read_trials
+    from nw_eval.results.journal import has_begun
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import RunFolder
+
+    listener = listener or Silence()
+    listener.message(_ahead(place, workers=workers))
+    work = RunFolder(path=place.work)
+    is_begun = has_begun(work.journal)
+    try:
+        folder = session.carry_out(
+            place.plan,
+            workers=workers,
+            out=None if is_begun else work.path,
+            resume=work.path if is_begun else None,
+            command=tuple(sys.argv),
+            listener=listener,
+            cache=cache,
+        )
+    except KeyboardInterrupt:  # Before the trials, or while they were stopped.
+        listener.message(_onwards(place))
+        raise
+    run = read_run_info(folder.run_json)
+    if run.cache is not None and run.cache.differing:
+        raise TrialError(run.cache.differing[0], fix=f"remove {work.path}, and save again")
+    rows = read_trials(folder, run, place.plan.trials).rows
+    if run.interrupted and len(rows) < len(place.plan.trials):
+        listener.message(_onwards(place))
+        raise KeyboardInterrupt
+    return run, rows
+
+
+def _ahead(place: Here, *, workers: int | None) -> str:
+    """Return how many trials a save runs at most, and how long they take at most."""
+    from nw_eval.engine.forecast import minutes_of
+    from nw_eval.engine.machine.cores import worker_count
+
+    total = len(place.plan.trials)
+    left = total - _kept(place)
+    if not left:
+        return f"all {total} trials have results already"
+    trials = f"{left} of {total} trials" if left < total else plural(total, "trial")
+    minutes = minutes_of(left, place.plan, workers=workers)
+    return (
+        f"{trials} to run: at most about {minutes:.1f} minutes with --workers "
+        f"{worker_count(workers, left)}; Ctrl-C keeps what has ended, and the same command goes on"
+    )
+
+
+def _onwards(place: Here) -> str:
+    """Return how a save that was interrupted goes on."""
+    kept = _kept(place)
+    if not kept:
+        return "no trial has ended yet; the same command begins again"
+    return f"{kept} of {len(place.plan.trials)} trials are kept; the same command goes on with them"
+
+
+def _kept(place: Here) -> int:
+    """Return how many trials of a save have a result in its work folder.
+
+    Raises:
+        StoreError: its journal cannot be read.
+    """
+    from nw_eval.results.journal import has_begun, read_journal
+    from nw_eval.results.run_folder import RunFolder
+
+    journal = RunFolder(path=place.work).journal
+    if not has_begun(journal):
+        return 0
+    planned = {trial.id for trial in place.plan.trials}
+    rows = read_journal(journal).rows
+    return sum(row.trial_id in planned and row.status == "ok" for row in rows)
+
+
+def _finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...]]:
+    """Return what a run of a suite has.
+
+    Raises:
+        UsageError: it is no run, or none of this suite, or a part of one.
+        StoreError: it is damaged.
+    """
+    from nw_eval.api.saved_run import check_whole, saved_rows
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    opened = open_run_folder(folder)
+    run = check_whole(read_run_info(opened.run_json))
+    if (name := run.suite.get("name")) != suite:
+        raise UsageError(
+            f"{folder} is a run of suite {name!r}, not {suite!r}", fix="name its suite"
+        )
+    return run, saved_rows(opened, run)
+
+
+def author() -> str:
+    """Return the name that Git would write into a commit here, or else the user's; or nothing."""
+    try:
+        done = subprocess.run(
+            ["git", "config", "user.name"],  # noqa: S607  # Whichever git the user has.
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        try:
+            return getpass.getuser()
+        except (OSError, KeyError):  # A container's user may have no name.
+            return ""
+    return done.stdout.strip()

@@ -1,0 +1,191 @@
+"""Verifying a baseline: its own policy runs some of its starts again, and rows that differ show."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import IncomparableError, PolicyError, TrialError, UsageError
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.api.baselines import Here
+    from nw_eval.engine.listener import Listener
+    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.row import Row
+
+SHARE = "10%"
+"""Of a baseline's starts, where nothing else is asked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifiedBaseline:
+    """What starts of a baseline came to when its own policy ran them again."""
+
+    file: Path
+    bank: SavedBank
+    seed: int
+    """Drew the starts: an int of 48 bits."""
+    drawn: int
+    """How many were drawn."""
+    ran: int
+    """How many came to a result."""
+    has_panel: bool
+    """Whether the baseline has been run on this class of machine, so that bits must be equal."""
+    differing: tuple[str, ...]
+    """A sentence for each row that is not as the baseline says, with both values."""
+    faults: tuple[str, ...]
+    """Trials that came to no result now, and why."""
+    interrupted: bool = False
+    """Whether a signal ended it before its last trial."""
+
+    @property
+    def exit_code(self) -> int:
+        """0 all equal, 5 some differ, 4 a trial came to no result and none differs."""
+        if self.differing:
+            return IncomparableError.exit_code
+        return TrialError.exit_code if self.faults or self.ran < self.drawn else 0
+
+
+def verify_baseline(
+    baseline: str | Path,
+    *,
+    share: str | None = None,
+    trials: int | None = None,
+    seed: int | None = None,
+    suite: str | Path | None = None,
+    policy: str | None = None,
+    workers: int | None = None,
+    listener: Listener | None = None,
+    **changes: Any,
+) -> VerifiedBaseline:
+    """Run starts of a baseline again by its own policy, and compare each with its row.
+
+    Nothing is taken over from the cache of trials, and nothing is written into the project.
+
+    Args:
+        baseline: its name, `<suite>/<name>`, or its path.
+        share: of all its starts, such as `10%`, at least one; 10 % if neither this nor `trials`.
+        trials: how many instead.
+        seed: draws them, an int; one that nobody can foresee if None.
+        suite: the suite's file; the suite of the baseline's own by name if None.
+        policy: where its policy lies; where the baseline says if None.
+        workers: processes; one for each core if None.
+        listener: hears of progress.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code.
+
+    Raises:
+        UsageError: there is no such baseline or suite, or `share` or `trials` is of no use.
+        SuiteError, PolicyError: the suite, or the baseline's policy, cannot be used.
+        StoreError: the baseline is damaged.
+        IncomparableError: it does not hold here, or its policy is another one.
+    """
+    from nw_eval.api.baselines import here, show_baseline
+    from nw_eval.api.plans import check_workers
+    from nw_eval.api.verifying import check_sample, draw, unforeseen_seed
+    from nw_eval.suite import load_suite
+
+    check_workers(workers)
+    if share is not None and trials is not None:
+        raise UsageError("--share and --trials exclude each other", fix="drop one of them")
+    sample = share or SHARE if trials is None else str(trials)
+    check_sample(sample, "--share" if trials is None else "--trials")
+    shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
+    bank, own = shown.bank, shown.bank.manifest.policy
+    if policy is None and _is_here(own.card or own.name):
+        policy = own.card or own.name
+    # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
+    place = here(suite or bank.manifest.suite, policy=policy, **changes).with_starts(
+        bank.manifest.starts
+    )
+    _check(bank, place)
+    seed = unforeseen_seed() if seed is None else seed
+    names = draw([trial.id for trial in place.plan.trials], sample, seed)
+    rows, interrupted = _run(place, names, workers, listener)
+    done = [row for row in rows if row.status == "ok"]
+    return VerifiedBaseline(
+        file=shown.file,
+        bank=bank,
+        seed=seed,
+        drawn=len(names),
+        ran=len(done),
+        has_panel=bank.panel_of(place.machine) is not None,
+        differing=_differing(done, bank, place.machine),
+        faults=tuple(
+            f"{row.trial_id}: {row.error_type}: {row.error_text}"
+            for row in rows
+            if row.status != "ok"
+        ),
+        interrupted=interrupted,
+    )
+
+
+def _check(bank: SavedBank, place: Here) -> None:
+    """Refuse a baseline of something else.
+
+    Raises:
+        IncomparableError: suite, scenes, simulator or policy are others.
+    """
+    from nw_eval.results.bank_changes import key_changes, policy_changes
+
+    changes = (
+        *key_changes(bank.manifest.key, place.key),
+        *policy_changes(bank.manifest.policy, place.policy),
+    )
+    if changes:
+        named = ", ".join(f"{each.part} {each.name} {each.then} -> {each.now}" for each in changes)
+        raise IncomparableError(
+            f"baseline {bank.manifest.name} cannot be verified here: {named}",
+            fix="name its suite with --suite and its policy with --policy, or renew it",
+        )
+
+
+def _run(
+    place: Here, names: Sequence[str], workers: int | None, listener: Listener | None
+) -> tuple[tuple[Row, ...], bool]:
+    """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
+    from nw_eval.engine import session
+    from nw_eval.results.journal import read_journal
+    from nw_eval.results.provenance import read_run_info
+
+    chosen = set(names)
+    trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
+    scenes = {trial.scene for trial in trials}
+    found = tuple(each for each in place.plan.found if each.scene.name in scenes)
+    if listener is not None:
+        listener.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} run again")
+    with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
+        folder = session.carry_out(
+            replace(place.plan, trials=trials, found=found, arm="baseline"),
+            workers=workers,
+            out=Path(temporary) / "run",
+            resume=None,
+            cache=False,  # It may hold the very results that are to be verified.
+            command=tuple(sys.argv),
+            listener=listener,
+        )
+        latest = {row.trial_id: row for row in read_journal(folder.journal).rows}
+        return tuple(latest.values()), read_run_info(folder.run_json).interrupted
+
+
+def _is_here(reference: str) -> bool:
+    """Whether a policy's card is where a reference says."""
+    from nw_eval.policies import find_card
+
+    try:
+        find_card(reference)
+    except PolicyError:
+        return False
+    return True
+
+
+def _differing(rows: Sequence[Row], bank: SavedBank, machine: dict[str, str]) -> tuple[str, ...]:
+    """Return what differs from the panel that a run on a class of machine is compared with."""
+    from nw_eval.gate.baseline.known import differences
+
+    return differences(rows, bank.panel_of(machine) or bank.panels[0])

@@ -1,0 +1,220 @@
+"""From when on a run's failures were not to be averted by a baseline's policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.errors import NwEvalError
+    from nw_eval.policies import Bundle
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.replaying.blame.report import BlameReport
+
+AT_MOST = 10
+"""Trials that are blamed unless more are asked for: each takes as long as some ten others."""
+
+_START = 5.0  # Wall seconds until a process has its libraries.
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlamedTrial:
+    """A trial of a run that failed, and what a baseline makes of it."""
+
+    trial: str
+    scene: str
+    report: BlameReport | None
+    """None where nothing came of it."""
+    fault: str = ""
+    """Why not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlamePlan:
+    """What is to be blamed, and about how long it takes."""
+
+    chosen: int
+    failed: int
+    """Of the run's trials."""
+    without_log: int
+    """Of those: nothing can be said of them."""
+    baseline: str
+    """Who takes over."""
+    tries: int
+    """In each trial, at most."""
+    minutes: float
+    """Of wall time, about, at most; reckoned from what the run's own trials took."""
+    workers: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blames:
+    """What a baseline makes of a run's failures."""
+
+    run: str
+    plan: BlamePlan
+    trials: tuple[BlamedTrial, ...]
+    """The worst first, as in the run's report."""
+
+
+def blame(
+    run: Path,
+    *,
+    baseline: str,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    at_most: int = AT_MOST,
+    workers: int | None = None,
+    allow_code: bool = False,
+    planned: Callable[[BlamePlan], None] | None = None,
+    ended: Callable[[BlamedTrial], None] | None = None,
+) -> Blames:
+    """Return for failed trials of a run from when on a baseline does not complete them any more.
+
+    Each trial goes its recorded way once, in a confined process, and the baseline takes over at
+    several of its moments.
+
+    Args:
+        run: the run's folder, with its logs.
+        baseline: a bank, whose policy takes over; or a policy.
+        policy: where the bank's policy lies, if not where the bank says.
+        checkpoint: weights in place of those that its card names.
+        at_most: trials; the worst first.
+        workers: processes; one for each core if None.
+        allow_code: whether Python code that the card names may be imported.
+        planned: told what is to be done, before anything is.
+        ended: told of each trial, as it ends.
+
+    Raises:
+        UsageError: it is no run's folder, there is neither bank nor policy of that name, `at_most`
+            is no number of trials, or no failed trial has a log.
+        StoreError: run or bank are damaged.
+        IncomparableError: the bank's policy is not the one that is there.
+        PolicyError: the policy cannot be used.
+    """
+    from nw_eval.engine.machine.cores import worker_count
+    from nw_eval.errors import UsageError
+    from nw_eval.reporting.tables.trials import worst_trials
+    from nw_eval.results.evidence_check import present_logs
+    from nw_eval.rollout.confined.vetting import vet_bundle
+    from nw_eval.rollout.replaying.blame.apart import blame_apart
+
+    if at_most < 1:
+        raise UsageError(f"--at-most {at_most}", fix="give at least 1 trial")
+    folder, info, rows = _read(run)
+    bundle = baseline_bundle(baseline, info, policy=policy, checkpoint=checkpoint)
+    vet_bundle(bundle, str(info.suite.get("robot", "")), allow_code=allow_code)
+    failed = worst_trials(rows)
+    logs = present_logs(folder, failed)
+    chosen = [row for row in failed if row.trial_id in logs][:at_most]
+    if not chosen:
+        raise UsageError(
+            f"{run} has no failed trial with a log", fix="name a run that has, with its mcap/"
+        )
+    count = worker_count(workers, len(chosen))
+    plan = BlamePlan(
+        chosen=len(chosen),
+        failed=len(failed),
+        without_log=len(failed) - len(logs),
+        baseline=bundle.name,
+        tries=_tries(chosen),
+        minutes=_minutes(rows, chosen, info, workers=count),
+        workers=count,
+    )
+    if planned is not None:
+        planned(plan)
+    found: dict[int, BlamedTrial] = {}
+    paths = [logs[row.trial_id] for row in chosen]
+    for place, what in blame_apart(
+        paths,
+        policy=bundle.reference,
+        checkpoint=checkpoint,
+        allow_code=allow_code,
+        workers=count,
+    ):
+        found[place] = _blamed(chosen[place], paths[place], what)
+        if ended is not None:
+            ended(found[place])
+    return Blames(run=str(run), plan=plan, trials=tuple(found[n] for n in range(len(chosen))))
+
+
+def _blamed(row: Row, log: Path, what: BlameReport | NwEvalError) -> BlamedTrial:
+    from nw_eval.errors import NwEvalError
+
+    report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
+    if report is not None and report.trial != row.trial_id:
+        report, fault = None, f"{log} is the log of another trial"
+    return BlamedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
+
+
+def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
+    from nw_eval.api.saved_run import saved_rows
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    folder = open_run_folder(run)
+    info = read_run_info(folder.run_json)
+    return folder, info, saved_rows(folder, info)
+
+
+def _tries(rows: Sequence[Row]) -> int:
+    from nw_eval.rollout.replaying.blame.search import most_tries
+
+    return max(most_tries(row.steps) for row in rows)
+
+
+def _minutes(rows: Sequence[Row], chosen: Sequence[Row], info: RunInfo, *, workers: int) -> float:
+    simulated = sum(row.sim_s for row in rows) or 1.0
+    pace = sum(row.wall_s for row in rows) / simulated
+    duration = float(info.suite.get("episode", {}).get("duration", 0.0))
+    each = _START + pace * (1 + _tries(chosen)) * duration
+    return len(chosen) * each / workers / 60.0
+
+
+def baseline_bundle(
+    baseline: str, info: RunInfo, *, policy: str | None, checkpoint: Path | None
+) -> Bundle:
+    """Return the policy that a baseline's name means: that of a bank, or else one of that name.
+
+    Args:
+        baseline: see above; a bank of the run's own suite goes before a policy.
+        info: the run's.
+        policy: where the bank's policy lies.
+        checkpoint: weights of it.
+
+    Raises:
+        UsageError: there is neither; or no bank, and a policy is named as well.
+        StoreError: the bank is damaged.
+        IncomparableError: the bank's policy is not the one that is there.
+        PolicyError: the policy cannot be loaded.
+    """
+    from nw_eval.errors import IncomparableError, PolicyError, UsageError
+    from nw_eval.policies import find_card, load_bundle
+    from nw_eval.results.bank_file import find_bank, read_bank
+
+    try:
+        bank = read_bank(find_bank(baseline, suite=str(info.suite.get("name", ""))))
+    except UsageError as error:
+        no_bank = error
+    else:
+        own = bank.manifest.policy
+        bundle = load_bundle(find_card(policy or own.card or own.name), checkpoint=checkpoint)
+        if (bundle.checkpoint_digest, bundle.digest) != (own.checkpoint_digest, own.card_digest):
+            raise IncomparableError(
+                f"baseline {bank.manifest.name} was saved with {own.name} "
+                f"({own.checkpoint_digest[:8]}), and {bundle.where} is another one "
+                f"({bundle.checkpoint_digest[:8]})",
+                fix="say where it lies with --policy and --checkpoint, or name the policy itself "
+                "with --baseline",
+            )
+        return bundle
+    if policy is not None:
+        raise no_bank
+    try:
+        return load_bundle(find_card(baseline), checkpoint=checkpoint)
+    except PolicyError as error:
+        raise UsageError(f"{no_bank.message}, and no policy: {error.message}") from None

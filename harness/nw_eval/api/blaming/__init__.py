@@ -1,1 +1,0 @@
-"""Whose fault a failure is, and since when: a baseline takes over."""

@@ -1,0 +1,150 @@
+"""Comparing policies, with each other and with the robot. Needs no simulation.
+
+Runs and banks go in; ranks and where policies part, or the agreement with results on the robot,
+come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.errors import UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+    from nw_eval.stats.agreement import Agreement
+
+
+def compare(
+    runs: Sequence[str | Path],
+    *,
+    out: str | Path | None = None,
+    picture: str | Path | None = None,
+    confidence: float = 0.95,
+) -> PolicyComparison:
+    """Compare the policies of two or more runs or banks of one suite, side by side.
+
+    They are compared on the starts that all have a result from. Nothing is judged.
+
+    Args:
+        runs: folders of runs, and banks by path or, beside a run, by name. Where policies part is
+            where each parts from the first one.
+        out: a Markdown page to write.
+        picture: a PNG of all scenes and policies to write.
+        confidence: of each interval alone; of all ranks together.
+
+    Raises:
+        UsageError: there are fewer than two, one is neither a run nor a bank, or the confidence is
+            not between 0 and 1.
+        IncomparableError: they differ in suite, scenes, starts or simulator; each field is named.
+        StoreError: rows are damaged, or a page cannot be written.
+    """
+    from nw_eval.gate.side_by_side import side_by_side
+
+    check_share(confidence)
+    found = side_by_side(entrants(runs), confidence)
+    if out is not None:
+        from nw_eval.files.cache import followed
+        from nw_eval.reporting.markdown import write_report
+        from nw_eval.reporting.side_by_side.page import comparison_page
+
+        write_report(followed(Path(out)), comparison_page(found))
+    if picture is not None:
+        from nw_eval.reporting.side_by_side.picture import draw_comparison
+
+        draw_comparison(found, Path(picture))
+    return found
+
+
+def check_share(confidence: float) -> None:
+    """Refuse a confidence that is no probability, such as 95.
+
+    Raises:
+        UsageError: it is not between 0 and 1.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"confidence {confidence} is not between 0 and 1", fix="0.95 is 95 %")
+
+
+def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
+    """Return the policies of runs and banks, in this order.
+
+    Raises:
+        UsageError, IncomparableError, StoreError: as `compare`.
+    """
+    from nw_eval.gate.side_by_side import entrant_of_run
+
+    runs = {str(source): _run(Path(source)) for source in sources}
+    infos = [run[0] for run in runs.values() if run is not None]
+    return [
+        _bank(source, infos) if run is None else entrant_of_run(source, *run)
+        for source, run in ((str(source), runs[str(source)]) for source in sources)
+    ]
+
+
+def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
+    """Return a run's provenance and rows; None for what is no run's folder."""
+    from nw_eval.api.saved_run import saved_rows
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    try:
+        folder = open_run_folder(path)
+    except UsageError:
+        if path.is_dir():
+            raise
+        return None
+    info = read_run_info(folder.run_json)
+    return info, saved_rows(folder, info)
+
+
+def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
+    """Return a bank, on the class of machine of the first run if it has been there."""
+    from nw_eval.gate.side_by_side import entrant_of_bank
+    from nw_eval.results.bank import machine_of
+    from nw_eval.results.bank_file import find_bank, read_bank
+
+    if not runs and "/" not in source and not source.endswith(".parquet"):
+        raise UsageError(
+            f"{source} is no run's folder, and without a run no baseline is known by its name",
+            fix="name the baseline's file",
+        )
+    try:
+        path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
+    except UsageError as error:
+        raise UsageError(
+            f"{source} is no run's folder, and {error.message}", fix=error.fix
+        ) from None
+    bank = read_bank(path)
+    panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]
+    return entrant_of_bank(source, bank, panel)
+
+
+def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0.95) -> Agreement:
+    """Say how well the simulator ranks policies as the robot does.
+
+    Args:
+        real: a CSV with the columns policy, scene, trials and success (0 to 1). A policy is named
+            as in its run, or by the name of its run's folder or its bank.
+        runs: folders of runs, and banks by path or, beside a run, by name; others than the CSV's
+            policies may be among them.
+        confidence: of each interval.
+
+    Raises:
+        UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;
+            or the confidence is not between 0 and 1.
+        IncomparableError: the runs differ in suite, scenes or simulator; each field is named.
+        StoreError: rows are damaged.
+    """
+    from nw_eval.gate.side_by_side import measured
+    from nw_eval.results.real import read_real_results
+    from nw_eval.stats.agreement import agreement
+
+    check_share(confidence)
+    if not runs:
+        raise UsageError("no run to compare the robot with", fix="name the runs of its policies")
+    return agreement(measured(read_real_results(Path(real)), entrants(runs)), confidence)

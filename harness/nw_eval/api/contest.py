@@ -1,0 +1,445 @@
+"""A run against a bank: what comes before its first trial, and after which trial it may end.
+
+On a class of machine that its bank has not seen the baseline has trials of its own. They are a run
+of their own, `baseline/` in the folder of the candidate's: the bank's policy from the starts that
+the candidate meets, in its order. The first of them show whether bits are the bank's. If they are,
+nothing more of it runs. If not, the policy runs beside the candidate from every start (a concurrent
+control), and the bank's numbers take no part in the comparison.
+
+A part of a run looks at the first trials of the whole run, so that all parts find the same without
+hearing of each other, and what the run would have found. Its control runs from its own starts.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nw_eval.api.banks import control_rows
+from nw_eval.api.plans import rechecks
+from nw_eval.engine.machine.cores import worker_count
+from nw_eval.engine.rounds import RunStanding
+from nw_eval.errors import IncomparableError, PolicyError, TrialError
+from nw_eval.files.inside import what_is
+from nw_eval.gate.absolute import word_of_bar
+from nw_eval.gate.baseline.judge import setup_of
+from nw_eval.gate.baseline.known import contradictions, recheck
+from nw_eval.gate.baseline.match import is_baseline, renewing
+from nw_eval.plural import plural
+from nw_eval.protocol import PROTOCOLS
+from nw_eval.results.bank import ControlArm, machine_of, trajectory
+from nw_eval.results.provenance import StopInfo, read_run_info
+
+if TYPE_CHECKING:
+    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.plan import Plan
+    from nw_eval.gate.baseline.finding import Finding
+    from nw_eval.gate.baseline.judge import ComparisonSetup
+    from nw_eval.gate.verdict import Word
+    from nw_eval.policies import Bundle
+    from nw_eval.results.bank import Against, Stratum
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+
+
+class Contest:
+    """A candidate's run against a bank, as `engine.session` asks about it.
+
+    Args:
+        plan: the candidate's.
+        against: the bank.
+        workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
+        command: what was typed.
+        listener: hears of progress.
+        cache: whether results of earlier runs are taken over.
+        all_rounds: whether all trials run, settled or not.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        against: Against,
+        *,
+        workers: int | None,
+        cluster: str | None,
+        command: tuple[str, ...],
+        listener: Listener,
+        cache: bool,
+        all_rounds: bool,
+    ) -> None:
+        self._plan = plan
+        self._against = against
+        self._workers = workers
+        self._cluster = cluster
+        self._command = command
+        self._listener = listener
+        self._cache = cache
+        self._all_rounds = all_rounds
+        self._beside: Beside | None = None
+        self._setup: ComparisonSetup | None = None
+        self._bar: tuple[int, Word] | None = None
+        self._looked = 0
+
+    def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
+        """Return what run.json is to say once it is known what the bank is to this machine.
+
+        On a class of machine that the bank has no panel of, some trials of its own policy run
+        first: they show whether bits are the bank's.
+
+        Args:
+            folder: of the run.
+            run: its run.json.
+
+        Raises:
+            IncomparableError: the bank's policy is not here.
+            TrialError: a trial of the bank's policy came to no result.
+        """
+        name, own = self._against.info.name, self._plan.bundle.name
+        if self._plan.is_baseline:
+            count = plural(rechecks(self._plan.request), "start")
+            self._listener.message(
+                f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
+                "they are as it says the rest is taken over"
+            )
+        elif not self._is_seen(run):
+            run = self._looked_at(folder, run)
+        if not run.interrupted and (run.stop is None or run.stop.trials):
+            self._setup = setup_of(run, self._against, self._plan.suite.gate)
+        return run
+
+    def end(self, run: RunInfo) -> None:
+        """Keep of a control the trials that are judged, and no more; of a part's, all.
+
+        Args:
+            run: its run.json, once its trials have ended.
+        """
+        beside = self._beside
+        if beside is None or beside.is_interrupted or run.interrupted or run.shard is not None:
+            return
+        if run.baseline is not None and run.baseline.checked == "control":
+            every = range(len(self._plan.trials))
+            stop = run.stop
+            beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
+
+    def _looked_at(self, folder: RunFolder, run: RunInfo) -> RunInfo:
+        """Return run.json with what trials of the baseline show of this class of machine."""
+        name = self._against.info.name
+        self._listener.message(
+            f"baseline {name} has not seen this class of machine: its own policy runs first"
+        )
+        self._beside = beside = Beside(
+            self._plan,
+            self._against,
+            folder,
+            run,
+            workers=self._workers,
+            cluster=self._cluster,
+            command=self._command,
+            cache=self._cache,
+        )
+        beside.run(beside.order[:CHUNK])
+        if beside.is_interrupted:
+            return run.model_copy(update={"interrupted": True})
+        self._against = replace(self._against, control=beside.control)
+        alike = self._plan.panel == "pinned" and beside.looks_like_the_bank()
+        if isinstance(alike, tuple):
+            known = self._against.info.model_copy(update={"moved": alike})
+            return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
+        if not alike:
+            self._listener.message(
+                f"bits are others here than in baseline {name}: its policy runs beside "
+                f"{self._plan.bundle.name} from the same starts, and is compared with it"
+            )
+        if not alike and self._plan.shard is not None:
+            # A part has all its trials, so that nothing is gained by waiting for the candidate's.
+            beside.run([trial.place for trial in self._plan.trials if trial.place is not None])
+            if beside.is_interrupted:
+                return run.model_copy(update={"interrupted": True})
+            self._against = replace(self._against, control=beside.control)
+        checked = "bits" if alike else "control"
+        known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
+        return run.model_copy(update={"baseline": known})
+
+    def next(self, ended: Mapping[int, Row]) -> RunStanding:
+        """Return how bar and baseline stand, and which trials come next.
+
+        The bar and the mean rest on the first trials of the drawn order, all of them. The run ends
+        at the first trial after which one of them convicts or both pass. Then only scenes can be
+        left that hold back a PASS of the baseline; their trials do not bear on bar or mean.
+
+        Args:
+            ended: rows of trials that have ended, by place in the order.
+        """
+        while True:
+            now = self._standing(ended)
+            beside = self._beside
+            if now.ahead and beside is not None and self._is_controlled:
+                lacking = [x for x in now.ahead if x not in beside.places]
+                if lacking and lacking[0] in now.ahead[: worker_count(self._workers, CHUNK)]:
+                    beside.run(lacking[:CHUNK])
+                    if beside.is_interrupted:
+                        # The run that it is beside is under way, and is to hear of it too.
+                        signal.raise_signal(signal.SIGINT)
+                    elif self._setup is not None:
+                        self._against = replace(self._against, control=beside.control)
+                        self._setup = replace(self._setup, against=self._against)
+                        continue
+            return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
+
+    @property
+    def _is_controlled(self) -> bool:
+        return self._setup is not None and self._setup.basis == "control"
+
+    def _standing(self, ended: Mapping[int, Row]) -> RunStanding:
+        setup = self._setup
+        assert setup is not None, "a run begins before its first trial ends"
+        every, count = range(len(self._plan.trials)), _first_missing(ended)
+        if self._all_rounds:
+            met = setup.met(list(ended.values()))
+            is_met = met.ended(every)
+            return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
+        if self._plan.is_baseline:
+            return self._of_recheck(ended, setup)
+        finding = setup.find(setup.met(list(ended.values())))
+        bar = self._bar_by(ended, count)
+        first = _ends_at(finding, bar)
+        if first is None:
+            rest = {x for x in every if x not in ended} | set(finding.ahead)
+            return RunStanding(first=count, ahead=tuple(sorted(rest)))
+        missing = [x for x in range(first) if x not in ended]
+        passes = finding.word != "REGRESSED" and (bar is None or bar[1] != "REGRESSED")
+        has_followed = passes or (finding.followed and finding.followed[-1] >= first)
+        return RunStanding(
+            first=first,
+            followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
+            ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+            waits_for=_names(finding.waits_for) if passes else (),
+        )
+
+    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
+        """Return what comes next of the bank's own policy: some starts of each scene.
+
+        Where the bank has not seen the class of machine, and bits are others, the bar is still to
+        be judged: by the policy's own trials.
+        """
+        every = range(len(self._plan.trials))
+        first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
+        if missing := tuple(x for x in range(first) if x not in ended):
+            return RunStanding(first=first, ahead=missing)
+        rows = [ended[x] for x in range(first)]
+        again = recheck(rows, setup.run, setup.bank)
+        if any(row.status == "error" for row in rows) or again.equal or again.differing:
+            return RunStanding(first=first)
+        bar = self._bar_by(ended, _first_missing(ended))
+        if bar is not None:
+            return RunStanding(first=max(first, bar[0]))
+        return RunStanding(first=first, ahead=tuple(x for x in every if x not in ended))
+
+    def _bar_by(self, ended: Mapping[int, Row], count: int) -> tuple[int, Word] | None:
+        """Return after how many of the first trials the bar is decided, and how; None if open."""
+        if self._bar is None and self._plan.suite.gate.success_rate is None:
+            self._bar = 0, "RAN"
+        while self._bar is None and self._looked < count:
+            self._looked += 1
+            rows = [ended[place] for place in range(self._looked)]
+            scenes = [scene.name for scene in self._plan.scenes]
+            word = word_of_bar(rows, self._plan.suite.gate, scenes)
+            if word in {"PASS", "REGRESSED"}:
+                self._bar = self._looked, word
+        return self._bar
+
+    def _is_seen(self, run: RunInfo) -> bool:
+        """Whether nothing of the baseline need be run on this machine."""
+        if self._against.bank.panel_of(machine_of(run)) is not None:
+            return True
+        return is_baseline(run.policy, self._against.bank)
+
+
+def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
+    """Return the scenes of strata, each once."""
+    return tuple(dict.fromkeys(scene for scene, _ in strata))
+
+
+def _first_missing(ended: Mapping[int, Row]) -> int:
+    return next(place for place in range(len(ended) + 1) if place not in ended)
+
+
+def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:
+    """Return how many of the first trials of the order bear on bar and mean; None if not settled.
+
+    Args:
+        finding: of the baseline.
+        bar: after how many trials it was decided, and how.
+    """
+    convicts = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
+    by_scene = finding.word == "REGRESSED" and bool(finding.followed)
+    if finding.word == "REGRESSED" and not by_scene:
+        convicts.append(finding.first)
+    mean_passes = finding.word == "PASS" or by_scene or bool(finding.waits_for)
+    passes = None
+    if mean_passes and bar is not None and bar[1] != "REGRESSED":
+        passes = max(finding.first, bar[0])
+    if by_scene:
+        convicted = finding.followed[-1] + 1
+        if passes is not None and passes < convicted:
+            return passes
+        convicts.append(convicted)
+    return min(convicts) if convicts else passes
+
+
+CHUNK = 16
+"""Trials of the baseline that run at once: workers take some seconds to start."""
+
+
+class Beside:
+    """The bank's policy beside a candidate.
+
+    Args:
+        plan: the candidate's.
+        against: the bank.
+        folder: of the candidate's run.
+        run: its run.json.
+        workers: processes; one for each core if None.
+        cluster: the address of the Ray cluster that trials run on; None = this machine.
+        command: what was typed.
+        cache: whether results of earlier runs are taken over.
+
+    Raises:
+        IncomparableError: the bank's policy is not here.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        against: Against,
+        folder: RunFolder,
+        run: RunInfo,
+        *,
+        workers: int | None,
+        cluster: str | None,
+        command: tuple[str, ...],
+        cache: bool,
+    ) -> None:
+        from nw_eval.api.plans import baseline_plan
+
+        self.is_interrupted = False
+        self._folder, self._nested = folder, folder.baseline
+        self._against = against
+        self._workers, self._cluster = workers, cluster
+        self._command, self._cache = command, cache
+        self._plan = baseline_plan(plan, _bundle(plan, against, run))
+        self.places = set[int]()
+        """Of what has run."""
+        self._control: ControlArm | None = None
+
+    @property
+    def order(self) -> list[int]:
+        """Places of all trials that there are to run, in order; of a part, those of its run."""
+        return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
+
+    @property
+    def control(self) -> ControlArm | None:
+        """What has run so far; None if nothing has."""
+        return self._control
+
+    def run(self, places: Collection[int], *, exactly: bool = False) -> None:
+        """Run the trials at some places of the candidate's order, those that have not run yet.
+
+        Args:
+            places: in the order.
+            exactly: whether only these are to be kept of all that have run.
+
+        Raises:
+            TrialError: a trial of the bank's policy came to no result, or not to what the cache
+                says.
+        """
+        from nw_eval.engine import session
+
+        self.places = set(places) if exactly else self.places | set(places)
+        is_begun = what_is(self._nested.run_json) == "file"
+        session.carry_out(
+            self._plan,
+            workers=self._workers,
+            cluster=self._cluster,
+            out=None if is_begun else self._nested.path,
+            resume=self._nested.path if is_begun else None,
+            command=self._command,
+            listener=None,
+            enough=self._next,
+            cache=self._cache,
+        )
+        own = read_run_info(self._nested.run_json)
+        if own.cache is not None and own.cache.differing:
+            raise TrialError(
+                f"the baseline's policy {own.policy.name}: {own.cache.differing[0]}",
+                fix="start a new run",
+            )
+        if own.interrupted:
+            self.is_interrupted = True
+            return
+        self._control = ControlArm(run=own, rows=control_rows(self._nested, own, self._folder))
+
+    def looks_like_the_bank(self) -> bool | tuple[str, ...]:
+        """Return whether what has run has the bits of the bank; sentences where it contradicts it.
+
+        Only a candidate on the bank's own starts can be asked.
+        """
+        assert self._control is not None, "something has run"
+        bank, rows = self._against.bank, self._control.rows
+        panel = bank.panels[0]
+        if wrong := contradictions(rows, bank, panel):
+            return wrong
+        return all(
+            trajectory(row)
+            == panel.by_stratum[row.scene, row.perturbation][row.seed_index].trajectory
+            for row in rows
+        )
+
+    def _next(self, ended: Mapping[int, Row]) -> RunStanding:
+        places = tuple(sorted(self.places))
+        return RunStanding(
+            first=0, followed=places, ahead=tuple(place for place in places if place not in ended)
+        )
+
+
+def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
+    """Return the baseline's policy: where the request says, or the bank.
+
+    Raises:
+        IncomparableError: it is not there, cannot be used, or is another one.
+    """
+    from nw_eval.policies import find_card, load_bundle
+    from nw_eval.rollout.confined.vetting import vet_bundle
+
+    own = against.bank.manifest.policy
+    reference = plan.request.baseline_policy or own.card or own.name
+    try:
+        bundle = vet_bundle(
+            load_bundle(find_card(reference)),
+            plan.suite.robot,
+            protocol=PROTOCOLS[plan.suite.protocol],
+            allow_code=plan.request.allow_code,
+        )
+    except PolicyError as error:
+        fault = error.message
+    else:
+        ours, theirs = (
+            (bundle.checkpoint_digest, bundle.digest),
+            (own.checkpoint_digest, own.card_digest),
+        )
+        if ours == theirs:
+            return bundle
+        fault = (
+            f"{reference} is another one: checkpoint {ours[0][:8]} and card {ours[1][:8]}, the "
+            f"baseline's {theirs[0][:8]} and {theirs[1][:8]}"
+        )
+    raise IncomparableError(
+        f"baseline {against.info.name} has not seen this class of machine, and its policy "
+        f"{own.name} cannot be run on it: {fault}",
+        fix="say where it lies with --baseline-policy PATH, or save a panel here: "
+        f"`{renewing(run, against.bank)}`",
+    )

@@ -1,0 +1,129 @@
+"""Scenes and policies of a hub: fetched ahead of a run, and pushed."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.hub.fetched import Fetched
+    from nw_eval.hub.listener import FetchListener
+
+_BESIDE = ("README.md", "LICENSE", "LICENSE.md", "LICENSE.txt", "NOTICE")
+"""What is pushed of a scene's folder besides the files that the scene is made of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushedScene:
+    """A scene as it lies on a hub."""
+
+    reference: str
+    """`hub:org/name@commit`: what names this very revision, for ever."""
+    files: tuple[str, ...]
+    bytes: int
+    """Of all files together."""
+
+
+def fetch_scene(reference: str, *, listener: FetchListener | None = None) -> Fetched:
+    """Return a place as its hub has it now, fetched as far as it is not on this machine.
+
+    Runs use it without a network from then on. What they find missing they fetch by themselves.
+
+    Args:
+        reference: `hub:org/name[@revision]`, or `neverwhere:NAME` for a scene of the release.
+        listener: hears how far it is.
+
+    Raises:
+        SceneError: there is no such place, or it is none; or not for this user.
+        FetchError: the hub cannot be reached or fails; the next call goes on from what came.
+        PrerequisiteError: the extra `hub` is not installed.
+        StoreError: it cannot be kept.
+    """
+    from nw_eval import catalogue
+
+    with _heard(listener):
+        return catalogue.fetch_scene(reference)
+
+
+def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fetched:
+    """Return a policy as its hub has it now, fetched as far as it is not on this machine.
+
+    Nothing of it is run, and its code never without `allow_code`.
+
+    Args:
+        reference: `hub:org/name[@revision]`.
+        listener: hears how far it is.
+
+    Raises:
+        PolicyError: there is no such policy, or it has no card; or not for this user.
+        FetchError, PrerequisiteError, StoreError: as `fetch_scene`.
+    """
+    from nw_eval.hub.fetch import fetch
+    from nw_eval.hub.reference import parse
+    from nw_eval.policies.bundle import card_of_fetched
+
+    with _heard(listener):
+        fetched = fetch(parse(reference, "policy"))
+    card_of_fetched(fetched)
+    return fetched
+
+
+def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
+    """Put a scene folder into a repository of a hub, in one commit, and return where it lies.
+
+    Args:
+        folder: with a `scene.yaml`. The files that it is made of are pushed, and README and
+            licence if they lie beside it; others are not.
+        to: `hub:org/name`; the repository is made if it is not there.
+        private: whether a repository that is made is for its owner alone.
+
+    Raises:
+        SceneError: it is no scene folder, or its health check finds errors; or the hub does not
+            let this user.
+        UsageError: `to` names a revision.
+        FetchError: the hub cannot be reached or fails; nothing was changed.
+        PrerequisiteError: the extra `hub` is not installed.
+    """
+    from nw_eval.catalogue.inspect import inspect_scene
+    from nw_eval.errors import SceneError
+    from nw_eval.hub.push import push
+    from nw_eval.hub.reference import parse
+    from nw_eval.scenes.folder import folder_files, load_folder
+
+    reference = parse(to, "scene")
+    found = folder_files(folder)
+    faults = [str(each) for each in inspect_scene(folder).findings if each.severity == "error"]
+    if faults:
+        raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="mend the scene first")
+    beside = {name: folder / name for name in _BESIDE}
+    found |= {name: path for name, path in beside.items() if _is_own_file(path)}
+    commit = push(
+        reference,
+        dict(sorted(found.items())),
+        private=private,
+        message=f"{load_folder(folder).name}, pushed by nw-eval",
+    )
+    return PushedScene(
+        reference=f"{reference.text}@{commit}",
+        files=tuple(sorted(found)),
+        bytes=sum(path.stat().st_size for path in found.values()),
+    )
+
+
+def _is_own_file(path: Path) -> bool:
+    """Whether a file lies there itself: a link may lead to what is nobody's business."""
+    return path.is_file() and not path.is_symlink()
+
+
+@contextmanager
+def _heard(listener: FetchListener | None) -> Generator[None]:
+    from nw_eval.hub.listener import heard_by
+
+    if listener is None:  # Whoever listens already.
+        yield
+        return
+    with heard_by(listener):
+        yield

@@ -1,0 +1,524 @@
+"""What a run would be: suite, policy and scenes resolved and checked before anything runs.
+
+Everything that is wrong with them is found in one go.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from nw_eval.api.banks import check_rounds, wanted_bank
+from nw_eval.clean import clean
+from nw_eval.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
+from nw_eval.request import Request
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.catalogue import FoundScene
+    from nw_eval.engine.forecast import Forecast
+    from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
+    from nw_eval.results.bank import Against, Stratum
+    from nw_eval.results.provenance import PolicyInfo
+    from nw_eval.scenes import Scene
+    from nw_eval.scenes.finding import SceneFinding
+    from nw_eval.suite import Draft, Suite
+    from nw_eval.suite.trials import DrawnStart
+    from nw_eval.words import Arm, Collision
+
+
+def plan(request: Request | Suite | str | Path | None, **changes: Any) -> Plan:
+    """Resolve a request to the trials that it means, and check all of it.
+
+    Args:
+        request: the request, or its suite: a file, the name of a shipped one, or one that was read
+            already.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError: an option cannot be used, there is no such suite, or the policy needs images of
+            a scene that has no splat.
+        SuiteError: what is wrong with the suite, its scenes and its policy, all of it.
+        PolicyError: only the policy cannot be used, and its own files are to blame.
+    """
+    return _planned(request, changes, may_fail=True)
+
+
+def _planned(
+    request: Request | Suite | str | Path | None, changes: dict[str, Any], *, may_fail: bool
+) -> Plan:
+    from nw_eval.suite import Suite, draft_of, draft_suite
+
+    if isinstance(request, Suite):
+        return plan_of(Request.of(None, **changes), draft_of(request), may_fail=may_fail)
+    request = Request.of(request, **changes)
+    if request.suite is None:
+        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+    return plan_of(request, draft_suite(request.suite), may_fail=may_fail)
+
+
+def plan_of(
+    request: Request,
+    draft: Draft,
+    *,
+    card: Path | None = None,
+    scenes: Sequence[str] | None = None,
+    bundle: Bundle | None = None,
+    against: Against | None = None,
+    arm: Arm = "candidate",
+    own_policy: bool | None = None,
+    may_fail: bool = True,
+) -> Plan:
+    """Resolve what is asked of a suite, as `plan` does.
+
+    Args:
+        request: what is asked for.
+        draft: the suite, as far as it could be read.
+        card: where its policy lies, if that is known: a run that is resumed elsewhere still names
+            its policy as it was asked for, and finds it where it was.
+        scenes: globs in place of the request's.
+        bundle: a policy that is loaded already, in place of the request's.
+        against: a bank that is read already, in place of the request's.
+        arm: whether its policy is the one that is judged.
+        own_policy: whether the policy is the suite's own; None = the request says.
+        may_fail: whether a policy that answers zeros with NaN is left to its trials, which count
+            it as the policy's own failure; else it is a fault.
+
+    Raises:
+        IncomparableError: the bank does not hold for it.
+    """
+    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.prepare import check_splats
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.engine.shards import shard_of
+    from nw_eval.suite import expand, override
+
+    suite = None if draft.suite is None else override(draft.suite, request)
+    faults = Faults(draft)
+    if own_policy is None:
+        own_policy = bundle is None and _is_own_policy(draft, request)
+    # A process of its own reads the bank, for no longer than an interrupt can wait.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        read = None
+        if suite is not None and against is None:
+            read = beside.submit(wanted_bank, request, suite, own_policy=own_policy)
+        found = open_scenes(draft, faults, request.collision)
+        for place in found:
+            _ = place.scene.digest  # Kept; what looks at the policy is still starting.
+        if bundle is None:
+            bundle = open_policy(draft, faults, request, card=card, may_fail=may_fail)
+        else:
+            bundle = _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+    faults.raise_any()
+    assert suite is not None, "a suite that cannot be used has faults"
+    assert bundle is not None, "a policy that cannot be used has faults"
+    chosen = _chosen(found, request.scenes if scenes is None else scenes, suite)
+    opened = [place.scene for place in chosen]
+    check_splats(bundle.card, opened)
+    if read is not None:
+        against = read.result()
+    policy = policy_info(bundle)
+    suite = _on_panel(request, suite, policy, against)
+    trials, shard = shard_of(
+        expand(suite, opened, _drawn(request, suite, opened, policy, against)), request.part
+    )
+    resolved = Plan(
+        request=request.from_anywhere(),
+        suite=suite,
+        bundle=bundle,
+        found=chosen,
+        left_out=tuple(
+            sorted({place.scene.name for place in found} - {place.scene.name for place in chosen})
+        ),
+        trials=trials,
+        own_policy=own_policy,
+        shard=shard,
+        against=against,
+        arm=arm,
+    )
+    return resolved if against is None else _matched(resolved, against)
+
+
+def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
+    """Return the plan of a bank's own policy from the starts that a candidate meets, in its order.
+
+    Of a part of a run it is that of the whole run.
+
+    Args:
+        plan: the candidate's.
+        bundle: the bank's policy.
+
+    Raises:
+        UsageError: it needs images of a scene that has no splat.
+    """
+    from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.engine.prepare import check_splats
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.suite import expand, override
+
+    check_splats(bundle.card, plan.scenes)
+    request = replace(
+        plan.request, policy=bundle.reference, checkpoint=None, record="none", shard=None
+    )
+    policy, trials = policy_info(plan.bundle), plan.trials
+    if plan.shard is not None:
+        drawn = _drawn(plan.request, plan.suite, plan.scenes, policy, plan.against)
+        trials = expand(plan.suite, plan.scenes, drawn)
+    return replace(
+        plan,
+        request=request,
+        suite=override(plan.suite, Request(record="none")),
+        bundle=bundle,
+        trials=trials,
+        shard=None,
+        drawn=DrawnOrder(starts=plan.drawn_from, candidate=policy.key),
+        is_baseline=False,
+        arm="baseline",
+    )
+
+
+def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
+    """Return the plan of a bank's own policy with trials that run, whatever the cache has of them.
+
+    Args:
+        plan: with `is_baseline`.
+        seed: draws the starts of each scene that run again.
+        all_rounds: whether all trials run, in the order that they have.
+
+    Raises:
+        IncomparableError: the bank has fewer starts than are to run again.
+    """
+    from nw_eval.api.verifying import draw
+    from nw_eval.engine.plan import DrawnOrder
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.gate.baseline.match import draw_rounds
+    from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
+    from nw_eval.suite import expand, override
+
+    assert plan.against is not None, "the policy of a bank has one"
+    count, against = rechecks(plan.request), plan.against
+    starts = against.bank.manifest.starts
+    strata = _strata(plan.suite, plan.scenes)
+    if all_rounds and plan.shard is None:
+        key = rounds_key(policy_info(plan.bundle))
+        order = draw_rounds(
+            strata,
+            starts,
+            plan.suite.trials,
+            candidate=candidate_in(key),
+            suite_digest=plan.suite.digest,
+        )
+        plan = replace(
+            plan,
+            trials=expand(plan.suite, plan.scenes, order),
+            drawn=DrawnOrder(starts=starts, candidate=key),
+        )
+    if all_rounds:
+        groups: dict[tuple[object, ...], list[str]] = {}
+        for trial in plan.trials:
+            groups.setdefault((trial.scene, trial.perturbation), []).append(trial.id)
+        drawn_names = (draw(names, str(count), seed) for names in groups.values())
+        again = frozenset(name for names in drawn_names for name in names)
+        return replace(plan, is_baseline=False, again=again)
+    suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
+    check_rounds(against, suite.trials, suite, plan.request)
+    key = recheck_key(seed)
+    drawn = DrawnOrder(starts=starts, candidate=key)
+    order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
+    trials = expand(suite, plan.scenes, order)
+    again = frozenset(trial.id for trial in trials[: count * len(strata)])
+    return replace(plan, suite=suite, trials=trials, drawn=drawn, again=again)
+
+
+def rechecks(request: Request) -> int:
+    """Return how many starts of each scene run again of a bank's own policy."""
+    return 1 if request.recheck is None else request.recheck
+
+
+def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
+    return [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
+
+
+def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
+    """Return a suite with the seed of the panel that is met, and the trials that may run."""
+    from nw_eval.gate.baseline.match import fresh_seed
+    from nw_eval.suite import override
+
+    seed = fresh_seed(policy, suite) if request.panel == "fresh" else None
+    rounds = suite.gate.rounds if against is not None and request.trials is None else None
+    return override(suite, Request(seed=seed, trials=rounds))
+
+
+def _drawn(
+    request: Request,
+    suite: Suite,
+    scenes: Sequence[Scene],
+    policy: PolicyInfo,
+    against: Against | None,
+) -> list[DrawnStart] | None:
+    """Return the trials of a run against a bank in their order; None where there is no bank.
+
+    Raises:
+        IncomparableError: the bank has fewer starts than are drawn of each scene on average.
+    """
+    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
+
+    if against is None:
+        return None
+    strata = _strata(suite, scenes)
+    order = {"candidate": policy.key, "suite_digest": suite.digest}
+    if request.panel == "fresh":
+        return draw_fresh(strata, suite.trials, **order)
+    check_rounds(against, suite.trials, suite, request)
+    return draw_trials(strata, against.bank.manifest.starts, suite.trials, **order)
+
+
+def _matched(plan: Plan, against: Against) -> Plan:
+    """Return a plan that its bank holds for, with whether its policy is the bank's own.
+
+    Raises:
+        IncomparableError: the bank does not hold for it, or could convict nobody.
+    """
+    from nw_eval.engine.provenance import run_info
+    from nw_eval.gate.baseline.finding import check_level
+    from nw_eval.gate.baseline.judge import setup_of
+    from nw_eval.results.run_folder import RunFolder
+
+    folder = RunFolder(path=Path(plan.suite.name))
+    run = run_info(plan, folder, workers=None, in_process=False, command=())
+    # Whether this class of machine has the bank's bits is found out by running something.
+    known = against.info.model_copy(update={"checked": "bits"})
+    setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
+    if setup.basis != "same":
+        check_level(setup.panel, setup.judged, plan.suite.gate)
+    is_own = setup.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
+    return replace(plan, is_baseline=is_own)
+
+
+def check(
+    request: Request | Suite | str | Path | None, *, workers: int | None = None, **changes: Any
+) -> Forecast:
+    """Return what a run would be, without running it: scenes, trials, digests, expected minutes.
+
+    Args:
+        request: as for `plan`.
+        workers: processes to reckon with; one for each core if None.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: as `plan`.
+    """
+    from nw_eval.engine.forecast import forecast
+
+    check_workers(workers)
+    return forecast(_planned(request, changes, may_fail=False), workers=workers)
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of workers that is none.
+
+    Raises:
+        UsageError: it is less than 1.
+    """
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers}", fix="give at least 1")
+
+
+def _chosen(
+    found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
+) -> tuple[FoundScene, ...]:
+    """Return the scenes that match a glob; all of them if there are no globs to match."""
+    from nw_eval.catalogue import is_meant
+
+    if globs is None:
+        return tuple(found)
+    chosen = tuple(x for x in found if any(is_meant(x.scene.name, glob) for glob in globs))
+    if not chosen:
+        wanted = ", ".join(globs)
+        raise UsageError(
+            f"--scenes {wanted} matches no scene of suite {suite.name!r}",
+            fix=nearest(wanted.replace("*", ""), [place.scene.name for place in found]),
+        )
+    return chosen
+
+
+class Faults:
+    """What is wrong with a suite: the file's own faults first found, then whatever is added."""
+
+    def __init__(self, draft: Draft) -> None:
+        self._draft = draft
+        self._problems = list(draft.problems)
+        self._others: list[NwEvalError] = []
+
+    def at(self, location: tuple[str | int, ...], error: NwEvalError) -> None:
+        """Add what is wrong with something that the suite names there: a problem for each line."""
+        for line in str(error).splitlines():
+            self._problems.append(self._draft.source.problem(location, line, None))
+
+    def add(self, error: NwEvalError) -> None:
+        """Add what is wrong elsewhere."""
+        self._others.append(error)
+
+    def extend(self, problems: list[Problem]) -> None:
+        """Add problems of the suite's file."""
+        self._problems += problems
+
+    def raise_any(self) -> None:
+        """Raise what was found, if anything was: faults elsewhere alone as what they are.
+
+        Raises:
+            SuiteError: faults of the suite, and any other beside them.
+            NwEvalError: the only fault, which is not the suite's.
+        """
+        if not self._problems and len(self._others) == 1:
+            raise self._others[0]
+        if self._problems or self._others:
+            ordered = sorted(self._problems, key=lambda problem: (problem.line, problem.column))
+            raise SuiteError(ordered, self._others)
+
+
+def open_scenes(
+    draft: Draft, faults: Faults, collision: Collision | None
+) -> tuple[FoundScene, ...]:
+    """Return the scenes that a suite names, each once, as far as they can be opened.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        collision: how meshes collide, whatever the suite says of it.
+    """
+    from nw_eval import catalogue
+    from nw_eval.errors import SceneError
+    from nw_eval.suite import tier_problems
+    from nw_eval.survey.trail import start_finding
+
+    found: dict[tuple[str, Collision], FoundScene] = {}
+    failed: list[str] = []
+    for index, pattern in draft.scenes.items():
+        try:
+            for each in catalogue.references([pattern], draft.base, collision=collision):
+                if each not in found:
+                    place = found[each] = catalogue.FoundScene.at(*each)
+                    if free := start_finding(place.scene):
+                        faults.at(("scenes", index), _refused(place.scene.name, free))
+        except SceneError as error:
+            faults.at(("scenes", index), error)
+            failed.append(pattern)
+        except OSError as error:  # No file system takes such a name.
+            message = f"no scene matches {clean(pattern, at_most=60)!r}: {error.strerror}"
+            faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
+            failed.append(pattern)
+    # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
+    meant = [place.scene.name for place in found.values()]
+    faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
+    return tuple(found.values())
+
+
+def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
+    from nw_eval.errors import SceneError
+
+    return SceneError(f"scene {clean(scene, at_most=100)}: {finding.message}", fix=finding.fix)
+
+
+def open_policy(
+    draft: Draft, faults: Faults, request: Request, *, card: Path | None, may_fail: bool
+) -> Bundle | None:
+    """Return the policy of a request or else of the suite, checked; None if it cannot be used.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        request: what is asked for in place of the suite's own.
+        card: where the policy lies, if that is known.
+        may_fail: as for `vet_bundle`.
+    """
+    from nw_eval.errors import PolicyError
+    from nw_eval.policies import find_card, load_bundle
+
+    own = draft.text("policy")
+    named = request.policy if card is None else str(card)
+    if named is None and own is None:
+        return None  # The file's own fault says so.
+    try:
+        path = find_card(_from_base(draft.base, own or "") if named is None else named)
+    except PolicyError as error:
+        if named is None:
+            faults.at(("policy",), error)
+        else:
+            faults.add(error)
+        return None
+    try:
+        bundle = load_bundle(path, checkpoint=request.checkpoint)
+    except NwEvalError as error:
+        faults.add(error)
+        return None
+    return _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+
+
+def _is_own_policy(draft: Draft, request: Request) -> bool:
+    """Return whether the policy of a request is the suite's own, also by another path to its card.
+
+    With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
+    own, and counts as that.
+
+    Args:
+        draft: the suite.
+        request: what is asked for.
+    """
+    from nw_eval.errors import PolicyError
+    from nw_eval.policies import find_card
+
+    own, named = draft.text("policy"), request.policy
+    if named is None:
+        return True
+    if own is None or any(each.startswith("hub:") for each in (own, named)):
+        return named == own
+    try:
+        return find_card(named).samefile(find_card(_from_base(draft.base, own)))
+    except (PolicyError, OSError):
+        return False
+
+
+def _vet_policy(
+    draft: Draft, faults: Faults, request: Request, bundle: Bundle, *, may_fail: bool
+) -> Bundle | None:
+    """Return a policy that is loaded already, checked; None if it cannot be used.
+
+    Args:
+        draft: the suite.
+        faults: where to tell what is wrong.
+        request: what is asked for in place of the suite's own.
+        bundle: the policy.
+        may_fail: as for `vet_bundle`.
+    """
+    from nw_eval.protocol import PROTOCOLS, STRICT
+    from nw_eval.rollout.confined.vetting import vet_bundle
+    from nw_eval.words import Robot
+
+    try:
+        robot = _known(draft.text("robot"), Robot) if request.robot is None else request.robot
+        return vet_bundle(
+            bundle,
+            robot or bundle.card.robot,
+            protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
+            allow_code=request.allow_code,
+            may_fail=may_fail,
+        )
+    except NwEvalError as error:
+        faults.add(error)
+        return None
+
+
+def _known(word: str | None, words: Any) -> str | None:
+    """Return a word of the suite's if it is a valid one; its own fault is told already."""
+    return word if word in get_args(words) else None
+
+
+def _from_base(base: Path, policy: str) -> str:
+    """Return what names a suite's own policy: its relative path starts from the suite's folder."""
+    own = base / policy
+    return str(own) if ("/" in policy or own.suffix == ".yaml") and own.exists() else policy

@@ -1,1 +1,0 @@
-"""Where a judged run is shown besides its report."""

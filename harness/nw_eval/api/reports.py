@@ -1,0 +1,461 @@
+"""Judging what ran, its pages, and one page over many runs: what each came to, trends by scene."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from nw_eval.clean import clean
+from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.gate.verdict import Verdict
+    from nw_eval.reporting.html import ListedRun
+    from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.results.bank import Against
+    from nw_eval.results.ended import RunRows
+    from nw_eval.results.provenance import BaselineInfo, RunInfo
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.suite import Suite
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunReport:
+    """A judged run: its verdict, and where its evidence lies."""
+
+    folder: Path
+    info: RunInfo
+    """Where its rows come from: what run.json says."""
+    verdict: Verdict
+    rows: tuple[Row, ...]
+    page: Path | None
+    """Its report in Markdown; None if none was written."""
+    html: Path | None = None
+    """The same for a browser, in one file beside it; None if none was written."""
+    evidence: LogEvidence | None = None
+    """What its logs showed on that page; None if none was written."""
+    bank: BaselineInfo | None = None
+    """The bank that it was compared with."""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a signal ended it."""
+        return self.info.interrupted
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing speaks against the policy: PASS, or RAN where the suite has no bar."""
+        return self.exit_code == 0
+
+    @property
+    def exit_code(self) -> int:
+        """0 PASS or RAN, 1 REGRESSED, 3 INCONCLUSIVE, 4 errors or missing trials, 5 INVALID."""
+        return self.verdict.exit_code
+
+    @property
+    def typed_folder(self) -> Path:
+        """The folder as one would type it here."""
+        return typed(self.folder)
+
+    @property
+    def typed_page(self) -> Path | None:
+        """The page as one would type it here."""
+        return None if self.page is None else typed(self.page)
+
+    @property
+    def typed_html(self) -> Path | None:
+        """The page for a browser as one would type it here."""
+        return None if self.html is None else typed(self.html)
+
+    def __repr__(self) -> str:
+        """Return a line; thousands of rows would say no more."""
+        return f"RunReport({self.verdict.verdict}, {str(self.typed_folder)!r})"
+
+
+def report(run: str | Path, *, out: Path | None = None) -> RunReport:
+    """Judge a run as it was begun, by its bar and its baseline, and write its two pages.
+
+    Args:
+        run: the run's folder.
+        out: of the page in Markdown, or of that in HTML; the other one is written beside it. The
+            run's own report.md and report.html if None.
+
+    Raises:
+        StoreError: there is no such run, its rows are damaged, or the report cannot be written.
+    """
+    from nw_eval.results.run_folder import RunFolder
+
+    judged = as_begun(run)
+    return written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
+
+
+def prepare_pages() -> None:
+    """Import and compile what pages are made with, so that they take a while less afterwards.
+
+    Nothing is raised: what cannot be had, `report` says.
+    """
+    with suppress(Exception):
+        from nw_eval.api import evidence
+        from nw_eval.gate.baseline import combine
+        from nw_eval.reporting import markdown
+        from nw_eval.reporting.html.environment import compile_templates
+        from nw_eval.results import parquet
+
+        _ = evidence, combine, markdown, parquet
+        compile_templates()
+
+
+def report_here(run: Path) -> RunReport:
+    """As `report`, of a run that this machine has just made: earlier ones may have its logs, too.
+
+    Raises:
+        StoreError: as `report`.
+    """
+    from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.results.run_folder import RunFolder
+
+    judged = as_begun(run)
+    kept = KeptEvidence.of_run(judged.info)
+    return written(judged, RunFolder(path=judged.folder).report_md, kept=kept)
+
+
+def as_begun(run: str | Path) -> RunReport:
+    """Judge a run as it was begun, by its bar and its baseline, and write nothing.
+
+    What of its rows was not judged, or was damaged and has another copy, is among the reasons.
+    Where the bank that it was begun against is gone or does not hold for it the verdict is INVALID,
+    and what the bar alone would say is among the reasons. A part of a run is not judged: RAN.
+
+    Raises:
+        UsageError: it is no run's folder.
+        StoreError: its run.json or its rows are damaged.
+    """
+    from nw_eval.api.banks import kept_bank
+    from nw_eval.api.saved_run import saved_suite
+    from nw_eval.gate.baseline.combine import without_bank
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    folder = open_run_folder(Path(run))
+    info = read_run_info(folder.run_json)
+    suite = saved_suite(info)
+    try:
+        return _judged(folder, info, suite, lambda: kept_bank(folder, info))
+    except IncomparableError as error:
+        judged = _judged(folder, info, suite, lambda: None)
+        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
+
+
+def as_published(run: Path) -> RunReport:
+    """Judge a run as `as_begun`, where somebody else may have written its folder.
+
+    Its rows are those of its journal, and the folder is as `nw-eval verify --offline` has it; logs
+    may be absent. No link is followed, nothing is written there, and nothing outside is read.
+
+    Raises:
+        UsageError: it is no run's folder.
+        StoreError: a file of it is none of its own, damaged, or not as it was when the run ended.
+    """
+    from nw_eval.api.banks import kept_bank
+    from nw_eval.api.saved_run import saved_suite, saved_trials
+    from nw_eval.gate.baseline.combine import without_bank
+    from nw_eval.results.evidence_check import check_files
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import check_plain, open_run_folder
+    from nw_eval.scenes import limits
+
+    folder = open_run_folder(run)
+    check_plain(folder)
+    info = read_run_info(folder.run_json)
+    suite = saved_suite(info)
+    files, rows = check_files(folder, info, {trial.id for trial in saved_trials(info, suite)})
+    logs = (f"{folder.logs.name}/", f"{folder.cached.name}/")
+    for each in files.findings:
+        if each.what != "missing" or not each.file.startswith(logs):
+            where = f"{each.file} ({each.trial})" if each.trial else each.file
+            about = f": {each.about}" if each.about else ""
+            raise StoreError(
+                f"{where} is {each.what}{about}", fix=f"nw-eval verify --offline {typed(run)}"
+            )
+    for row in rows.values():
+        if row.waypoints_total > limits.WAYPOINTS:  # Pages have a line for each.
+            raise StoreError(
+                f"trial {row.trial_id} has {row.waypoints_total} waypoints",
+                fix=f"no scene has more than {limits.WAYPOINTS}",
+            )
+    try:
+        bank = kept_bank(folder, info, elsewhere=False)
+    except IncomparableError as error:
+        judged = _judged(folder, info, suite, lambda: None, mend=False)
+        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
+    return _judged(folder, info, suite, lambda: bank, mend=False)
+
+
+def judge(
+    run: str | Path,
+    *,
+    baseline: str | None = None,
+    max_drop: float | None = None,
+    tolerate: float | None = None,
+    out: Path | None = None,
+) -> RunReport:
+    """Judge the rows that a run has, by its suite's bar and against a baseline.
+
+    Args:
+        run: the run's folder; it may go on, or have been interrupted.
+        baseline: the bank's name, its file, or `none`; if None, that which the run was begun
+            against, or else the one that its suite names for its own policy.
+        max_drop: in place of the suite's.
+        tolerate: in place of the suite's.
+        out: where to write the report, as in `report`; nowhere if None.
+
+    Raises:
+        UsageError: it is no run's folder or that of a part of a run, there is no such bank, or a
+            drop is none.
+        IncomparableError: the bank does not hold for the run, or has too few starts for it.
+        StoreError: its rows or the bank are damaged, or the report cannot be written.
+    """
+    from nw_eval.api.banks import judging_bank
+    from nw_eval.api.saved_run import check_whole, saved_suite
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.suite.override import override_gate
+
+    folder = open_run_folder(Path(run))
+    info = check_whole(read_run_info(folder.run_json))
+    suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)
+    judged = _judged(folder, info, suite, lambda: judging_bank(folder, info, suite, baseline))
+    return judged if out is None else written(judged, out)
+
+
+def _judged(
+    folder: RunFolder,
+    info: RunInfo,
+    suite: Suite,
+    bank: Callable[[], Against | None],
+    *,
+    mend: bool = True,
+) -> RunReport:
+    """Return the verdict on the rows of a run's plan."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from nw_eval.api.saved_run import saved_trials, spare_trials
+    from nw_eval.results.ended import read_trials
+
+    # A process of its own reads the bank, which takes as long as the rows do.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        opened = beside.submit(bank)
+        trials, spare = saved_trials(info, suite), spare_trials(info, suite)
+        found = read_trials(folder, info, trials, spare=spare, mend=mend)
+    return judged_rows(folder, info, suite, opened.result(), found)
+
+
+def judged_rows(
+    folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None, found: RunRows
+) -> RunReport:
+    """Return the verdict on rows that are read already, with what there is to remark on them.
+
+    Raises:
+        IncomparableError, StoreError: as `judge`.
+    """
+    from nw_eval.gate.baseline.combine import judge_run
+    from nw_eval.results.evidence_check import lost_logs
+
+    verdict = judge_run(found.rows, info, suite.gate, against)
+    remarks = (*found.remarks, *lost_logs(found.rows))
+    verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))
+    return RunReport(
+        folder=folder.path,
+        info=info,
+        verdict=verdict,
+        rows=found.rows,
+        page=None,
+        bank=None if against is None else against.info,
+    )
+
+
+def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -> RunReport:
+    """Write the pages of a judged run: one in Markdown, and beside it the other in HTML.
+
+    Beside a device or a pipe nothing is written.
+
+    Args:
+        judged: the run.
+        out: of either page.
+        kept: what its logs may have shown before; None = they are read.
+
+    Raises:
+        StoreError: they cannot be written.
+    """
+    from nw_eval.api.evidence import gather_evidence
+    from nw_eval.files.cache import followed, is_stream
+    from nw_eval.gate.cause import read_cause_file
+    from nw_eval.reporting.html import render_html
+    from nw_eval.reporting.markdown import render_markdown, write_report
+    from nw_eval.results.run_folder import RunFolder
+
+    page, html = _pages(out)
+    facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    folder = RunFolder(path=judged.folder)
+    # Links in a run's folder may be a stranger's.
+    is_own = out == folder.report_md
+    only = None if is_own or not is_stream(out) else out
+    evidence = gather_evidence(folder, judged.rows, kept)
+    cause = read_cause_file(folder.cause)
+    texts = {
+        html: render_html(*facts, evidence, cause),
+        page: render_markdown(*facts, cause),
+    }
+    for path, text in texts.items():
+        if only in {None, path}:
+            write_report(path if is_own else followed(path), text)
+    return replace(
+        judged,
+        page=page if only in {None, page} else None,
+        html=html if only in {None, html} else None,
+        evidence=evidence,
+    )
+
+
+def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
+    """Write the HTML page of a run of `as_published`; nothing of its folder's pages is read.
+
+    Args:
+        judged: the run.
+        path: of the page.
+        logs: whether to show what its logs hold, as far as its rows have their digests. Pictures
+            are made anew of what confined processes read.
+
+    Raises:
+        StoreError: the page cannot be written, or cause.json is damaged.
+    """
+    from nw_eval.api.evidence import gather_evidence
+    from nw_eval.gate.cause import read_cause_file
+    from nw_eval.reporting.html import render_html
+    from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.reporting.markdown import write_report
+    from nw_eval.results.run_folder import RunFolder
+
+    folder = RunFolder(path=judged.folder)
+    absent = (
+        "Paths and clips are not on this page; `nw-eval report` on the run's folder shows them."
+    )
+    evidence = LogEvidence(remarks=(absent,))
+    if logs:
+        known = [row if row.mcap_sha256 else replace(row, mcap_path="") for row in judged.rows]
+        evidence = gather_evidence(folder, known)
+    cause = read_cause_file(folder.cause)
+    facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
+    write_report(path, render_html(*facts, evidence, cause))
+
+
+def fault_of(error: Exception) -> str:
+    """Return in words what keeps a run of somebody else's from being shown.
+
+    Whatever its files do to those who read them, the pages of other runs are to be written.
+    """
+    if isinstance(error, NwEvalError):
+        return str(error)
+    return clean(f"{type(error).__name__}: {error}", at_most=300)
+
+
+def _pages(out: Path) -> tuple[Path, Path]:
+    """Return where the page in Markdown goes, and that in HTML, of which one was named."""
+    if out.suffix.lower() in {".html", ".htm"}:
+        return out.with_suffix(".md"), out
+    beside = out.with_suffix("") if out.suffix.lower() == ".md" else out
+    return out, beside.with_name(f"{beside.name}.html")
+
+
+def typed(path: Path) -> Path:
+    """Return a path as one would type it here: relative where it lies below."""
+    resolved, here = path.resolve(), Path.cwd()
+    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunIndex:
+    """Runs, judged again, and the page that lists them."""
+
+    runs: tuple[RunReport, ...]
+    unread: tuple[str, ...]
+    """A sentence on each run whose rows or run.json are damaged: the page has it, too."""
+    page: Path
+
+    @property
+    def typed_page(self) -> Path:
+        """The page as one would type it here."""
+        return typed(self.page)
+
+    @property
+    def exit_code(self) -> int:
+        """4 if a run could not be read, else 0: the verdicts are those of the runs."""
+        return StoreError.exit_code if self.unread else 0
+
+
+def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunIndex:
+    """Judge runs again as they were begun, and write a page over all and one of each.
+
+    Nothing of the runs' own pages is shown or linked, as somebody else may have written them; they
+    stay as they are. A run that is not as it was when it ended is named, and not shown.
+
+    Args:
+        runs: their folders.
+        out: where to write the page; if None, `index.html` in the folder that all of them lie in.
+            Those of the runs are in a folder beside it: of `index.html`, in `index-runs`.
+
+    Raises:
+        UsageError: one is no run's folder, or there is none.
+        StoreError: the page cannot be written.
+    """
+    from nw_eval.files.cache import followed
+    from nw_eval.reporting.html import render_index
+    from nw_eval.reporting.markdown import write_report
+    from nw_eval.results.run_folder import open_run_folder
+
+    if not runs:
+        raise UsageError("no run to list", fix="name the folders of some")
+    folders = list(dict.fromkeys(open_run_folder(Path(run)).path.resolve() for run in runs))
+    page = Path(os.path.commonpath([folder.parent for folder in folders])) / "index.html"
+    page = out or page
+    judged: list[RunReport] = []
+    listed: list[ListedRun] = []
+    unread: list[str] = []
+    for folder in folders:
+        try:
+            run = as_published(folder)
+            listed.append(_listed(run, page))
+        except Exception as error:  # noqa: BLE001 - One run costs no other run its line.
+            unread.append(f"{clean(folder.name)}: {fault_of(error)}")
+        else:
+            judged.append(run)
+    write_report(page if out is None else followed(page), render_index(listed, unread))
+    return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page)
+
+
+def _listed(judged: RunReport, page: Path) -> ListedRun:
+    """Return a run as the page lists it, once its own page is written beside it."""
+    from nw_eval.reporting.html import ListedRun
+
+    # Two runs of one name lie in two folders.
+    digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]
+    name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', judged.folder.name)[:80]}-{digest}.html"
+    beside = f"{page.stem}-runs"
+    write_anew(judged, page.with_name(beside) / name, logs=False)
+    return ListedRun(
+        folder=str(judged.typed_folder),
+        href=quote(f"{beside}/{name}"),
+        info=judged.info,
+        verdict=judged.verdict,
+    )

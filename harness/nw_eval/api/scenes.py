@@ -1,0 +1,197 @@
+"""Scenes: listed, explained, checked, drawn, built ahead."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nw_eval.built_in.splits import Split
+    from nw_eval.engine.listener import Listener
+    from nw_eval.scenes.finding import SceneFinding
+    from nw_eval.scenes.overview import SceneFigures
+    from nw_eval.survey import Survey
+    from nw_eval.words import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedScene:
+    """A scene that suites can name."""
+
+    name: str
+    title: str
+    waypoints: int
+    split: Split | None
+    """Which half of the built-in scenes it is of; None for any other scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedScene:
+    """What is wrong with a scene."""
+
+    reference: str
+    """The name or the folder that was asked about."""
+    findings: tuple[SceneFinding, ...]
+    """Errors first; none if nothing is worth saying."""
+    survey: Survey | None
+    """What was measured along its trail; None where errors came before."""
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether results of this scene would mean nothing."""
+        from nw_eval.scenes.finding import has_errors
+
+        return has_errors(self.findings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUp:
+    """What was made ahead of the first run."""
+
+    kernel_seconds: float
+    """To compile the kernels, or to load them from the cache."""
+    scenes: tuple[str, ...]
+    """Whose splats are built now."""
+
+
+def list_scenes(patterns: Sequence[str] = ()) -> tuple[ListedScene, ...]:
+    """Return the scenes that match one of some globs; all built-in ones without any.
+
+    Raises:
+        SceneError: a pattern matches nothing.
+    """
+    from nw_eval.built_in.splits import split_of
+    from nw_eval.catalogue import match_scenes
+
+    return tuple(
+        ListedScene(
+            name=scene.name,
+            title=scene.title,
+            waypoints=len(scene.trail),
+            split=split_of(scene.name),
+        )
+        for scene in match_scenes(tuple(patterns) or ("*",))
+    )
+
+
+def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
+    """Return a scene's figures, and draw it from above if asked.
+
+    Args:
+        reference: a built-in name, a scene folder, or `neverwhere:<folder>`.
+        out: the PNG of the view from above; None = none is drawn.
+
+    Raises:
+        SceneError: there is no such scene, or it cannot be read.
+        StoreError: the picture cannot be written.
+    """
+    from nw_eval.catalogue import get_scene
+    from nw_eval.scenes.overview import draw_plan, figures
+
+    scene = get_scene(reference)
+    if out is not None:
+        draw_plan(scene, out)
+    return figures(scene)
+
+
+def check_scenes(
+    references: Sequence[str],
+    *,
+    robot: Robot = "go1",
+    suite: Path | None = None,
+    policy: str | None = None,
+) -> tuple[CheckedScene, ...]:
+    """Return what is wrong with scenes; one that cannot be read is a finding, too.
+
+    Args:
+        references: built-in names, scene folders, `neverwhere:` and `hub:` as suites have them.
+        robot: whose stance, camera and length count.
+        suite: a file to write, a suite of these scenes that is ready to run, unless one of them
+            has errors; None = none is written.
+        policy: of that suite; one that nw-eval has a card of for the robot if None.
+
+    Raises:
+        UsageError: no scene is named, so nothing would be checked; the suite is there already; or a
+            policy is named and no suite.
+        StoreError: the suite cannot be written.
+    """
+    from nw_eval.catalogue.inspect import inspect_scene
+    from nw_eval.errors import UsageError
+    from nw_eval.files.cache import followed
+    from nw_eval.files.inside import what_is
+
+    if not references:
+        raise UsageError("no scene to check", fix="name one, or its folder")
+    if policy is not None and suite is None:
+        raise UsageError(f"--policy {policy} without --suite", fix="drop it")
+    if suite is not None and what_is(followed(suite)) == "file":
+        raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
+    checked: list[CheckedScene] = []
+    for reference in references:
+        found = inspect_scene(reference, robot=robot)
+        checked.append(
+            CheckedScene(reference=reference, findings=found.findings, survey=found.survey)
+        )
+    if suite is not None and not any(scene.has_errors for scene in checked):
+        _write_suite(suite, references, robot, policy)
+    return tuple(checked)
+
+
+def _write_suite(path: Path, references: Sequence[str], robot: Robot, policy: str | None) -> None:
+    """Write a suite of scenes; paths in it start from its own folder."""
+    from nw_eval.catalogue.find import from_folder
+    from nw_eval.suite.ready import write_ready_suite
+
+    here = policy
+    if policy is not None and "/" in policy and Path(policy).exists():
+        here = Path(os.path.relpath(policy, path.parent)).as_posix()  # Paths start at the suite.
+    scenes = [from_folder(each, path.parent) for each in references]
+    write_ready_suite(path, path.stem, scenes, robot=robot, policy=here)
+
+
+def render_scenes(
+    patterns: Sequence[str] = (), *, out: Path, width: int = 480, listener: Listener | None = None
+) -> Path:
+    """Draw scenes from the robot's eye and from outside into one PNG, and return its path.
+
+    Args:
+        patterns: names or globs; all built-in scenes without any.
+        out: the PNG.
+        width: of each view, pixels.
+        listener: hears how far splats have been built.
+
+    Raises:
+        SceneError: no such scene.
+        StoreError: the picture cannot be written.
+    """
+    from nw_eval.catalogue import match_scenes
+    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.prepare import build_splats
+    from nw_eval.files.cache import followed
+    from nw_eval.rollout.replaying.contact_sheet import write_scene_sheet
+
+    followed(out)  # What can never be written is said before anything is drawn.
+    found = match_scenes(tuple(patterns) or ("*",))
+    build_splats(found, listener or Silence())
+    write_scene_sheet(found, out, width=width)
+    return out
+
+
+def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> WarmUp:
+    """Compile the kernels into the cache, and build the splats of scenes ahead.
+
+    Raises:
+        SceneError: a pattern matches nothing, or a splat cannot be made.
+    """
+    from nw_eval.catalogue import match_scenes
+    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.prepare import build_splats
+    from nw_eval.splat.warmup import warmup as compile_kernels
+
+    seconds = compile_kernels()
+    found = match_scenes(tuple(scenes)) if scenes else ()
+    build_splats(found, listener or Silence())
+    return WarmUp(kernel_seconds=seconds, scenes=tuple(scene.name for scene in found))

@@ -1,0 +1,316 @@
+"""How many trials a gate takes, what it can see, and into which parts a run goes. Runs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.errors import IncomparableError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from nw_eval.engine.forecast import Forecast
+    from nw_eval.engine.plan import Plan
+    from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.request import Request
+    from nw_eval.stats.bank.curve import CurvePoint, Progress
+    from nw_eval.suite import Suite
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialPlan:
+    """What a gate against a baseline takes and sees, by simulation."""
+
+    suite: str
+    source: str
+    """What it is reckoned from: a bank or a run, in words."""
+    outset: Outset
+    """What is known before the first trial: the baseline's scores, margins, budget."""
+    detect: float
+    """The drop that is asked about."""
+    dropped: Progress
+    """How soon policies of that drop are judged, with all starts of the bank run."""
+    equal: Progress
+    """How soon equal ones are."""
+    curve: tuple[CurvePoint, ...]
+    resolved: Plan
+    """What a run of the suite would be."""
+    workers: int | None
+
+    def minutes(self, trials: float) -> float:
+        """Return about how many minutes so many trials take at most."""
+        from nw_eval.engine.forecast import minutes_of
+
+        return minutes_of(trials, self.resolved, workers=self.workers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarPlan:
+    """What a gate that has a bar and no baseline takes and sees, by simulation."""
+
+    suite: str
+    bar: float
+    confidence: float
+    scenes: int
+    """Those that count, each as often as it has cells of perturbations."""
+    trials: int
+    """Of each of them, as the suite has it."""
+    needed: int
+    """Of each of them, so that a policy that never fails passes."""
+    sizes: tuple[int, ...]
+    """Numbers of trials that `curve` is about: the needed ones, the suite's, and more."""
+    curve: tuple[tuple[float, tuple[float, ...]], ...]
+    """True success, the same in all scenes, and how often such a policy passes at each size."""
+    obstacles: tuple[str, ...]
+    """Why no policy can pass the suite as it is; none where one can."""
+
+
+def plan_trials(
+    suite: str | Path | Suite,
+    *,
+    detect: float | None = None,
+    baseline: str | None = None,
+    run: str | Path | None = None,
+    png: Path | None = None,
+    workers: int | None = None,
+) -> TrialPlan | BarPlan:
+    """Return how many trials it takes to convict a drop, and what else the suite's gate sees.
+
+    Of a suite that has a bar, and neither names a bank nor has one, it says what the bar takes.
+
+    `plan` resolves a request to its trials; this one says how many would be needed.
+
+    Args:
+        suite: a file, the name of a shipped one, or one that was read already.
+        detect: drop of mean success; the suite's `gate.max_drop` if None.
+        baseline: the bank to compare with, by name or path; if None the suite's, or the only one
+            that there is of it.
+        run: a run's folder in place of a bank: what it scored is taken for the baseline's success.
+        png: file to draw the curve into.
+        workers: processes to reckon minutes with; one for each core if None.
+
+    Raises:
+        UsageError: there is neither a bank nor a run, the run is a part of one, or no policy can
+            drop by `detect`.
+        SuiteError, PolicyError: as `plan`.
+        StoreError: the bank or the run is damaged, or the picture cannot be written.
+        IncomparableError: the bank or the run has other scenes than the suite.
+    """
+    from nw_eval.api.banks import NO_BASELINE
+    from nw_eval.api.plans import check_workers, plan
+
+    check_workers(workers)
+    if baseline is not None and run is not None:
+        raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
+    resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
+    gate = resolved.suite.gate
+    if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
+        from nw_eval.results.bank_file import bank_files
+
+        asked_for = baseline == NO_BASELINE
+        if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
+            if png is not None:
+                raise UsageError(
+                    "--png without a baseline: the curve is of drops against one",
+                    fix="name a baseline with --baseline, or a run of the suite with --run",
+                )
+            return _of_bar(resolved, gate.success_rate)
+    source, outset = (
+        _of_bank(resolved, baseline or resolved.suite.gate.baseline)
+        if run is None
+        else _of_run(resolved, Path(run))
+    )
+    drop = outset.rules.margins.max_drop if detect is None else detect
+    if not 0.0 < drop < outset.baseline:
+        raise UsageError(
+            f"--detect {drop:g}: the baseline's mean success is {outset.baseline:.3f}",
+            fix="give a drop between 0 and that",
+        )
+    planned = TrialPlan(
+        suite=resolved.suite.name,
+        source=source,
+        outset=outset,
+        detect=drop,
+        dropped=outset.progress(drop),
+        equal=outset.progress(0.0),
+        curve=outset.curve(),
+        resolved=resolved,
+        workers=workers,
+    )
+    if png is not None:
+        _draw(planned, png)
+    return planned
+
+
+def _of_bar(resolved: Plan, bar: float) -> BarPlan:
+    """Return what the bar of a suite takes and sees; courses are as long as its scenes' trails."""
+    import numpy as np
+
+    from nw_eval.engine.forecast import obstacles_of
+    from nw_eval.gate.absolute import trials_to_pass
+    from nw_eval.stats.foresight import SceneCounts, shares_at
+
+    suite = resolved.suite
+    gate, cells = suite.gate, len(suite.perturb.cells)
+    judged = [each for each in resolved.scenes if gate.tier(each.name) != "informational"]
+    strata = len(judged) * cells
+    needed = trials_to_pass(gate, strata) if strata else 0
+    sizes = sorted({needed, suite.trials, *(most * suite.trials for most in (2, 4))} - {0})
+
+    def passed(success: float, size: int) -> float:
+        courses = [
+            SceneCounts(
+                counts=np.bincount([len(each.trail)], [size * cells]).astype(np.int64),
+                alone=gate.tier(each.name) == "critical",
+            )
+            for each in judged
+        ]
+        return shares_at(courses, success, bar=bar, confidence=gate.confidence).passed
+
+    truths = [round(bar + share * (1.0 - bar), 4) for share in (0.0, 0.2, 0.4, 0.6, 0.8, 0.96)]
+    return BarPlan(
+        suite=suite.name,
+        bar=bar,
+        confidence=gate.confidence,
+        scenes=strata,
+        trials=suite.trials,
+        needed=needed,
+        sizes=tuple(sizes),
+        curve=tuple(
+            (truth, tuple(passed(truth, size) for size in sizes)) for truth in truths if judged
+        ),
+        obstacles=obstacles_of(resolved),
+    )
+
+
+def _draw(planned: TrialPlan, png: Path) -> None:
+    from nw_eval.reporting.curve_picture import draw_curve
+
+    outset = planned.outset
+    draw_curve(
+        planned.curve,
+        png,
+        margins=outset.rules.margins,
+        title=f"{planned.suite}, success {outset.baseline:.3f}: {outset.in_words}",
+    )
+
+
+def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
+    """Return what a bank is, in words, and what is known with it."""
+    from nw_eval.api.banks import NO_BASELINE
+    from nw_eval.gate.baseline.foresee import outset_of_bank
+    from nw_eval.results.bank_file import find_bank, read_bank
+
+    suite = resolved.suite
+    if reference is None or reference == NO_BASELINE:
+        file = _only_bank(suite.name)
+    else:
+        file = find_bank(reference, suite=suite.name)
+    bank = read_bank(file)
+    manifest = bank.manifest
+    source = f"baseline {manifest.name} of {manifest.policy.name}"
+    _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
+    return source, outset_of_bank(bank.panels[0], suite.gate)
+
+
+def _only_bank(suite: str) -> Path:
+    """Return the bank that a suite which names none can be planned with.
+
+    Raises:
+        UsageError: it has none, or several.
+    """
+    from nw_eval.results.bank_file import bank_files
+
+    files = bank_files(suite)
+    if len(files) == 1:
+        return files[0]
+    there = f"has {', '.join(sorted({file.stem for file in files}))}" if files else "has none"
+    raise UsageError(
+        f"suite {suite!r} names no baseline to plan with, and {there}",
+        fix="name one with --baseline, or a run of the suite with --run",
+    )
+
+
+def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
+    """Return what a run is, in words, and what is known with it."""
+    from nw_eval.api.baselines_saved import STARTS
+    from nw_eval.api.saved_run import check_whole, saved_rows
+    from nw_eval.gate.baseline.foresee import outset_of_rows
+    from nw_eval.results.provenance import read_run_info
+    from nw_eval.results.run_folder import open_run_folder
+
+    opened = open_run_folder(folder)
+    info = check_whole(read_run_info(opened.run_json))
+    rows = saved_rows(opened, info)
+    source = f"run {info.id} of {info.policy.name}"
+    scenes = {name: scene.digest for name, scene in info.scenes.items()}
+    _check(resolved, source, info.suite_digest, scenes)
+    return source, outset_of_rows(rows, resolved.suite.gate, STARTS)
+
+
+def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, str]) -> None:
+    """Refuse trials of another suite.
+
+    Raises:
+        IncomparableError: naming what differs.
+    """
+    suite, ours = resolved.suite, {scene.name: scene.digest for scene in resolved.scenes}
+    differing = sorted(name for name, _ in {*ours.items()} ^ {*scenes.items()})
+    if differing:
+        fault = f"scene {differing[0]} is in one of them only, or has changed"
+    elif suite_digest != suite.digest:
+        fault = f"its suite digest is {suite_digest[:8]}, here it is {suite.digest[:8]}"
+    else:
+        return
+    raise IncomparableError(
+        f"{source} is not of suite {suite.name!r} as it is: {fault}",
+        fix=f"make it anew with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardPlan:
+    """The parts of a run, in their order: what each of them would be."""
+
+    suite: str
+    """As it was asked for."""
+    parts: tuple[Forecast, ...]
+
+    @property
+    def trials(self) -> int:
+        """Of all parts."""
+        return sum(part.trials for part in self.parts)
+
+
+def plan_shards(
+    request: Request | str | Path, shards: int, *, workers: int | None = None, **changes: Any
+) -> ShardPlan:
+    """Return the parts of a run: their trials, and about how long each takes.
+
+    Args:
+        request: as for `plan`.
+        shards: how many parts.
+        workers: processes of each part to reckon with; one for each core if None.
+        changes: fields of `Request` by name.
+
+    Raises:
+        UsageError: there would be no part, or parts without a trial; or as `plan`.
+        SuiteError, PolicyError: as `plan`.
+    """
+    from nw_eval.api.plans import check_workers, plan
+    from nw_eval.engine.forecast import forecast
+    from nw_eval.engine.shards import shards_of
+    from nw_eval.request import Request
+
+    check_workers(workers)
+    whole = plan(Request.of(request, **changes, shard=None))
+    parts = [
+        replace(whole, trials=trials, shard=shard)
+        for trials, shard in shards_of(whole.trials, shards)
+    ]
+    return ShardPlan(
+        suite=str(whole.request.suite or whole.suite.name),
+        parts=tuple(forecast(part, workers=workers) for part in parts),
+    )

@@ -1,1 +1,0 @@
-"""Whether a bank holds for a run, and what it then is to it."""

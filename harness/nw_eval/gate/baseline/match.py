@@ -1,0 +1,319 @@
+"""What a bank is to a run: whether it holds, on what basis, and which of its starts are met when.
+
+What does not match is named field by field, with both values and what renews the bank. The order of
+the starts is the same for who runs and who judges.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from hashlib import sha256
+from shlex import quote
+
+from nw_eval.errors import IncomparableError
+from nw_eval.gate.verdict import Basis, Claim
+from nw_eval.results.bank import Panel, SavedBank, Stratum, key_of, machine_of
+from nw_eval.results.provenance import PolicyInfo, RunInfo
+from nw_eval.stats.bank.trials import order_of_starts, order_of_trials
+from nw_eval.suite.model import Gate, Suite, new_suite
+from nw_eval.suite.trials import DrawnStart
+
+_NAMED = 3  # scenes that a sentence names before it says "and more"
+
+
+def check_match(run: RunInfo, bank: SavedBank) -> None:
+    """Refuse a bank that does not hold for a run.
+
+    A run on a fresh panel differs in its seed, and may; one that was asked for some scenes only may
+    lack the others.
+
+    Raises:
+        IncomparableError: naming every field that differs.
+    """
+    faults = [*_suite_faults(run, bank), *_scene_faults(run, bank), *_simulator_faults(run, bank)]
+    if faults:
+        raise IncomparableError(
+            f"baseline {bank.manifest.name} is not compatible with run {run.id}: "
+            f"{'; '.join(faults)}",
+            fix=f"renew the baseline with `{renewing(run, bank)}`",
+        )
+
+
+def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
+    """Return the command that makes a bank anew for the suite of a run.
+
+    Args:
+        run: the run.
+        bank: the bank.
+        options: what the command is to say besides, in place of --renew.
+    """
+    suite, policy = bank.manifest.suite, bank.manifest.policy.typed
+    if run.request is not None:
+        suite = str(run.request.suite or suite)
+        policy = run.request.baseline_policy or policy
+    return saving(bank, suite, policy, *options)
+
+
+def saving(bank: SavedBank, suite: str, policy: str, *options: str) -> str:
+    """Return the command that makes a bank anew for a suite, from a policy as it can be typed."""
+    own = bank.manifest.name
+    name = [] if own == bank.manifest.policy.name else ["--name", own]
+    words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
+    return " ".join(quote(word) for word in [*words, *name])
+
+
+def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run), bank.manifest.key
+    if ours.seed != theirs.seed and run.panel == "pinned":
+        yield f"its seed is {ours.seed}, the baseline's {theirs.seed}"
+    if ours.protocol != theirs.protocol:
+        yield f"its protocol is {ours.protocol}, the baseline's {theirs.protocol}"
+    if ours.seed == theirs.seed and run.panel == "fresh":
+        yield f"its seed {ours.seed} is the baseline's, so its starts are not fresh"
+    if ours.suite_digest == theirs.suite_digest:
+        return
+    # Whatever differs besides seed and protocol is in the digest alone.
+    alike = new_suite({**run.suite, "seed": theirs.seed, "protocol": theirs.protocol})
+    if alike.digest != theirs.suite_digest:
+        digests = f"{ours.suite_digest[:8]}, the baseline's {theirs.suite_digest[:8]}"
+        yield f"its suite digest is {digests}: {_what_else(alike, bank)}"
+
+
+def _what_else(suite: Suite, bank: SavedBank) -> str:
+    """Return which settings differ, as far as a bank knows its own."""
+    ours = sorted(suite.perturb.cells)
+    theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
+    if ours == theirs:
+        return "robot or episode differ"
+    return f"perturb is {_cells(ours)}, the baseline's {_cells(theirs)}"
+
+
+def _cells(cells: list[tuple[tuple[str, float], ...]]) -> str:
+    return ", ".join(
+        " ".join(f"{axis} {value:g}" for axis, value in cell) or "nothing" for cell in cells
+    )
+
+
+def _scene_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run).scenes, bank.manifest.key.scenes
+    if unknown := sorted(set(ours) - set(theirs)):
+        yield f"{_scenes(unknown)} not in the baseline"
+    restricted = run.request is not None and run.request.scenes is not None
+    if (absent := sorted(set(theirs) - set(ours))) and not restricted:
+        yield f"{_scenes(absent)} in the baseline and not in the run"
+    changed = sorted(name for name in set(ours) & set(theirs) if ours[name] != theirs[name])
+    if changed:
+        first = changed[0]
+        digests = f"{ours[first][:8]} now, {theirs[first][:8]} in the baseline"
+        more = f", and {len(changed) - 1} more" if len(changed) > 1 else ""
+        yield f"scene {first} has changed ({digests}){more}"
+
+
+def _scenes(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    plural = "s" if len(names) > 1 else ""
+    return f"scene{plural} {', '.join(names[:_NAMED])}{more} {'are' if plural else 'is'}"
+
+
+def _simulator_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run).simulator, bank.manifest.key.simulator
+    for name in sorted({*ours, *theirs}):
+        if ours.get(name) != theirs.get(name):
+            there = theirs.get(name, "none")
+            yield f"its {name} is {ours.get(name, 'none')}, the baseline's {there}"
+
+
+_NOTHING = sha256(b"").hexdigest()
+
+
+def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis, Panel]:
+    """Return what the bank is to the run's trials, and the panel that speaks for the baseline.
+
+    Args:
+        run: on the bank's suite and simulator (`check_match`).
+        bank: of the baseline.
+        checked: what trials of the baseline have shown on this class of machine.
+
+    Raises:
+        IncomparableError: the bank has no panel of this class of machine, and nobody has checked.
+    """
+    panel = bank.panel_of(machine_of(run))
+    if is_baseline(run.policy, bank):
+        return "same", panel or bank.panels[0]
+    if panel is None and checked not in {"bits", "control"}:
+        raise IncomparableError(
+            f"baseline {bank.manifest.name} has no panel of this class of machine "
+            f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
+            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add a panel "
+            f"with `{renewing(run, bank)}`",
+        )
+    if panel is None and checked == "control":
+        return "control", bank.panels[0]
+    if run.panel == "fresh":
+        return "fresh", panel or bank.panels[0]
+    return "panel", panel or bank.panels[0]
+
+
+def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gate) -> Claim:
+    """Return of which starts a comparison speaks: of fresh ones, unless the suite says otherwise.
+
+    Of the panel itself it may only where the order was drawn for this candidate from all of it: the
+    first starts of a panel are as random as any among all starts, but not among those of the panel.
+
+    Raises:
+        IncomparableError: the bank has fewer starts than were drawn, or `gate.claim` is panel where
+            none were.
+    """
+    has, is_drawn = bank.manifest.starts, basis == "panel" and run.drawn_from is not None
+    needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
+    if basis != "same" and has < needs:
+        raise IncomparableError(
+            f"baseline {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
+            fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
+            "--trials",
+        )
+    if gate.claim == "fresh" or basis == "same":
+        return "fresh"
+    if is_drawn and run.drawn_from == has:
+        return "panel"
+    raise IncomparableError(
+        f"gate.claim is panel, and the candidate did not meet starts that were drawn for it from "
+        f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
+        fix="write `claim: fresh`",
+    )
+
+
+def is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
+    """Return whether a policy is the baseline itself, as far as its digests can say."""
+    theirs = bank.manifest.policy
+    # An object in a process has whatever name its caller gives it; some servers give no digest.
+    anonymous = policy.adapter == "remote" and policy.checkpoint_digest == _NOTHING
+    verified = re.fullmatch("[0-9a-f]{64}", policy.checkpoint_digest) and not anonymous
+    ours = (policy.checkpoint_digest, policy.card_digest)
+    return bool(verified) and ours == (theirs.checkpoint_digest, theirs.card_digest)
+
+
+def _unlike(run: RunInfo, bank: SavedBank) -> str:
+    """Return in what this class of machine differs from the baseline's nearest one."""
+    ours = machine_of(run)
+    differing = [
+        [
+            f"{name} {ours.get(name, 'none')}, the baseline's {panel.machine.get(name, 'none')}"
+            for name in sorted({*ours, *panel.machine})
+            if ours.get(name) != panel.machine.get(name)
+        ]
+        for panel in bank.panels
+    ]
+    return ", ".join(min(differing, key=len))
+
+
+_FRESH = 1000
+"""Starts in each scene of which fresh ones are drawn, so that a run with more trials begins with
+those of one with fewer. Which of them a trial has does not matter: nobody has met any."""
+
+
+def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[DrawnStart]:
+    """Return all trials of a run in the order in which they are judged against a baseline.
+
+    Args:
+        run: what says how its order was drawn.
+        strata: scenes, and what is changed there, of the run.
+        rounds: trials of each on average.
+
+    Raises:
+        IncomparableError: it was drawn in another way, by an older nw-eval.
+    """
+    # Of fresh starts no bank drew any, and yet the first ones of each scene were judged.
+    if run.run < 2 and (run.drawn_from is not None or run.baseline is not None):
+        raise IncomparableError(
+            f"run {run.id} was drawn round by round by an older nw-eval, and this one judges trial "
+            "by trial",
+            fix="run it again",
+        )
+    order = {"candidate": run.drawn_by, "suite_digest": run.suite_digest}
+    if (run.is_recheck or run.goes_by_rounds) and run.drawn_from is not None:
+        return draw_rounds(strata, run.drawn_from, rounds, **order)
+    if run.drawn_from is None and run.panel == "fresh" and run.baseline is not None:
+        return draw_fresh(strata, rounds, **order)
+    starts = rounds if run.drawn_from is None else run.drawn_from
+    return draw_trials(strata, starts, rounds, **order)
+
+
+def draw_trials(
+    strata: Sequence[Stratum], starts: int, rounds: int, *, candidate: str, suite_digest: str
+) -> list[DrawnStart]:
+    """Return the first `rounds` x S of all pairs of a stratum and a start, in random order.
+
+    Args:
+        strata: scenes, and what is changed there, shape (S,).
+        starts: M, of each.
+        rounds: trials of each on average.
+        candidate: who is judged, by its `key`: the order is one for each network with its card.
+        suite_digest: of the suite.
+    """
+    order = order_of_trials(
+        [_label(stratum) for stratum in strata],
+        starts,
+        candidate_digest=candidate,
+        suite_digest=suite_digest,
+    )
+    return [(*strata[which], start) for which, start in order[: rounds * len(strata)]]
+
+
+def draw_fresh(
+    strata: Sequence[Stratum], rounds: int, *, candidate: str, suite_digest: str
+) -> list[DrawnStart]:
+    """Return as `draw_trials` does trials 0, 1, ... of each stratum: starts that nobody has met."""
+    met = dict.fromkeys(strata, 0)
+    found: list[DrawnStart] = []
+    most = max(_FRESH, rounds)
+    for scene, cell, _ in draw_trials(
+        strata, most, rounds, candidate=candidate, suite_digest=suite_digest
+    ):
+        found.append((scene, cell, met[scene, cell]))
+        met[scene, cell] += 1
+    return found
+
+
+def draw_rounds(
+    strata: Sequence[Stratum], starts: int, rounds: int, *, candidate: str, suite_digest: str
+) -> list[DrawnStart]:
+    """Return trials round by round: one start of every stratum, drawn from all of its starts.
+
+    That is how starts of the baseline's own policy run again: some of each scene. Arguments are
+    those of `draw_trials`.
+    """
+    ordered = sorted(strata)
+    columns = [
+        order_of_starts(
+            starts, candidate_digest=candidate, suite_digest=suite_digest, scene=_label(stratum)
+        )[:rounds]
+        for stratum in ordered
+    ]
+    return [
+        (*stratum, start)
+        for drawn in zip(*columns, strict=True)
+        for stratum, start in zip(ordered, drawn, strict=True)
+    ]
+
+
+def _label(stratum: Stratum) -> str:
+    scene, cell = stratum
+    return scene + "".join(f" {axis}={value!r}" for axis, value in cell)
+
+
+def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
+    """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
+
+    It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
+    digest being that of the suite with seed 0. So nobody chooses it: a checkpoint has one fresh
+    panel in a suite, whatever panel is pinned there.
+
+    Args:
+        candidate: who is judged.
+        suite: what it is to meet, with any seed.
+    """
+    unseeded = new_suite({**suite.model_dump(by_alias=True), "seed": 0}).digest
+    text = f"fresh/{candidate.key}/{unseeded}"
+    return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1

@@ -1,1 +1,0 @@
-"""Policies side by side: runs and banks in, ranks and where they part out."""

@@ -1,0 +1,207 @@
+"""Banks: what a baseline scored from every start of a panel, kept in git beside the suite.
+
+A bank is one file, `reports/baselines/<suite>/<name>.parquet` (`bank_file`): the results of S
+scenes by M starts without wall times, once for each class of machine that they were run on, and a
+manifest: who made it, when, why, and what must match for it to hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from nw_eval.files.shipped import available
+from nw_eval.results.column import Settings
+from nw_eval.results.provenance import BaselineInfo, RunInfo
+from nw_eval.results.row import Row
+
+_SIMULATOR = ("mujoco", "embreex", "renderer")
+"""Parts of `RunInfo.engine` that are the simulated world: in another version it is another one."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class BankKey(_Part):
+    """What a bank holds for, and nothing else: each field is named where it does not match."""
+
+    suite_digest: str
+    """Of robot, protocol, seed, episode and perturbations: what names the starts."""
+    seed: int
+    protocol: str
+    scenes: dict[str, str]
+    """Digests of the scenes by name."""
+    simulator: dict[str, str]
+    """Versions of what makes the simulated world: mujoco, embreex, renderer."""
+
+
+class BankPolicy(_Part):
+    """The baseline's policy."""
+
+    name: str
+    card_digest: str
+    checkpoint_digest: str
+    card: str = ""
+    """Where its card was, for a machine that the bank has not seen: a shipped bundle's name, or a
+    path from the folder of the run."""
+
+    @property
+    def typed(self) -> str:
+        """What a command's --policy is to say: PATH where it lay outside the project."""
+        if self.card or self.name in available("policies"):
+            return self.card or self.name
+        return "PATH"
+
+
+class PanelInfo(_Part):
+    """One class of machine on which all starts were run."""
+
+    machine: dict[str, str]
+    """What decides the bits of arithmetic besides the simulator: kind of processor, versions of
+    numerical libraries, digest of nw-eval's code."""
+    saved: str
+    """When, UTC in ISO 8601."""
+    by: str
+    """Who."""
+    rows_digest: str
+    """Of the rows that the panel is made from."""
+
+
+class Manifest(_Part):
+    """All that a bank says of itself."""
+
+    bank: int = Field(1, description="Version of this format.")
+    name: str
+    suite: str
+    """The suite's name."""
+    note: str = ""
+    """Why it was made."""
+    starts: int = Field(ge=1)
+    """M: starts in each scene and perturbation."""
+    key: BankKey
+    policy: BankPolicy
+    panels: tuple[PanelInfo, ...] = Field(min_length=1)
+
+
+def key_of(run: RunInfo) -> BankKey:
+    """Return what a bank must have to be compared with a run."""
+    return BankKey(
+        suite_digest=run.suite_digest,
+        seed=int(run.suite.get("seed", 0)),
+        protocol=str(run.suite.get("protocol", "")),
+        scenes={name: scene.digest for name, scene in run.scenes.items()},
+        simulator={name: run.engine[name] for name in _SIMULATOR if name in run.engine},
+    )
+
+
+def machine_of(run: RunInfo) -> dict[str, str]:
+    """Return the class of machine that a run was made on."""
+    return machine_in(run.engine)
+
+
+def machine_in(engine: Mapping[str, str]) -> dict[str, str]:
+    """Return the class of machine that `RunInfo.engine` names."""
+    return {name: value for name, value in engine.items() if name not in _SIMULATOR}
+
+
+Stratum = tuple[str, Settings]
+"""A scene, and what was changed in it: starts are drawn, and scores averaged, within one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """The baseline's result from one start; as the columns of `Row` with the same names."""
+
+    scene: str
+    task: str
+    perturbation: Settings = ()
+    seed_index: int
+    success: float
+    completed: bool
+    waypoints_reached: int
+    waypoints_total: int
+    outcome: str
+    end_reason: str
+    trajectory: str
+    """`trajectory` of its row."""
+
+    @property
+    def stratum(self) -> Stratum:
+        """Its scene and what was changed there."""
+        return (self.scene, self.perturbation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """All starts on one class of machine, in the order of scene, perturbation and index."""
+
+    machine: Mapping[str, str]
+    """`PanelInfo.machine`."""
+    starts: tuple[Start, ...]
+
+    @cached_property
+    def by_stratum(self) -> Mapping[Stratum, tuple[Start, ...]]:
+        """Starts 0 .. M - 1 of every scene and perturbation."""
+        groups: dict[Stratum, list[Start]] = {}
+        for start in self.starts:
+            groups.setdefault(start.stratum, []).append(start)
+        return {stratum: tuple(starts) for stratum, starts in groups.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedBank:
+    """A bank as its file has it; the panels are those of the manifest, in its order."""
+
+    manifest: Manifest
+    panels: tuple[Panel, ...]
+
+    def panel_of(self, machine: Mapping[str, str]) -> Panel | None:
+        """Return the panel that was run on machines of this class; None if none was."""
+        return next((panel for panel in self.panels if panel.machine == machine), None)
+
+
+def score(trial: Row | Start) -> float | None:
+    """Return what a trial counts in a comparison: its success, None where it has no result.
+
+    A policy that failed by itself (`policy_failed`) scores 0 wherever it got to: it would have had
+    to be stopped on the robot, too. The absolute bar counts its waypoints; a comparison counts the
+    same for baseline and candidate.
+    """
+    return 0.0 if trial.outcome == "policy_failed" else trial.success
+
+
+def trajectory(row: Row) -> str:
+    """Return 16 hex digits that are equal where two trials went the same way, bit for bit.
+
+    They are of the digests of states and actions; 64 bits tell an accident, not an adversary.
+    """
+    return sha256(f"{row.state_digest}/{row.action_digest}".encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlArm:
+    """Trials of the bank's own policy that ran beside the candidate, from the same starts."""
+
+    run: RunInfo
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Against:
+    """The bank that a run is compared with."""
+
+    info: BaselineInfo
+    bank: SavedBank
+    content: bytes
+    """Of its file, of which the run's folder gets a copy."""
+    control: ControlArm | None = None
+    """None where the bank says what its policy does on the machine of the run."""
+
+    def of_run(self, info: BaselineInfo) -> Against:
+        """Return the bank as a run knows it, that was begun with it somewhere else."""
+        return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))

@@ -1,0 +1,198 @@
+"""A small table as a file for git, and files read by a process that may neither grow nor stay.
+
+A checksum tells damage, not malice: whoever makes a file can seal it. Arrow ends its process on
+some files and asks for gigabytes on others, and who judges a run should not go down with either.
+The process that reads a small table imports little besides Arrow, so that it takes a fraction of a
+second.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Any
+
+from nw_eval.clean import clean
+from nw_eval.confinement.environment import inherited
+from nw_eval.errors import StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import bounded_bytes
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_MOST_BYTES = 16 * 2**20  # of a file
+_MOST_COLUMN = 64 * 2**20  # bytes of a column, unpacked
+_MOST_LINES = 200_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainTable:
+    """What a file holds, of whatever types; bytes are hex digits."""
+
+    metadata: Mapping[str, str]
+    """As `sealed.metadata_of`; empty for a table of somebody else's, of which nothing is read."""
+    columns: dict[str, list[Any]]
+    """All of one length."""
+
+
+def write_small_table(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> None:
+    """As `sealed.write_table`, in half of the bytes: Arrow's own types are not told once more.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from nw_eval.results.sealed import labels, sealed
+
+    schema = table.schema.remove_metadata()
+    # Where no value repeats, a dictionary repeats them all.
+    repeating: Any = [
+        field.name for field in schema if not pa.types.is_fixed_size_binary(field.type)
+    ]
+    with atomic_path(path) as temporary:
+        stream = pa.BufferOutputStream()
+        with pq.ParquetWriter(
+            stream,
+            schema,
+            compression="zstd",
+            version="2.6",
+            use_dictionary=repeating,
+            write_statistics=False,
+            store_schema=False,
+        ) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata(labels(metadata))
+        temporary.write_bytes(sealed(stream.getvalue().to_pybytes()))
+
+
+def read_small_table(path: Path, *, fix: str) -> PlainTable:
+    """Read a table in a process of its own.
+
+    Args:
+        path: the file.
+        fix: what to do where it cannot be read.
+
+    Raises:
+        StoreError: it is missing, too large, damaged, or ended the process.
+    """
+    (content,) = values_apart(__name__, path, fix=fix)
+    return PlainTable(**content)
+
+
+def small_table(path: Path) -> PlainTable:
+    """Read a table in this process.
+
+    Raises:
+        StoreError: as `read_small_table`.
+    """
+    import pyarrow as pa
+
+    from nw_eval.results.sealed import is_foreign, metadata_of, table_of
+
+    try:
+        data = bounded_bytes(path, _MOST_BYTES)
+        if is_foreign(data):
+            return PlainTable(metadata={}, columns={})
+        table = table_of(data, most_rows=_MOST_LINES, most_bytes=_MOST_COLUMN)
+        metadata = metadata_of(table.schema)
+        columns = {
+            name: [value.hex() if isinstance(value, bytes) else value for value in values]
+            for name, values in table.to_pydict().items()
+        }
+    # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
+    except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
+        reason = clean(error, at_most=200) or type(error).__name__
+        raise StoreError(f"{path} is damaged: {reason}") from None
+    return PlainTable(metadata=metadata, columns=columns)
+
+
+_SECONDS = 60.0
+_MEMORY = 2**30  # bytes of address space, on top of what the libraries take
+_MOST_ANSWER = 512 * 2**20  # bytes
+_AT_ONCE = 2000  # lines that are parsed together
+
+
+def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
+    """Return the JSON values that a module's `answer` reads from a file, in a process of its own.
+
+    Args:
+        module: of ours, which ends with `if __name__ == "__main__": answer(...)`.
+        path: the file.
+        fix: what to do where it cannot be read.
+
+    Raises:
+        StoreError: as the module's reader; or reading took too long, or ended its process.
+    """
+    # `-P`: no module comes from the working folder, which may be the run's own.
+    command = [sys.executable, "-P", "-m", "nw_eval.files.lifeline", module, str(path)]
+    # The other process ends with this one: its standard input is closed then.
+    life, ours = os.pipe()
+    with TemporaryFile() as written, os.fdopen(life, "rb"), os.fdopen(ours, "wb"):
+        try:
+            done = subprocess.run(  # noqa: S603  # Our own module, no shell.
+                command,
+                stdin=life,
+                stdout=written,
+                stderr=subprocess.DEVNULL,
+                timeout=_SECONDS,
+                env=inherited(),  # A thread may call this.
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise StoreError(f"{path}: not read within {_SECONDS:g} s", fix=fix) from None
+        if written.tell() > _MOST_ANSWER:
+            raise StoreError(f"{path} has over {_MOST_ANSWER // 2**20} MiB", fix=fix)
+        written.seek(0)
+        whole = (line for line in written if line.endswith(b"\n"))
+        lines: list[Any] = []
+        while some := list(islice(whole, _AT_ONCE)):  # Read faster than one by one.
+            lines += json.loads(b"[" + b",".join(some) + b"]")
+    if not lines or lines[-1] != "end":
+        error = next((line["error"] for line in lines if "error" in line), None)
+        if error is not None:
+            raise StoreError(clean(error), fix=fix)
+        raise StoreError(f"{path}: reading it ended with code {done.returncode}", fix=fix)
+    return lines[:-1]
+
+
+def answer(read: Callable[[Path], Iterable[Any]]) -> None:
+    """Write what is read from the file that the process was started with, a line for each value.
+
+    A last line says that it is the last.
+    """
+    path = Path(sys.argv[2])
+    _limit_memory()
+    try:
+        lines = [json.dumps(value) for value in read(path)]
+    except StoreError as error:
+        lines = [json.dumps({"error": error.message})]
+    except MemoryError:
+        lines = [json.dumps({"error": f"{path}: no memory to read it"})]
+    except TypeError:  # A date, say, which no file of ours has.
+        lines = [json.dumps({"error": f"{path} holds something that is neither number nor text"})]
+    else:
+        lines.append('"end"')
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+
+
+def _limit_memory() -> None:
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    limit = pages * resource.getpagesize() + _MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(_SECONDS), int(_SECONDS)))
+
+
+if __name__ == "__main__":
+    answer(lambda path: [vars(small_table(path))])
