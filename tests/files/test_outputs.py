@@ -38,7 +38,7 @@ ELSEWHERE = {
     "machine_code/mark.py": "marks a folder of the cache",
     "policies/onnx/fold.py": "runs confined, in a scratch folder, and may not set rights",
     "pytest_plugin/runs.py": "holds a lock, and writes nothing",
-    "reporting/github/runner.py": "appends to a file of GitHub's runner",
+    "reporting/github.py": "appends to a file of GitHub's runner",
     "reporting/trackers/mlflow.py": "writes into a temporary folder",
     "results/journal/journal.py": "appends, under a lock, to what `open_own` opened",
     "results/merge/logs.py": "fills a temporary folder that appears by one rename",

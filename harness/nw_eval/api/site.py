@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
     from nw_eval.gate.side_by_side.entrant import Entrant
     from nw_eval.gate.side_by_side.result import PolicyComparison
-    from nw_eval.reporting.site.board import BoardSection
+    from nw_eval.reporting.html.runs import BoardSection
 
 PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
 _WIDTH = 320
@@ -75,8 +75,8 @@ def write_site(
     """
     from nw_eval.api.running.comparisons import check_share
     from nw_eval.api.running.reports import as_published, fault_of
+    from nw_eval.reporting.html.runs import render_board
     from nw_eval.reporting.markdown import write_report
-    from nw_eval.reporting.site.board import render_board
     from nw_eval.results.run_folder import open_run_folder
 
     check_share(confidence)
@@ -173,7 +173,7 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.running.reports import fault_of
     from nw_eval.gate.side_by_side.entrant import check_alike, entrant_of_run
-    from nw_eval.reporting.site.board import BoardRun, BoardSection
+    from nw_eval.reporting.html.runs import BoardRun, BoardSection
 
     groups: list[list[tuple[RunReport, Entrant]]] = []
     notes: list[str] = []

@@ -74,7 +74,7 @@ def sweep(
     """
     from nw_eval.api.running.comparisons import check_share
     from nw_eval.gate.sweep.curve import curve_of
-    from nw_eval.reporting.sweep.pages import write_sweep
+    from nw_eval.reporting.sweep import write_sweep
 
     check_workers(workers)
     check_share(confidence)

@@ -75,7 +75,7 @@ def find_cause(
     from nw_eval.api.running.saved_run import check_whole, continued
     from nw_eval.gate.cause.file import write_cause_file
     from nw_eval.gate.cause.two_by_two import ARMS
-    from nw_eval.reporting.cause.pages import write_cause
+    from nw_eval.reporting.markdown import write_cause
     from nw_eval.request import Request
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder

@@ -16,7 +16,7 @@ from nw_eval.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.api.running.reports import RunReport
-    from nw_eval.reporting.html import ListedRun
+    from nw_eval.reporting.html.runs import ListedRun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
     """
     from nw_eval.api.running.reports import as_published, fault_of
     from nw_eval.files.cache import followed
-    from nw_eval.reporting.html import render_index
+    from nw_eval.reporting.html.runs import render_index
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import open_run_folder
 
@@ -85,7 +85,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
 def _listed(judged: RunReport, page: Path) -> ListedRun:
     """Return a run as the page lists it, once its own page is written beside it."""
     from nw_eval.api.running.reports import write_anew
-    from nw_eval.reporting.html import ListedRun
+    from nw_eval.reporting.html.runs import ListedRun
 
     # Two runs of one name lie in two folders.
     digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]

@@ -295,7 +295,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     from nw_eval.api.running.evidence.gather import gather_evidence
     from nw_eval.files.cache import followed, is_stream
     from nw_eval.gate.cause.file import read_cause_file
-    from nw_eval.reporting.html import render_html
+    from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.run_folder import RunFolder
 
@@ -336,8 +336,8 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
     """
     from nw_eval.api.running.evidence.gather import gather_evidence
     from nw_eval.gate.cause.file import read_cause_file
-    from nw_eval.reporting.html import render_html
     from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import RunFolder
 

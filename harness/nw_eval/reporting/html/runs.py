@@ -1,4 +1,8 @@
-"""What a leaderboard shows: policies by suites and tasks, and every suite scene by scene."""
+"""Pages over many runs: an index of them, and a leaderboard.
+
+The index shows what each run came to, and how every scene went from run to run. The leaderboard
+shows policies by suites and tasks, and every suite scene by scene.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,130 @@ from dataclasses import dataclass
 
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import part_of_suite
+from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.side_by_side.tables import ranks_text
+from nw_eval.reporting.side_by_side import ranks_text
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.provenance import RunInfo
 from nw_eval.stats import Interval
 
+_WIDTH, _HEIGHT = 120.0, 28.0
+"""Of a trend's drawing."""
 _LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
 """Shares of success lost over which a cell is drawn one step stronger."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedRun:
+    """One run of the page."""
+
+    folder: str
+    """As one would type it."""
+    href: str | None
+    """Of its own page, relative to this one; None without a page."""
+    info: RunInfo
+    verdict: Verdict
+
+    @property
+    def suite(self) -> str:
+        """The suite's name."""
+        return str(self.info.suite.get("name", "suite"))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Of its headline, without the verdict's word."""
+        return headline_parts(self.verdict, self.info)[1:]
+
+    @property
+    def part(self) -> str:
+        """Of how many of its suite's scenes it has results; nothing if of all."""
+        return part_of_suite(self.verdict, self.info)
+
+    @property
+    def bar(self) -> Bar | None:
+        """Mean success, drawn."""
+        if self.verdict.success is None:
+            return None
+        interval = self.verdict.interval
+        return Bar(value=self.verdict.success, interval=interval, mark=self.verdict.bar)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trend:
+    """Success from run to run: of a scene, or of all together."""
+
+    name: str
+    means: tuple[float | None, ...]
+    """In the order of the runs; None where a run has none."""
+
+    @property
+    def points(self) -> tuple[tuple[float, float], ...]:
+        """Of its drawing, those that there are."""
+        step = _WIDTH / max(1, len(self.means) - 1)
+        return tuple(
+            (round(place * step, 1), round(_HEIGHT * (1.0 - mean), 1))
+            for place, mean in enumerate(self.means)
+            if mean is not None
+        )
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """How strongly to draw each, from 0, all was reached, to 5."""
+        return tuple(0 if mean is None else _level(mean) for mean in self.means)
+
+    @property
+    def change(self) -> float | None:
+        """The last run's success less that of the one before it, of those that have one."""
+        known = [mean for mean in self.means if mean is not None]
+        return known[-1] - known[-2] if len(known) > 1 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteTrends:
+    """The runs of one suite, the oldest first."""
+
+    suite: str
+    runs: tuple[ListedRun, ...]
+    trends: tuple[Trend, ...]
+    """All scenes together first, then each in alphabetical order."""
+
+    @property
+    def panels(self) -> int:
+        """How many panels of starts the runs met; between two of these starts differ too."""
+        return len({(run.info.suite_digest, run.info.drawn_from) for run in self.runs})
+
+
+def render_index(runs: Sequence[ListedRun], unread: Sequence[str]) -> str:
+    """Return the page.
+
+    Args:
+        runs: in any order.
+        unread: a sentence on each run that could not be read.
+    """
+    ordered = sorted(runs, key=lambda run: (run.info.started, run.info.id, run.folder))
+    suites = sorted({run.suite for run in ordered})
+    return render(
+        "index.html.j2",
+        runs=ordered[::-1],
+        unread=tuple(unread),
+        suites=[_trends(suite, [run for run in ordered if run.suite == suite]) for suite in suites],
+    )
+
+
+def _trends(suite: str, runs: Sequence[ListedRun]) -> SuiteTrends:
+    means = [{item.scene: item.mean for item in run.verdict.per_scene} for run in runs]
+    scenes = sorted({scene for each in means for scene in each})
+    return SuiteTrends(
+        suite=suite,
+        runs=tuple(runs),
+        trends=(
+            Trend(name="all scenes", means=tuple(run.verdict.success for run in runs)),
+            *(
+                Trend(name=scene, means=tuple(each.get(scene) for each in means))
+                for scene in scenes
+            ),
+        ),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +211,7 @@ class BoardSection:
 
     def level(self, mean: float) -> int:
         """Return how strongly a cell is drawn: 0 where all was reached, to 5."""
-        return sum(1.0 - mean > least for least in _LEVELS)
+        return _level(mean)
 
     def bar(self, place: int) -> Bar:
         """Return the drawing of a policy's success."""
@@ -191,3 +310,7 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
         )
         for name, digest in order
     ]
+
+
+def _level(mean: float) -> int:
+    return sum(1.0 - mean > least for least in _LEVELS)

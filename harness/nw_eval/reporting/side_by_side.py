@@ -1,14 +1,24 @@
-"""The tables of a comparison of policies."""
+"""A comparison of policies, as tables and as a page of Markdown."""
 
 from __future__ import annotations
 
 from nw_eval.gate.side_by_side.result import ComparedPolicy, PolicyComparison, SceneParting
 from nw_eval.plural import plural
+from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.tables.table import Table, span
 from nw_eval.stats.hazard import Hazard
 
 _MOST = 12
 """Suspect waypoints that a table names."""
+
+
+def comparison_page(found: PolicyComparison) -> str:
+    """Return the page: each table under its title, with its note."""
+    parts: list[str] = []
+    for level, table in enumerate(comparison_tables(found)):
+        parts += [f"{'##' if level else '#'} {table.title}", markdown_table(table)]
+        parts += [escaped(table.note)] if table.note else []
+    return "\n\n".join(parts) + "\n"
 
 
 def comparison_tables(found: PolicyComparison) -> tuple[Table, ...]:
