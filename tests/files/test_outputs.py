@@ -63,7 +63,7 @@ ELSEWHERE = {
     "twin/label/published.py": "fills a temporary folder that appears by one rename",
     "twin/label/saving.py": "fills a temporary folder, whose files are moved when all fits",
     "twin/reconstruct/openmvs.py": "keeps what a program says, in a working folder",
-    "view/live/controls.py": "calls `save_played`, which uses `atomic_path`",
+    "view/live_page.py": "calls `save_played`, which uses `atomic_path`",
     "viewing/recording/blueprint.py": "is given the temporary path by `write_layout`",
     "viewing/recording/track.py": "is given the temporary path by `write_recording`",
 }
