@@ -9,7 +9,7 @@ import signal
 
 from hypothesis import settings
 
-from nw_eval.machine_code.kept import folder_note
+from nw_eval.machine_code import folder_note
 
 pytest_plugins = ("pytester",)  # Only this file may say so.
 

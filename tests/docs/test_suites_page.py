@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from nw_eval.built_in.splits import Split
-from nw_eval.catalogue.find import names
+from nw_eval.catalogue import names
 from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
 from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED

@@ -262,8 +262,7 @@ def _picture(name: str, digest: str) -> bytes | None:
     import numpy as np
     from PIL import Image
 
-    from nw_eval.catalogue import get_scene
-    from nw_eval.catalogue.find import is_built_in
+    from nw_eval.catalogue import get_scene, is_built_in
     from nw_eval.rollout.replaying.contact_sheet import scene_views
 
     if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.

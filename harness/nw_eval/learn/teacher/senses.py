@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations import ScandotsObservation
 from nw_eval.learn.teacher.config import GROUNDS
 from nw_eval.learn.teacher.lanes import CELL, ORIGIN
-from nw_eval.machine_code.jit import kernel
+from nw_eval.machine_code import kernel
 from nw_eval.sensors.heights import grid
 
 Array = NDArray[np.float64]

@@ -7,8 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nw_eval.catalogue import brought, is_built_in, names, open_scene
-from nw_eval.catalogue.whereabouts import scene_files
+from nw_eval.catalogue import brought, is_built_in, names, open_scene, scene_files
 from nw_eval.errors import SceneError, StoreError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
 from nw_eval.files.inside import what_is

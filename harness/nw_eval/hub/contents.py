@@ -1,12 +1,20 @@
-"""What a repository holds at a revision: names and sizes, checked before anything is fetched."""
+"""What is taken of a repository: files at a revision, or of a scene's zip the parts that are read.
+
+Names, sizes and numbers are a stranger's: they are checked before anything is fetched or unpacked.
+"""
 
 from __future__ import annotations
 
 import re
+import shutil
+import stat
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import islice
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
@@ -130,3 +138,80 @@ def _checked(reference: Reference, path: str) -> PurePosixPath:
             f"the name {clean(path, at_most=100)!r} in it cannot be kept: {error}",
             fix="fetch nothing from its owner before that is explained",
         ) from None
+
+
+_READ = (
+    "*.xml",
+    "geometry/*.obj",
+    "3dgs/model.pt",
+    "3dgs/model.ply",
+    "3dgs/data_transforms.json",
+)
+"""What `scenes.neverwhere` reads of the folder that the zip's root is; the capture is gigabytes."""
+
+_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError)
+
+
+def unpack(reference: Reference, archive: Path, folder: Path) -> tuple[str, ...]:
+    """Unpack what is read of a scene, and return the names.
+
+    Args:
+        reference: what the archive is of.
+        archive: the zip.
+        folder: an empty folder.
+
+    Raises:
+        SceneError: the zip is damaged, a name leaves the folder, it is too large, or it has no XML.
+        OSError: something cannot be written.
+    """
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            wanted = _wanted(reference, opened)
+            for member in wanted:
+                path = folder / member.filename
+                path.parent.mkdir(parents=True, exist_ok=True)
+                # It stops at the announced size with an error if there is more.
+                with opened.open(member) as packed, path.open("wb") as out:
+                    shutil.copyfileobj(packed, out, 2**20)
+    except _FAULTS as error:
+        raise reference.error(
+            f"{reference.archive} is damaged: {clean(error, at_most=200)}", fix="fetch it again"
+        ) from None
+    return tuple(member.filename for member in wanted)
+
+
+def _wanted(reference: Reference, opened: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    wanted: dict[str, zipfile.ZipInfo] = {}
+    for member in opened.infolist():
+        if member.is_dir() or not any(_matches(member.filename, each) for each in _READ):
+            continue
+        kind = stat.S_IFMT(member.external_attr >> 16)
+        if kind not in {0, stat.S_IFREG}:
+            raise reference.error(
+                f"{clean(member.filename, at_most=100)!r} in it is no plain file",
+                fix="fetch nothing from its owner before that is explained",
+            )
+        try:
+            checked(member.filename)
+        except OutsideError as error:
+            raise reference.error(
+                f"the name {clean(member.filename, at_most=100)!r} in it: {error}",
+                fix="fetch nothing from its owner before that is explained",
+            ) from None
+        wanted[member.filename] = member
+    total = sum(member.file_size for member in wanted.values())
+    if len(wanted) > limits.FILES or total > limits.BYTES:
+        raise reference.error(
+            f"{len(wanted)} files of {in_words(total)} would be unpacked",
+            fix=f"{limits.FILES} files and {in_words(limits.BYTES)} are the limit",
+        )
+    if not any(name.endswith(".xml") for name in wanted):
+        raise reference.error(
+            f"{reference.archive} holds no XML at its root, which says where everything lies",
+            fix="unpack it by hand, with the XML of the release's code, as docs/scenes.md says",
+        )
+    return list(wanted.values())
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return name.count("/") == pattern.count("/") and fnmatchcase(name, pattern)
