@@ -152,8 +152,6 @@ _KINDS: Mapping[Word, type[Failure | Error]] = {
     "INVALID": Error,
 }
 """Verdicts that are no pass, as JUnit has them; `type` says the word, in small letters."""
-
-
 _SKIPPED: Mapping[State, str] = {"unjudged": "invalid", "unseen": "left_capture"}
 """Types of skipped cases whose states have other names."""
 

@@ -148,12 +148,8 @@ _ACTS = re.compile(
 )
 """What GitHub makes a mention, a reference, a link, a formula, an emoji or a commit's link of,
 wherever it stands in a word. The action's `post.py` has a copy of these rules."""
-
-
 _MARKS = re.compile(r"[\\`*\[\]<>|~&]|(?<![^\W_])_|_(?![^\W_])")
 """Signs of Markdown. Underscores within words are none in GitHub's, and names are full of them."""
-
-
 _BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
 """What makes a heading or a list of a line that begins with it; a letter is put before its sign."""
 

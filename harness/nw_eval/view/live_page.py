@@ -69,16 +69,10 @@ def _free_folder(scene: Scene) -> Path:
 
 _TICK = 0.002
 """Seconds between two looks at what is to be done."""
-
-
 _DRAWN_EVERY = 2
 """Control steps between two poses that are sent."""
-
-
 _SAID_EVERY = 0.5
 """Seconds between two words on how it goes."""
-
-
 _LATE = 0.1
 """Seconds by which it may be late and catch up."""
 
@@ -310,8 +304,6 @@ def _picture(view: View, array: NDArray[Any]) -> NDArray[np.uint8] | None:
 
 
 _BUILT_FRICTION = 1.25
-
-
 _RANGES = {
     "friction": (0.05, 1.5, 0.05),
     "payload": (0.0, 10.0, 0.25),
@@ -327,8 +319,6 @@ _RANGES = {
     "missing_cones": (0.0, 1.0, 0.1),
 }
 """Least, most and step of each axis of perturbation: within what a suite may name."""
-
-
 _WAYS = {"ahead": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
 
 
@@ -403,8 +393,6 @@ def _push(way: str, speed: float) -> Callable[[Stage], None]:
 
 
 SUITE = "suite.yaml"
-
-
 _MOST_PUSHED = 3.0
 """m/s, that a suite may name."""
 

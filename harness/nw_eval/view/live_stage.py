@@ -84,8 +84,6 @@ def is_named(reference: str) -> bool:
 
 GOES_ON = frozenset({"timeout", "stuck", "off_course", "collided"})
 """Outcomes that end a trial of a run, and not one that somebody plays with."""
-
-
 _LONG = 36_000.0  # s
 
 
@@ -316,28 +314,14 @@ class SplatWithBoxes:
 
 COLOUR = (0.62, 0.45, 0.28)
 """Of cardboard, red, green and blue, 0 to 1, lit from above."""
-
-
 _HALF_SIZE = (0.15, 0.3, 0.1)
-
-
 _AHEAD = 0.8
 """Metres from the trunk's middle to a new box's."""
-
-
 _SPACING = 0.02
 """Metres between two Gaussians of a face."""
-
-
 _FLAT = 0.001  # m
-
-
 _OPACITY_LOGIT = 5.0
-
-
 _SIDE_LIGHT = 0.7
-
-
 _BELOW_LIGHT = 0.4
 
 

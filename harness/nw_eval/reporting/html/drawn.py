@@ -283,12 +283,8 @@ def _lost(scene: SceneCourse) -> float:
 
 _STEP = 8.0
 """Centimetres: what of a path is closer to its last point is left out."""
-
-
 _ROOM = 60.0
 """Centimetres around waypoints and paths."""
-
-
 _LEAST = 200.0
 """Centimetres that a view is wide and high at least."""
 

@@ -193,8 +193,6 @@ def _against(found: Comparison) -> dict[str, float | None]:
 
 _LONGEST = 100
 """Characters of a key, before its mark: MLflow takes 250 in all, of which others stand before."""
-
-
 _MARK = re.compile(r"-[0-9a-f]{12}$")
 
 
