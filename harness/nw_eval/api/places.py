@@ -143,7 +143,7 @@ def check_scenes(
 def _write_suite(path: Path, references: Sequence[str], robot: Robot, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
     from nw_eval.catalogue import from_folder
-    from nw_eval.suite.ready import write_ready_suite
+    from nw_eval.suite.written import write_ready_suite
 
     here = policy
     if policy is not None and "/" in policy and Path(policy).exists():

@@ -20,7 +20,7 @@ from nw_eval.gate.baseline.comparison import SceneDrop
 from nw_eval.gate.verdict import SceneScore, Verdict
 from nw_eval.plural import plural
 from nw_eval.results.provenance import RunInfo
-from nw_eval.suite.check import folder_names
+from nw_eval.suite.load import folder_names
 
 State = Literal[
     "failed", "error", "unjudged", "unseen", "weak", "undecided", "informational", "fine"

@@ -224,7 +224,7 @@ def judge(
     from nw_eval.api.running.saved_run import check_whole, saved_suite
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
-    from nw_eval.suite.override import override_gate
+    from nw_eval.suite.model import override_gate
 
     folder = open_run_folder(Path(run))
     info = check_whole(read_run_info(folder.run_json))

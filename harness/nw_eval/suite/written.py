@@ -1,4 +1,4 @@
-"""A suite file for places that have none yet."""
+"""Suites as YAML text: the resolved one that runs and logs carry, and one for places without."""
 
 from __future__ import annotations
 
@@ -8,12 +8,35 @@ from io import StringIO
 from math import ceil, prod
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 from ruamel.yaml import YAML
 
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.stats import trials_to_certify
+from nw_eval.suite.model import Suite
+
+
+def suite_yaml(suite: Suite) -> str:
+    """Return a suite as the text of a file that loads to an equal suite, defaults written out."""
+    return _yaml(_plain(suite.model_dump(by_alias=True)), default_flow_style=False)
+
+
+def _yaml(values: Any, *, default_flow_style: bool | None) -> str:
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = default_flow_style
+    yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
+    stream = StringIO()
+    yaml.dump(values, stream)
+    return stream.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in cast("dict[Any, Any]", value).items()}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in cast("tuple[Any, ...]", value)]
+    return value
+
 
 _POLICIES: Mapping[str, str] = MappingProxyType(
     {"go1": "go1-parkour", "go2": "examples/himloco-go2"}
@@ -30,9 +53,13 @@ _ABOUT: Mapping[str, str] = MappingProxyType(
 """,
     }
 )
+
+
 _HEAD = """\
 # Keys: docs/suites.md, and `nw-eval schema suite`.
 """
+
+
 _LONGEST_NAME = 64
 _FEWEST = 10  # trials in each scene
 
@@ -62,6 +89,8 @@ def write_ready_suite(
     Raises:
         StoreError: it cannot be written.
     """
+    from nw_eval.stats import trials_to_certify
+
     gate = {"success_rate": 0.75, "confidence": 0.95}
     cells = prod(len(values) for values in perturb.values())
     needed = ceil(trials_to_certify(gate["success_rate"], gate["confidence"]) / len(scenes) / cells)
@@ -79,11 +108,8 @@ def write_ready_suite(
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None  # A list of names on one line.
-    yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
-    stream = StringIO(_ABOUT[robot] + _HEAD if policy in {None, known} else _HEAD)
-    stream.seek(0, 2)
-    yaml.dump(text, stream)
+    head = _ABOUT[robot] + _HEAD if policy in {None, known} else _HEAD
+    # None: a list of names on one line.
+    content = head + _yaml(text, default_flow_style=None)
     with atomic_path(followed(path)) as temporary:
-        temporary.write_text(stream.getvalue(), encoding="utf-8")
+        temporary.write_text(content, encoding="utf-8")
