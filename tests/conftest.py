@@ -10,7 +10,7 @@ import signal
 import pytest
 from hypothesis import settings
 
-from nw_eval.machine_code.kept import folder_note
+from nw_eval.machine_code import folder_note
 from nw_eval.policies.apart import trusting
 
 pytest_plugins = ("pytester",)  # Only this file may say so.

@@ -26,7 +26,7 @@ from nw_eval.engine import session
 from nw_eval.engine.trials.attempts import Attempts
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
-from nw_eval.reporting import headline
+from nw_eval.reporting.headline import headline
 from nw_eval.results.bank import trajectory
 from nw_eval.results.bank_build import bank_of_run
 from nw_eval.results.bank_file import read_bank, write_bank

@@ -18,8 +18,7 @@ from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
 from nw_eval.results.row import from_dict, rows_digest, to_dict
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.view.loading import open_shelf
-from nw_eval.view.sources import kind_of
+from nw_eval.view.sources import kind_of, open_shelf
 
 SUITE = """\
 nw-eval: 1

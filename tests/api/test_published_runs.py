@@ -39,7 +39,7 @@ EVIL = (
     "</style><svg/onload=owned()>{{7*7}}<!--]]>--!><a href=javascript:owned()>x</a>\u202e\x00"
 )
 SECRET = "root:x:0:0:what lies outside"
-TEMPLATES = Path(nw_eval.__file__).parent / "reporting/html/templates"
+TEMPLATES = Path(nw_eval.__file__).parent / "reporting/templates"
 TRIALS = 12
 
 

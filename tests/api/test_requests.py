@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from nw_eval import api
-from nw_eval.catalogue import find
+from nw_eval import api, catalogue
 from nw_eval.cli.verbs import parse
 from nw_eval.engine import session, workplace
 from nw_eval.errors import IncomparableError, UsageError
@@ -225,13 +224,13 @@ def test_a_run_of_an_older_nw_eval_is_judged_and_its_resume_refused_in_one_line(
 @pytest.mark.parametrize("door", ["run", "check"])
 def test_every_scan_is_opened_once(project, monkeypatch, door):
     opened = []
-    load_folder = find.load_folder
+    load_folder = catalogue.load_folder
 
     def counted(folder, **options):
         opened.append(folder.name)
         return load_folder(folder, **options)
 
-    monkeypatch.setattr(find, "load_folder", counted)
+    monkeypatch.setattr(catalogue, "load_folder", counted)
     path = suite("./one, ./*")
     if door == "run":
         begin(suite=path, out=project / "run")

@@ -25,7 +25,7 @@ import twin_reference as reference
 from PIL import Image as Picture
 from splat_rooms import eye_camera, room
 
-from nw_eval.catalogue.find import get_scene
+from nw_eval.catalogue import get_scene
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store, open_store

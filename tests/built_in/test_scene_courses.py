@@ -13,8 +13,7 @@ from nw_eval.built_in.bake.generate import generate
 from nw_eval.built_in.gaps import DEPTH
 from nw_eval.built_in.ramps import Boards, Humps
 from nw_eval.built_in.stairs import Stairs
-from nw_eval.catalogue import get_scene, names
-from nw_eval.catalogue.find import _BY_NAME
+from nw_eval.catalogue import _BY_NAME, get_scene, names
 from nw_eval.robots import get_robot
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sim.world import World

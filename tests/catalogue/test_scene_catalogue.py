@@ -9,9 +9,15 @@ from pathlib import Path
 import pytest
 
 from nw_eval.built_in.splits import EVALUATION
-from nw_eval.catalogue import get_scene, match_scenes, names
-from nw_eval.catalogue.find import _BY_NAME, references
-from nw_eval.catalogue.whereabouts import scene_files, scene_paths
+from nw_eval.catalogue import (
+    _BY_NAME,
+    get_scene,
+    match_scenes,
+    names,
+    references,
+    scene_files,
+    scene_paths,
+)
 from nw_eval.errors import SceneError
 
 

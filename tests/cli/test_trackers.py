@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from nw_eval import cli
-from nw_eval.reporting import trackers
+from nw_eval.reporting.trackers import tracked as trackers
 
 
 def ends(*arguments: str) -> int:

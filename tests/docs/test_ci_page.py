@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 
 from nw_eval.cli.verbs import parse
 from nw_eval.gate.verdict import EXIT_CODES
-from nw_eval.reporting.junit.document import _KINDS
+from nw_eval.reporting.junit import _KINDS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ci.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))

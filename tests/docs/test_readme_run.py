@@ -10,7 +10,7 @@ from rich.console import Console
 
 from nw_eval.built_in.splits import split_of
 from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.reporting import print_summary
+from nw_eval.reporting.console import print_summary
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
 from nw_eval.suite import load_suite

@@ -11,13 +11,13 @@ import pytest
 from pydantic import BaseModel
 
 from nw_eval.built_in.splits import Split
-from nw_eval.catalogue.find import names
+from nw_eval.catalogue import names
 from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
 from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED
 from nw_eval.sim import Limits
+from nw_eval.sim.course import REACH_RADIUS, REACH_STEPS
 from nw_eval.sim.model import GRAVITY, compile_model
-from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
 from nw_eval.suite import Suite, load_suite
 from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb, Validity
 from nw_eval.suite.trials import MAX_TRIALS
@@ -95,7 +95,7 @@ def test_its_words_are_those_of_the_format() -> None:
 def test_the_outcomes_are_told_in_the_order_in_which_they_are_looked_for() -> None:
     rules = {row[0].strip("`"): row[1] for row in table("outcome")}
     assert set(rules) == set(OUTCOMES) - {"policy_failed"}
-    source = (PAGE.parents[1] / "harness/nw_eval/sim/termination.py").read_text(encoding="utf-8")
+    source = (PAGE.parents[1] / "harness/nw_eval/sim/course.py").read_text(encoding="utf-8")
     body = source.split("    def check(")[1].split("    def snapshot(")[0]
     assert re.findall(r'return "(\w+)"', body) == list(rules)
     limits = Limits()
@@ -146,7 +146,7 @@ def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
 
 def test_with_a_friction_of_the_suite_that_value_alone_counts() -> None:
     from nw_eval.catalogue import get_scene
-    from nw_eval.sim.actuators import Actuators
+    from nw_eval.sim.model import Actuators
 
     robot, scene = get_robot("go1"), get_scene("flat/carpet_room")
     for friction, wanted in ((None, 1.25), (0.6, 0.6)):

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nw_eval.gate.sweep import curve_of
-from nw_eval.reporting.sweep.pages import write_sweep
-from nw_eval.reporting.sweep.words import cliff_words, parting_words, sweep_table
+from nw_eval.reporting.sweep import cliff_words, parting_words, sweep_table, write_sweep
 
 
 class Row:

@@ -14,9 +14,9 @@ from rich.console import Console
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
-from nw_eval.reporting import print_summary, render_markdown
-from nw_eval.reporting.console import draw
-from nw_eval.reporting.tables.baseline import baseline_table
+from nw_eval.reporting.console import draw, print_summary
+from nw_eval.reporting.markdown import render_markdown
+from nw_eval.reporting.tables.against import baseline_table
 from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
 

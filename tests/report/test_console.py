@@ -8,8 +8,8 @@ from rich.console import Console
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.verdict import EXIT_CODES, Word
-from nw_eval.reporting import headline, print_summary
-from nw_eval.reporting.console import _COLOURS
+from nw_eval.reporting.console import _COLOURS, print_summary
+from nw_eval.reporting.headline import headline
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:

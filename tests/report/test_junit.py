@@ -13,7 +13,7 @@ from nw_eval.errors import Problem, SuiteError, UsageError
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import without_bank
 from nw_eval.reporting.junit import junit_of_error, junit_xml
-from nw_eval.reporting.suite_lines import suite_lines
+from nw_eval.reporting.scene_states import suite_lines
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:

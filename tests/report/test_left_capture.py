@@ -10,7 +10,7 @@ import pytest
 
 from nw_eval.gate.absolute import judge
 from nw_eval.reporting.headline import headline
-from nw_eval.reporting.html import render_html
+from nw_eval.reporting.html.page import render_html
 from nw_eval.reporting.junit import junit_xml
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.reporting.scene_states import scene_states

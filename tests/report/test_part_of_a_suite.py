@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.reporting import print_summary, render_markdown
-from nw_eval.reporting.github.annotations import run_annotations
-from nw_eval.reporting.github.comment import comment_page
-from nw_eval.reporting.github.summary import summary_page
-from nw_eval.reporting.html import ListedRun, render_html, render_index
+from nw_eval.reporting.console import print_summary
+from nw_eval.reporting.github import comment_page, run_annotations, summary_page
+from nw_eval.reporting.html.page import render_html
+from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_eval.reporting.junit import junit_xml
+from nw_eval.reporting.markdown import render_markdown
 from nw_eval.results.provenance import RunInfo, SceneInfo
 from nw_eval.suite import Gate
 

@@ -16,8 +16,8 @@ from nw_eval.gate.side_by_side import (
     PolicyComparison,
     SceneParting,
 )
-from nw_eval.reporting.side_by_side.page import comparison_page
-from nw_eval.reporting.side_by_side.picture import draw_comparison
+from nw_eval.reporting.pictures import draw_comparison
+from nw_eval.reporting.side_by_side import comparison_page
 from nw_eval.stats.hazard import differences
 from nw_eval.stats.interval import Estimate, Interval
 from nw_eval.stats.ranks import Ranks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.reporting.suite_lines import suite_lines
+from nw_eval.reporting.scene_states import suite_lines
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,10 +9,9 @@ from rich.console import Console
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.reporting import print_summary
+from nw_eval.reporting.console import print_summary
 from nw_eval.reporting.markdown import render_markdown
-from nw_eval.reporting.tables.run import throughput_table
-from nw_eval.reporting.taken_over import taken_over
+from nw_eval.reporting.tables.run import taken_over, throughput_table
 from nw_eval.results.provenance import CacheInfo
 from nw_eval.suite import Gate
 

@@ -9,8 +9,7 @@ import pytest
 from nw_eval.built_in.bake.materials import is_known
 from nw_eval.built_in.places.crowns import crown_mesh
 from nw_eval.built_in.places.parts import Crown
-from nw_eval.catalogue import get_scene, names
-from nw_eval.catalogue.find import _BY_NAME
+from nw_eval.catalogue import _BY_NAME, get_scene, names
 from nw_eval.scenes.mesh import FACE_KINDS, box_mesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nw_eval.sim import World
-from nw_eval.sim.readings.contacts import ContactForces
+from nw_eval.sim.forces import ContactForces
 
 SCRIPT = """\
 import hashlib, numpy as np

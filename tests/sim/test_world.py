@@ -11,7 +11,7 @@ from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots.go1 import FIGURES
 from nw_eval.robots.mjcf import write_mjcf
 from nw_eval.sim import Actuators, World
-from nw_eval.sim.readings.contacts import ContactForces
+from nw_eval.sim.forces import ContactForces
 
 WEIGHT = 12.985904 * 9.806
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
-from nw_eval.machine_code.jit import kernel
+from nw_eval.machine_code import kernel
 from nw_eval.splat.camera import Pixels, view_vector
 from nw_eval.splat.kernels import cull, math8, memory, project, sort
 from nw_eval.splat.kernels.blend import (

@@ -205,7 +205,7 @@ def test_importing_the_package_loads_neither_numba_nor_torch():
 
 
 def test_the_kernel_cache_is_named_after_every_kernel_source(tmp_path):
-    from nw_eval.machine_code import jit
+    from nw_eval import machine_code as jit
 
     (tmp_path / "a.py").write_text("x = 1")
     before = jit.hash_sources(tmp_path)

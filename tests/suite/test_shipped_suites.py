@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue.find import match_scenes, names
+from nw_eval.catalogue import match_scenes, names
 from nw_eval.files.shipped import available, shipped
 from nw_eval.stats.betting import trials_to_certify
 from nw_eval.suite import draft_suite, load_suite, tier_problems

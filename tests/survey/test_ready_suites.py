@@ -6,7 +6,7 @@ import pytest
 from sample_corridor import corridor
 
 from nw_eval import api, cli
-from nw_eval.catalogue.find import from_folder
+from nw_eval.catalogue import from_folder
 from nw_eval.errors import UsageError
 from nw_eval.suite import load_suite
 

@@ -9,8 +9,7 @@ import pytest
 import trimesh
 from sample_corridor import box, corridor, floor_with_hole, gaussians_on
 
-from nw_eval.catalogue import get_scene, names
-from nw_eval.catalogue.inspect import inspect_scene
+from nw_eval.catalogue import get_scene, inspect_scene, names
 from nw_eval.survey import survey_scene
 
 

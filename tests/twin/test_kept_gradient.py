@@ -4,7 +4,7 @@ from pathlib import Path
 
 import nw_eval.splat.kernels as renderer
 import nw_eval.twin.gaussians.kernels as training
-from nw_eval.machine_code.jit import hash_sources
+from nw_eval.machine_code import hash_sources
 from nw_eval.twin.gaussians.kernels.blend import blend_back
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import UsageError
-from nw_eval.view.live.open import open_live
+from nw_eval.view.live_page import open_live
 from nw_eval.view.sources import kind_of
 
 pytest.importorskip("viser")

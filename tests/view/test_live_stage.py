@@ -10,10 +10,8 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.gaussians import SH0
 from nw_eval.suite import load_suite
 from nw_eval.suite.perturb import NEUTRAL, Perturb
-from nw_eval.view.live.boxes import painted
-from nw_eval.view.live.controls import _RANGES
-from nw_eval.view.live.saving import save_played
-from nw_eval.view.live.stage import open_stage
+from nw_eval.view.live_page import _RANGES, save_played
+from nw_eval.view.live_stage import open_stage, painted
 
 PLACE = "hurdles/one_low_carpet"
 

@@ -12,7 +12,7 @@ import nw_eval
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.results.moment_link import PORT, MomentLink, read_link
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.view.loading import open_shelf
+from nw_eval.view.sources import open_shelf
 from nw_eval.view.trace import APART, parting, read_trace
 
 SUITE = """\
@@ -100,7 +100,7 @@ def test_a_ghost_of_another_place_is_left_out(log, monkeypatch):
     job = replace(job, trial=replace(job.trial, scene_digest="0" * 64))
     elsewhere = replace(elsewhere, logged=replace(elsewhere.logged, job=job))
     found = iter([read_trace(log), elsewhere])
-    monkeypatch.setattr("nw_eval.view.loading.read_trace", lambda _: next(found))
+    monkeypatch.setattr("nw_eval.view.sources.read_trace", lambda _: next(found))
     assert len(shelf.load(log.stem)[0]) == 1
 
 

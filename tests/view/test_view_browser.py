@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from nw_eval import cli
-from nw_eval.view.live.open import open_live
-from nw_eval.view.loading import open_shelf
-from nw_eval.view.page import ViewPage
+from nw_eval.view.live_page import open_live
+from nw_eval.view.sources import open_shelf
+from nw_eval.view.trials_page import ViewPage
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

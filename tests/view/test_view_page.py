@@ -7,8 +7,8 @@ import urllib.request
 import numpy as np
 import pytest
 
-from nw_eval.view.loading import open_shelf
-from nw_eval.view.page import ViewPage
+from nw_eval.view.sources import open_shelf
+from nw_eval.view.trials_page import ViewPage
 
 pytest.importorskip("viser")
 

@@ -79,10 +79,11 @@ def find_cause(
         PolicyError: the policies cannot be taken apart, or not put together crosswise.
     """
     from nw_eval.api.blaming import baseline_bundle
+    from nw_eval.api.cause import apart, write_crossed
     from nw_eval.api.plans import check_workers
     from nw_eval.api.saved_run import check_whole, continued
     from nw_eval.gate.cause import ARMS, write_cause_file
-    from nw_eval.reporting.cause.pages import write_cause
+    from nw_eval.reporting.markdown import write_cause
     from nw_eval.request import Request
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder

@@ -50,11 +50,11 @@ def compare(
     if out is not None:
         from nw_eval.files.cache import followed
         from nw_eval.reporting.markdown import write_report
-        from nw_eval.reporting.side_by_side.page import comparison_page
+        from nw_eval.reporting.side_by_side import comparison_page
 
         write_report(followed(Path(out)), comparison_page(found))
     if picture is not None:
-        from nw_eval.reporting.side_by_side.picture import draw_comparison
+        from nw_eval.reporting.pictures import draw_comparison
 
         draw_comparison(found, Path(picture))
     return found

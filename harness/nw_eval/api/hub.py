@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from nw_eval.hub import FetchListener
     from nw_eval.hub.fetched import Fetched
-    from nw_eval.hub.listener import FetchListener
 
 _BESIDE = ("README.md", "LICENSE", "LICENSE.md", "LICENSE.txt", "NOTICE")
 """What is pushed of a scene's folder besides the files that the scene is made of."""
@@ -87,9 +87,9 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
         FetchError: the hub cannot be reached or fails; nothing was changed.
         PrerequisiteError: the extra `hub` is not installed.
     """
-    from nw_eval.catalogue.inspect import inspect_scene
+    from nw_eval.catalogue import inspect_scene
     from nw_eval.errors import SceneError
-    from nw_eval.hub.push import push
+    from nw_eval.hub.client import push
     from nw_eval.hub.reference import parse
     from nw_eval.scenes.folder import folder_files, load_folder
 
@@ -120,7 +120,7 @@ def _is_own_file(path: Path) -> bool:
 
 @contextmanager
 def _heard(listener: FetchListener | None) -> Generator[None]:
-    from nw_eval.hub.listener import heard_by
+    from nw_eval.hub import heard_by
 
     if listener is None:  # Whoever listens already.
         yield

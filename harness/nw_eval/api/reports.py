@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.gate.verdict import Verdict
-    from nw_eval.reporting.html import ListedRun
     from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.reporting.html.runs import ListedRun
     from nw_eval.results.bank import Against
     from nw_eval.results.ended import RunRows
     from nw_eval.results.provenance import BaselineInfo, RunInfo
@@ -230,7 +230,7 @@ def judge(
     from nw_eval.api.saved_run import check_whole, saved_suite
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
-    from nw_eval.suite.override import override_gate
+    from nw_eval.suite.model import override_gate
 
     folder = open_run_folder(Path(run))
     info = check_whole(read_run_info(folder.run_json))
@@ -301,7 +301,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     from nw_eval.api.evidence import gather_evidence
     from nw_eval.files.cache import followed, is_stream
     from nw_eval.gate.cause import read_cause_file
-    from nw_eval.reporting.html import render_html
+    from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
     from nw_eval.results.run_folder import RunFolder
 
@@ -342,8 +342,8 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
     """
     from nw_eval.api.evidence import gather_evidence
     from nw_eval.gate.cause import read_cause_file
-    from nw_eval.reporting.html import render_html
     from nw_eval.reporting.html.evidence import LogEvidence
+    from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import RunFolder
 
@@ -420,7 +420,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
         StoreError: the page cannot be written.
     """
     from nw_eval.files.cache import followed
-    from nw_eval.reporting.html import render_index
+    from nw_eval.reporting.html.runs import render_index
     from nw_eval.reporting.markdown import write_report
     from nw_eval.results.run_folder import open_run_folder
 
@@ -446,7 +446,7 @@ def index_runs(runs: Sequence[str | Path], *, out: Path | None = None) -> RunInd
 
 def _listed(judged: RunReport, page: Path) -> ListedRun:
     """Return a run as the page lists it, once its own page is written beside it."""
-    from nw_eval.reporting.html import ListedRun
+    from nw_eval.reporting.html.runs import ListedRun
 
     # Two runs of one name lie in two folders.
     digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]

@@ -118,7 +118,7 @@ def check_scenes(
             policy is named and no suite.
         StoreError: the suite cannot be written.
     """
-    from nw_eval.catalogue.inspect import inspect_scene
+    from nw_eval.catalogue import inspect_scene
     from nw_eval.errors import UsageError
     from nw_eval.files.cache import followed
     from nw_eval.files.inside import what_is
@@ -142,8 +142,8 @@ def check_scenes(
 
 def _write_suite(path: Path, references: Sequence[str], robot: Robot, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
-    from nw_eval.catalogue.find import from_folder
-    from nw_eval.suite.ready import write_ready_suite
+    from nw_eval.catalogue import from_folder
+    from nw_eval.suite.written import write_ready_suite
 
     here = policy
     if policy is not None and "/" in policy and Path(policy).exists():

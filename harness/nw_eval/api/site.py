@@ -19,7 +19,7 @@ from nw_eval.files.inside import regular
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.gate.side_by_side import Entrant, PolicyComparison
-    from nw_eval.reporting.site.board import BoardSection
+    from nw_eval.reporting.html.runs import BoardSection
 
 PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
 _WIDTH = 320
@@ -74,8 +74,8 @@ def write_site(
     """
     from nw_eval.api.comparisons import check_share
     from nw_eval.api.reports import as_published, fault_of
+    from nw_eval.reporting.html.runs import render_board
     from nw_eval.reporting.markdown import write_report
-    from nw_eval.reporting.site.board import render_board
     from nw_eval.results.run_folder import open_run_folder
 
     check_share(confidence)
@@ -172,7 +172,7 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
     from nw_eval.gate.side_by_side import check_alike, entrant_of_run
-    from nw_eval.reporting.site.board import BoardRun, BoardSection
+    from nw_eval.reporting.html.runs import BoardRun, BoardSection
 
     groups: list[list[tuple[RunReport, Entrant]]] = []
     notes: list[str] = []
@@ -261,8 +261,7 @@ def _picture(name: str, digest: str) -> bytes | None:
     import numpy as np
     from PIL import Image
 
-    from nw_eval.catalogue import get_scene
-    from nw_eval.catalogue.find import is_built_in
+    from nw_eval.catalogue import get_scene, is_built_in
     from nw_eval.rollout.replaying.contact_sheet import scene_views
 
     if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.

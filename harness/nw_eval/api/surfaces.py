@@ -60,7 +60,7 @@ def check_surfaces(where: Surfaces) -> Surfaces:
         if path is not None:
             followed(path)
     if where.track:
-        from nw_eval.reporting.trackers import check_trackers
+        from nw_eval.reporting.trackers.tracked import check_trackers
 
         check_trackers(where.track)
     return where
@@ -133,7 +133,7 @@ def _write_all(writers: Sequence[_Writer]) -> Published:
 
 def _write_junit(judged: RunReport, path: Path) -> None:
     from nw_eval.reporting.junit import junit_xml
-    from nw_eval.reporting.suite_lines import suite_lines
+    from nw_eval.reporting.scene_states import suite_lines
 
     lines = suite_lines(judged.info, Path.cwd())
     rows, verdict = judged.rows, judged.verdict
@@ -147,15 +147,14 @@ def _write_junit_error(error: NwEvalError, suite: str, path: Path) -> None:
 
 
 def _write_comment(judged: RunReport, path: Path) -> None:
-    from nw_eval.reporting.github.comment import comment_page
+    from nw_eval.reporting.github import comment_page
 
     page = comment_page(judged.info, judged.rows, judged.verdict, judged.typed_folder)
     _write(path, page.encode())
 
 
 def _write_summary(judged: RunReport) -> None:
-    from nw_eval.reporting.github.runner import append, room_in, runner_of
-    from nw_eval.reporting.github.summary import SUMMARY, summary_page
+    from nw_eval.reporting.github import SUMMARY, append, room_in, runner_of, summary_page
 
     summary = runner_of(os.environ).summary
     page = summary_page(
@@ -182,23 +181,21 @@ def _outputs(judged: RunReport, exit_code: int) -> dict[str, str]:
 
 
 def _write_outputs(outputs: dict[str, str]) -> None:
-    from nw_eval.reporting.github.runner import append, outputs_text, runner_of
+    from nw_eval.reporting.github import append, outputs_text, runner_of
 
     append(runner_of(os.environ).output, outputs_text(outputs), "GITHUB_OUTPUT")
 
 
 def _annotations(judged: RunReport) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import run_annotations
-    from nw_eval.reporting.github.runner import runner_of
-    from nw_eval.reporting.suite_lines import suite_lines
+    from nw_eval.reporting.github import run_annotations, runner_of
+    from nw_eval.reporting.scene_states import suite_lines
 
     lines = suite_lines(judged.info, runner_of(os.environ).workspace)
     return run_annotations(judged.info, judged.verdict, lines)
 
 
 def _annotations_of_error(error: NwEvalError) -> Sequence[str]:
-    from nw_eval.reporting.github.annotations import error_annotations
-    from nw_eval.reporting.github.runner import runner_of
+    from nw_eval.reporting.github import error_annotations, runner_of
 
     return error_annotations(error, runner_of(os.environ).workspace)
 
@@ -221,7 +218,8 @@ def _track_run(judged: RunReport, tracker: Tracker) -> None:
     Raises:
         Exception: whatever the tracker's library raises.
     """
-    from nw_eval.reporting.trackers import track, tracked_run
+    from nw_eval.reporting.trackers import track
+    from nw_eval.reporting.trackers.tracked import tracked_run
 
     pages = tuple(page for page in (judged.page, judged.html) if page is not None)
     clips = () if judged.evidence is None else judged.evidence.clips

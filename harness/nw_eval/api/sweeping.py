@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.gate.sweep import AxisCurve
-    from nw_eval.suite.swept import SweptAxis
+    from nw_eval.suite.perturb import SweptAxis
 
 _MOST_FOLDERS = 1000
 
@@ -74,7 +74,7 @@ def sweep(
     """
     from nw_eval.api.comparisons import check_share
     from nw_eval.gate.sweep import curve_of
-    from nw_eval.reporting.sweep.pages import write_sweep
+    from nw_eval.reporting.sweep import write_sweep
 
     check_workers(workers)
     check_share(confidence)
@@ -115,7 +115,7 @@ def sweep(
 
 
 def _axes(words: Sequence[str]) -> list[SweptAxis]:
-    from nw_eval.suite.swept import SweptAxis
+    from nw_eval.suite.perturb import SweptAxis
 
     swept = [SweptAxis.of(each) for each in words]
     if not swept:

@@ -186,7 +186,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
 
 
 def _draw(planned: TrialPlan, png: Path) -> None:
-    from nw_eval.reporting.curve_picture import draw_curve
+    from nw_eval.reporting.pictures import draw_curve
 
     outset = planned.outset
     draw_curve(

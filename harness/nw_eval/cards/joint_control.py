@@ -16,7 +16,7 @@ from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
-from nw_eval.robots.mounting import remounted
+from nw_eval.robots.spec import remounted
 
 Action = NDArray[np.float64]
 """Raw action, one number for each joint in the order of `control.joints`."""

@@ -1,4 +1,4 @@
-"""The hub's own client, and its failures in words.
+"""The hub's own client, its failures in words, and the way of a folder's files to a repository.
 
 `huggingface_hub` is an extra: nothing imports it but this module, and only when something is to be
 fetched or pushed. It says who one is (`HF_TOKEN`, `hf auth login`) and which hub is meant
@@ -11,17 +11,18 @@ import json
 import os
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import FetchError, PrerequisiteError, UsageError
 from nw_eval.hub import limits
-from nw_eval.hub.reference import Reference
+from nw_eval.hub.reference import MAIN, Reference, is_commit
 
 SILENCE = 30.0
 """Seconds without a byte after which a connection counts as broken."""
@@ -317,3 +318,55 @@ def _unknown(client: Client, reference: Reference) -> Exception:
 def _first_line(error: Exception) -> str:
     text = str(error).strip() or type(error).__name__
     return clean(text.splitlines()[0], at_most=200)
+
+
+def push(reference: Reference, files: Mapping[str, Path], *, private: bool, message: str) -> str:
+    """Put files into a repository, which is made if it is not there, and return the commit.
+
+    Files of the repository that are not named stay as they are.
+
+    Args:
+        reference: where to; without a revision.
+        files: by their names in the repository.
+        private: whether a repository that is made is for its owner alone.
+        message: what the commit is called.
+
+    Raises:
+        UsageError: the reference names a revision.
+        SceneError, PolicyError: by the reference's kind: the hub does not let this user.
+        FetchError: the hub cannot be reached or fails; nothing was changed.
+        PrerequisiteError: the extra `hub` is not installed.
+    """
+    if reference.revision != MAIN:
+        raise UsageError(
+            f"{reference.text}: a push makes a new revision of {MAIN}",
+            fix=f"write hub:{reference.repository}",
+        )
+    client = open_client(reference)
+    if not client.has_token:
+        raise reference.error(
+            f"{client.endpoint} takes nothing from somebody unknown",
+            fix="set HF_TOKEN to a token that may write, or log in with `hf auth login`",
+        )
+    operations = [
+        client.module.CommitOperationAdd(path_in_repo=name, path_or_fileobj=str(path))
+        for name, path in files.items()
+    ]
+    where: dict[str, Any] = {
+        "repo_id": reference.repository,
+        "repo_type": reference.repository_type,
+    }
+    try:
+        with worded(client, reference):
+            client.api.create_repo(**where, private=private or None, exist_ok=True)
+            done: Any = client.api.create_commit(
+                **where, operations=operations, commit_message=message
+            )
+            commit = str(done.oid)
+            if not is_commit(commit):
+                raise ValueError(f"{clean(commit, at_most=60)!r} is no commit")
+    except RuntimeError as error:  # What an upload in a thread of its own ends with.
+        raise FetchError(
+            f"{reference.text}: {clean(error, at_most=200)}", fix="push again"
+        ) from error
+    return commit

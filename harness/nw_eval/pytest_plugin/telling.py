@@ -17,7 +17,7 @@ import pytest
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
     from nw_eval.reporting.scene_states import SceneState
-    from nw_eval.reporting.tables import Table
+    from nw_eval.reporting.tables.table import Table
     from nw_eval.results.row import Row
 
 
@@ -27,7 +27,7 @@ _WIDTH = 10_000
 
 def verdict_text(judged: RunReport) -> str:
     """Return the verdict with its reasons, every scene, the worst trials, and where the page is."""
-    from nw_eval.reporting.tables.baseline import baseline_table
+    from nw_eval.reporting.tables.against import baseline_table
     from nw_eval.reporting.tables.success import scenes_table
 
     verdict = judged.verdict
@@ -38,7 +38,7 @@ def verdict_text(judged: RunReport) -> str:
 def scene_text(judged: RunReport, state: SceneState) -> str:
     """Return what became of one scene, the verdict, and the scene's lines of its tables."""
     from nw_eval.clean import clean
-    from nw_eval.reporting.tables.baseline import baseline_table
+    from nw_eval.reporting.tables.against import baseline_table
     from nw_eval.reporting.tables.success import scenes_table
 
     verdict = judged.verdict
@@ -78,7 +78,7 @@ _Properties = list[tuple[str, object]]
 def verdict_properties(judged: RunReport) -> _Properties:
     """Return those of the verdict: its figures, where they come from, and where the page is."""
     from nw_eval.reporting.headline import headline
-    from nw_eval.reporting.junit.properties import run_properties
+    from nw_eval.reporting.junit import run_properties
 
     return [
         *run_properties(judged.info, judged.verdict).items(),
@@ -89,7 +89,7 @@ def verdict_properties(judged: RunReport) -> _Properties:
 
 def scene_properties(judged: RunReport, state: SceneState) -> _Properties:
     """Return those of a scene: its figures, and those of the run that they come from."""
-    from nw_eval.reporting.junit.properties import scene_properties as of_scene
+    from nw_eval.reporting.junit import scene_properties as of_scene
     from nw_eval.reporting.tables.trials import worst_trials
 
     rows = [row for row in judged.rows if row.scene == state.scene]

@@ -11,8 +11,9 @@ from nw_eval.clean import clean
 from nw_eval.gate.verdict import Verdict, Word
 from nw_eval.plural import plural
 from nw_eval.reporting.headline import blind_spot, headline
-from nw_eval.reporting.tables import Table, all_tables
-from nw_eval.reporting.taken_over import taken_over
+from nw_eval.reporting.tables import all_tables
+from nw_eval.reporting.tables.run import taken_over
+from nw_eval.reporting.tables.table import Table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 

@@ -1,4 +1,7 @@
-"""report.md: the verdict first, then the evidence. Reads rows and run.json only."""
+"""Pages of Markdown: report.md, the verdict first, then the evidence, and cause.md.
+
+They read rows and run.json only, and print words from anywhere as harmless text.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,10 @@ from nw_eval.clean import clean
 from nw_eval.files.cache import atomic_path
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.certainty import how_sure
-from nw_eval.reporting.headline import blind_spot, headline
-from nw_eval.reporting.tables import Table, all_tables
+from nw_eval.reporting.headline import blind_spot, headline, how_sure
+from nw_eval.reporting.tables import all_tables
+from nw_eval.reporting.tables.against import cause_table
+from nw_eval.reporting.tables.table import Table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
@@ -84,6 +88,17 @@ def _whose(run: RunInfo, verdict: Verdict) -> str:
     return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.name}{part}"
 
 
+def write_cause(cause: Cause, run: str, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    table = cause_table(cause)
+    parts = [f"# {escaped(table.title)}: {escaped(run)}", markdown_table(table)]
+    write_report(path, "\n\n".join([*parts, escaped(table.note)]) + "\n")
+
+
 def write_report(path: Path, text: str) -> None:
     """Write a report, whole or not at all.
 
@@ -133,10 +148,8 @@ _ACTS = re.compile(
 )
 """What GitHub makes a mention, a reference, a link, a formula, an emoji or a commit's link of,
 wherever it stands in a word. The action's `post.py` has a copy of these rules."""
-
 _MARKS = re.compile(r"[\\`*\[\]<>|~&]|(?<![^\W_])_|_(?![^\W_])")
 """Signs of Markdown. Underscores within words are none in GitHub's, and names are full of them."""
-
 _BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
 """What makes a heading or a list of a line that begins with it; a letter is put before its sign."""
 

@@ -1,6 +1,7 @@
-"""Writes a robot's MJCF from its figures.
+"""From a robot's figures to its MJCF and its specification.
 
-The text holds the robot alone: bodies, joints, servos and cameras. Ground, obstacles, solver
+The figures are the tables that a robot is built from: one row a body, one shape a contact surface.
+The MJCF holds the robot alone: bodies, joints, servos and cameras. Ground, obstacles, solver
 options and what a protocol changes are added when a world is compiled.
 """
 
@@ -8,20 +9,126 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from nw_eval.robots.spec import COLLISION_GROUP, JOINT_KINDS, VISUAL_GROUP, Shape
+from nw_eval.robots.spec import COLLISION_GROUP, JOINT_KINDS, LEGS, VISUAL_GROUP, RobotSpec, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from nw_eval.robots.figures import Figures, Inertial, Leg
+    from nw_eval.robots.spec import CameraMount, Quaternion, Vector3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inertial:
+    """Mass in kg, centre of mass in the body frame in m, principal inertia in kg m^2."""
+
+    mass: float
+    com: Vector3
+    principal: Vector3
+    quat: Quaternion  # of the principal frame in the body frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """One moving body of a leg and the joint that carries it."""
+
+    position: Vector3  # of the joint, in the parent body
+    axis: Vector3
+    range: tuple[float, float]  # rad
+    inertial: Inertial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """Hip, thigh and calf of one leg; bodies and joints are named after it."""
+
+    name: str
+    hip: Link
+    thigh: Link
+    calf: Link
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attachment:
+    """A body welded to the trunk, whose mass comes from its collision shapes."""
+
+    name: str
+    position: Vector3
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowingCamera:
+    """A camera that keeps its offset from the centre of mass and does not turn with the trunk.
+
+    Axes are MuJoCo's: x right, y up, looking along minus z.
+    """
+
+    name: str
+    position: Vector3
+    x_axis: Vector3
+    y_axis: Vector3
+    fovy: float  # rad
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Everything that a robot and its MJCF are made from."""
+
+    name: str
+    trunk: Inertial
+    attachments: tuple[Attachment, ...]
+    legs: tuple[Leg, ...]  # in the order of `spec.LEGS`
+    collisions: tuple[Shape, ...]
+    visuals: tuple[Shape, ...]
+    cameras: dict[str, CameraMount]
+    followers: tuple[FollowingCamera, ...]
+    spawn_height: float
+    kp: float
+    joint_damping: float
+    armature: float
+    friction_loss: float
+    torque_limit: float
+    geom_friction: Vector3
+    contact_margin: float  # m, of a pair of geoms
+    default_pose: tuple[float, ...]  # rad, in the order of the joints
+    monitored_geoms: tuple[str, ...]
+    published_monitored_geoms: tuple[str, ...]
+    height_camera_offset: Vector3  # m, of the published height map's camera
+
+
+def make_spec(figures: Figures) -> RobotSpec:
+    """Return the robot of those figures, its MJCF written."""
+    links = [link for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)]
+    return RobotSpec(
+        name=figures.name,
+        joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
+        default_pose=figures.default_pose,
+        joint_ranges=tuple(link.range for link in links),
+        kp=figures.kp,
+        joint_damping=figures.joint_damping,
+        torque_limits=(figures.torque_limit,) * len(links),
+        armature=figures.armature,
+        friction_loss=figures.friction_loss,
+        feet=LEGS,
+        monitored_geoms=figures.monitored_geoms,
+        published_monitored_geoms=figures.published_monitored_geoms,
+        cameras=figures.cameras,
+        height_camera_offset=figures.height_camera_offset,
+        bodies=body_names(figures),
+        visuals=figures.visuals,
+        spawn_height=figures.spawn_height,
+        mjcf=write_mjcf(figures),
+    )
+
 
 # What is seen collides with nothing, since nothing has this bit in its conaffinity. It is not 0
 # because `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those
 # of its geoms that have any collision bit, and with it over visual geoms that stick out.
 _VISUAL_CONTYPE = 2
+
 
 # Density of a welded body without figures of its own, kg / m^3 (MuJoCo's default, as published).
 _DENSITY = 1000.0

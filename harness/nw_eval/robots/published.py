@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.figures import FollowingCamera, Inertial, Leg, Link
+from nw_eval.robots.mjcf import FollowingCamera, Inertial, Leg, Link
 from nw_eval.robots.spec import CameraMount, Vector3
 
 TRUNK = Inertial(

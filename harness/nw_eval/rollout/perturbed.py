@@ -24,7 +24,7 @@ from nw_eval.cards.observations import (
 from nw_eval.cards.wrappers import Noise
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots import RobotSpec
-from nw_eval.robots.mounting import remounted
+from nw_eval.robots.spec import remounted
 from nw_eval.rollout.episode.pushes import Pushes
 from nw_eval.sensors.sensor import CLEAR, Air
 from nw_eval.sim import Actuators

@@ -1,6 +1,6 @@
 """Puts terrain into a MuJoCo specification.
 
-Beside `narrowphase`, the only module of this package that knows MuJoCo. `nw_eval.sim.geometry`
+Beside `narrowphase`, the only module of this package that knows MuJoCo. `nw_eval.sim.model`
 calls it.
 """
 

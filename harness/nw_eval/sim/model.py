@@ -1,23 +1,60 @@
-"""Compiles robot and scene into one MuJoCo model."""
+"""Compiles robot and scene into one MuJoCo model.
+
+Servo figures of the joints (`Actuators`) are the robot's own where a policy card overrides none. A
+scene offers `ground` (a plane) and `solids`: boxes here; height fields, triangles and round
+primitives by `nw_eval.scenes.attach`.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Self, assert_never
 
 import numpy as np
+import numpy.typing as npt
 
 from nw_eval.errors import UsageError
-from nw_eval.sim.binding import MjModel, MjSpec, mujoco
-from nw_eval.sim.geometry import add_geometry
+from nw_eval.scenes.attach import add_height_field, add_primitive, add_triangles
+from nw_eval.scenes.scene import Box, HeightField, Primitive, Triangles
+from nw_eval.sim.binding import MjBody, MjModel, MjSpec, mujoco
 
 if TYPE_CHECKING:
     from nw_eval.protocol import EvaluationProtocol
     from nw_eval.robots import RobotSpec
     from nw_eval.scenes.scene import Scene
-    from nw_eval.sim.actuators import Actuators
+
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Actuators:
+    """Motors, one row a joint in robot order. All arrays are (12,) float64."""
+
+    kp: Array  # N m / rad
+    kd: Array  # N m s / rad; acts as joint damping, which MuJoCo integrates implicitly
+    torque_limits: Array  # N m, symmetric
+    armature: Array  # kg m^2
+    friction_loss: Array  # N m
+    strength: float = 1.0  # of gain and largest torque, the share that is left
+    follow: Literal["position", "torque"] = "position"  # what they are told; torques ignore kp
+
+    @classmethod
+    def of(cls, robot: RobotSpec) -> Self:
+        """Return the robot's own figures, the start of any override by `dataclasses.replace`."""
+        count = len(robot.joints)
+        return cls(
+            kp=np.full(count, robot.kp),
+            kd=np.full(count, robot.joint_damping),
+            torque_limits=np.array(robot.torque_limits, dtype=np.float64),
+            armature=np.full(count, robot.armature),
+            friction_loss=np.full(count, robot.friction_loss),
+        )
+
 
 GRAVITY = 9.806
 SOLVER_ITERATIONS = 50
+
 
 # A payload is a cube of this edge on the back of the robot: where, in the trunk frame.
 _PAYLOAD_EDGE = 0.1
@@ -106,3 +143,56 @@ def _add_payload(spec: MjSpec, mass: float) -> None:
         inertia=[inertia] * 3,
         explicitinertial=True,
     )
+
+
+# With an override, scene geometry outranks the robot's, so that its friction alone counts.
+_OVERRIDING_PRIORITY = 1
+
+
+def add_geometry(spec: MjSpec, scene: Scene, *, friction: float | None) -> None:
+    """Add ground and solids to the world body.
+
+    Between two geoms MuJoCo takes the larger friction, element by element, so a foot (1.0) on the
+    published ground (1.25) slides at 1.25. `friction` replaces the tangential coefficient of all
+    scene geometry and then holds for every contact with it, also below the foot's own 1.0.
+    """
+    priority = 0 if friction is None else _OVERRIDING_PRIORITY
+    world = spec.worldbody
+    world.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, scene.ground.z],
+        friction=_with_tangential(scene.ground.friction, friction),
+        priority=priority,
+    )
+    for index, solid in enumerate(scene.solids):
+        name = f"solid_{index}"
+        rough = _with_tangential(solid.friction, friction)
+        match solid:
+            case HeightField():
+                add_height_field(spec, name, solid, friction=rough, priority=priority)
+            case Triangles():
+                add_triangles(spec, name, solid, friction=rough, priority=priority)
+            case Primitive():
+                add_primitive(spec, name, solid, friction=rough, priority=priority)
+            case Box():
+                _add_box(world, name, solid, friction=friction, priority=priority)
+            case _:
+                assert_never(solid)
+
+
+def _add_box(world: MjBody, name: str, box: Box, *, friction: float | None, priority: int) -> None:
+    world.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=list(box.half_size),
+        pos=list(box.center),
+        quat=list(box.quat),
+        friction=_with_tangential(box.friction, friction),
+        priority=priority,
+    )
+
+
+def _with_tangential(friction: tuple[float, float, float], tangential: float | None) -> list[float]:
+    return [friction[0] if tangential is None else tangential, friction[1], friction[2]]

@@ -9,14 +9,11 @@ import numpy.typing as npt
 
 from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
-from nw_eval.sim import health, snapshot
-from nw_eval.sim.actuators import Actuators
 from nw_eval.sim.binding import mujoco
-from nw_eval.sim.model import compile_model
-from nw_eval.sim.readings.body import JOINTS, Body
-from nw_eval.sim.readings.contacts import ContactForces
-from nw_eval.sim.readings.forces import CONTACT_THRESHOLD, Forces, specific_force
-from nw_eval.sim.readings.rays import RobotRays, cast_at_visuals
+from nw_eval.sim.body import JOINTS, Body, RobotRays, cast_at_visuals
+from nw_eval.sim.forces import CONTACT_THRESHOLD, ContactForces, Forces, specific_force
+from nw_eval.sim.model import Actuators, compile_model
+from nw_eval.sim.state import check, fingerprint, keep_warnings_out_of_files, pack, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +69,7 @@ class World(Body):
         timestep: float = 0.005,
         substeps: int = 4,
     ) -> None:
-        health.keep_warnings_out_of_files()
+        keep_warnings_out_of_files()
         motors = Actuators.of(robot) if actuators is None else actuators
         model = compile_model(
             robot,
@@ -96,7 +93,7 @@ class World(Body):
         )
         self._holds_pose = motors.follow == "position"
         self._substeps = substeps
-        self._fingerprint = snapshot.fingerprint(model)
+        self._fingerprint = fingerprint(model)
         self._closed = False
         self._contact_forces = ContactForces(
             model,
@@ -154,7 +151,7 @@ class World(Body):
         mujoco.mj_forward(self.model, data)
         # Nothing has been sensed before the first step.
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
-        health.check(data, self.time)
+        check(data, self.time)
 
     def push(self, velocity: Sequence[float] | Array) -> None:
         """Add a velocity to the trunk's, (2,) m/s in the world's x and y, before a step."""
@@ -191,12 +188,12 @@ class World(Body):
         self._derive()
         self.steps += 1
         self._forces = self._read_forces(self._forces.contacts, solved)
-        health.check(data, self.time)
+        check(data, self.time)
 
     def state(self) -> bytes:
         """Return everything that the future depends on, for `restore`."""
         self._require_open()
-        return snapshot.pack(self.model, self.data, self._numbers(), self._fingerprint)
+        return pack(self.model, self.data, self._numbers(), self._fingerprint)
 
     def restore(self, state: bytes) -> None:
         """Go back to a state of a world with the same robot, scene and options, bit for bit.
@@ -206,7 +203,7 @@ class World(Body):
         """
         self._require_open()
         numbers = {name: array.copy() for name, array in self._numbers().items()}
-        snapshot.unpack(self.model, self.data, numbers, self._fingerprint, state)
+        unpack(self.model, self.data, numbers, self._fingerprint, state)
         # The rest follows from the state; the solver's warm start is part of it.
         self._derive()
         self.steps = int(numbers["steps"][0])

@@ -39,7 +39,7 @@ def warmup(backend: Backend = "cpu") -> float:
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     open_renderer(memory_store(gaussians), backend).render(camera)
     if backend == "cpu":
-        from nw_eval.machine_code.mark import mark_compiled  # It knows numba.
+        from nw_eval.machine_code import mark_compiled  # It knows numba.
 
         mark_compiled(_KERNELS)
     return time.perf_counter() - started
@@ -47,13 +47,13 @@ def warmup(backend: Backend = "cpu") -> float:
 
 def is_warm() -> bool:
     """Return whether `warmup` finds the CPU's kernels compiled, by this version of them."""
-    from nw_eval.machine_code.mark import is_compiled  # It knows numba.
+    from nw_eval.machine_code import is_compiled  # It knows numba.
 
     return is_compiled(_KERNELS)
 
 
 def kernel_note() -> str | None:
     """Return why the user's cache cannot keep compiled kernels, in one line; None if it can."""
-    from nw_eval.machine_code.kept import folder_note
+    from nw_eval.machine_code import folder_note
 
     return folder_note()

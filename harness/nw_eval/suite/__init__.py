@@ -6,13 +6,10 @@ and a seed of its own that nothing else can move.
 
 from __future__ import annotations
 
-from nw_eval.suite.check import tier_problems
-from nw_eval.suite.dump import suite_yaml
-from nw_eval.suite.load import Draft, draft_of, draft_suite, find_suite, load_suite
-from nw_eval.suite.model import Gate, Suite, new_suite
-from nw_eval.suite.override import override
-from nw_eval.suite.schema import json_schema
+from nw_eval.suite.load import Draft, draft_of, draft_suite, find_suite, load_suite, tier_problems
+from nw_eval.suite.model import Gate, Suite, json_schema, new_suite, override
 from nw_eval.suite.trials import Trial, expand
+from nw_eval.suite.written import suite_yaml
 
 __all__ = [
     "Draft",

@@ -1,4 +1,8 @@
-"""What a suite file says, as frozen pydantic models. `load.py` reads them from YAML."""
+"""What a suite file says, as frozen pydantic models; what a request may change of it for one run.
+
+`load.py` reads suites from YAML. `json_schema` is for editors that complete and check YAML as one
+types.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,13 @@ from pydantic import (
     Field,
     PrivateAttr,
     SerializerFunctionWrapHandler,
+    ValidationError,
     model_serializer,
     model_validator,
 )
 
-from nw_eval.errors import Problem
+from nw_eval.errors import Problem, UsageError
+from nw_eval.request import Request
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.words import Protocol, Record, Robot, Tier
@@ -315,3 +321,62 @@ def _frozen(value: Any) -> Any:
     if isinstance(value, list):
         return tuple(_frozen(item) for item in cast("list[Any]", value))
     return value
+
+
+_CHANGED = ("robot", "policy", "trials", "seed", "record")
+"""What a request may say otherwise than the suite, under the suite's names."""
+
+
+def override(suite: Suite, request: Request) -> Suite:
+    """Return a suite with what a request says otherwise; None keeps a setting.
+
+    Robot and seed are part of `Suite.digest`: with another one the trials are others. With another
+    policy, number of trials or record they are still the same.
+
+    Raises:
+        UsageError: a value cannot be used, for example `trials` of 0.
+    """
+    wanted = {name: getattr(request, name) for name in _CHANGED}
+    return _with(suite, {name: value for name, value in wanted.items() if value is not None})
+
+
+def override_gate(
+    suite: Suite, *, max_drop: float | None = None, tolerate: float | None = None
+) -> Suite:
+    """Return a suite with other drops in its gate; None keeps a setting.
+
+    Raises:
+        UsageError: a drop cannot be used.
+    """
+    wanted = {"max_drop": max_drop, "tolerate": tolerate}
+    changes = {name: value for name, value in wanted.items() if value is not None}
+    return _with(suite, {"gate": {**suite.gate.model_dump(), **changes}}) if changes else suite
+
+
+def _with(suite: Suite, changes: Mapping[str, Any]) -> Suite:
+    try:
+        return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)
+    except ValidationError as error:
+        faults = "; ".join(
+            f"--{_option(item['loc'])} {item['input']!r}: {item['msg'].lower()}"
+            for item in error.errors()
+        )
+        raise UsageError(faults) from None
+
+
+def _option(location: tuple[int | str, ...]) -> str:
+    return str(location[-1]).replace("_", "-")
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a suite file.
+
+    In VS Code and others with yaml-language-server, the first line of a suite then says
+    `# yaml-language-server: $schema=suite.schema.json`.
+    """
+    schema = Suite.model_json_schema(by_alias=True)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "nw-eval suite",
+    }

@@ -17,7 +17,7 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene, Triangles
 from nw_eval.sim.binding import mujoco
-from nw_eval.sim.geometry import add_geometry
+from nw_eval.sim.model import add_geometry
 from nw_eval.survey.trail import TrailSamples, trail_samples
 from nw_eval.words import Task
 

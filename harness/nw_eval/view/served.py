@@ -7,7 +7,15 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.clean import clean
 from nw_eval.viewing.browser import HOST, stop, viser_server
+
+STEP = 0.02
+"""Seconds of a control step."""
+_WIDTH = 320  # pixels
 
 
 class ServedPage:
@@ -64,3 +72,14 @@ class ServedPage:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def enlarged(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture (H, W, 3) at least as wide as the panel, its pixels as squares."""
+    factor = max(1, -(-_WIDTH // picture.shape[1]))
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def plain(text: str) -> str:
+    """Return text that is no Markdown."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]()#+-.!|<>" else c for c in clean(text, at_most=200))

@@ -1,15 +1,22 @@
-"""What a word names that is to be looked at: a log or run, a place, or a policy."""
+"""What is to be looked at: a log or run, a place, or a policy; and what a log or run has to show.
+
+A log or a run has trials by name, their ghosts, and the splat of their place.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from nw_eval.catalogue import is_built_in
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.files.inside import what_is
-from nw_eval.results.run_folder import taken_over_log
+from nw_eval.results.run_folder import RunFolder, open_run_folder, taken_over_log
 from nw_eval.scenes.folder import SCENE_FILE
+from nw_eval.view.trace import Trace, read_trace
+from nw_eval.viewing.browser import SplatPoints
 
 Kind = Literal["log", "scene", "policy"]
 
@@ -76,3 +83,97 @@ def _is_policy(source: str) -> bool:
     except NwEvalError:
         return False
     return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shelf:
+    """Trials that can be looked at.
+
+    Attributes:
+        logs: by the trials' names, in their order.
+        rivals: logs of other runs by the trials' names: ghosts.
+        run: the run's name; empty where it is no run's folder.
+    """
+
+    logs: Mapping[str, Path]
+    rivals: tuple[Mapping[str, Path], ...] = ()
+    run: str = ""
+    _splats: dict[str, SplatPoints | None] = field(default_factory=dict[str, SplatPoints | None])
+
+    def beside(self, name: str) -> list[str]:
+        """Return the other trials of a trial's place, those that come after it first."""
+        here = [other for other in self.logs if self._place(other) == self._place(name)]
+        place = here.index(name)
+        return here[place + 1 :] + here[:place]
+
+    def _place(self, name: str) -> tuple[str, ...]:
+        return self.logs[name].parts[-3:-1]  # Logs from the cache are in a folder of their own.
+
+    def load(self, name: str, others: int = 0) -> tuple[list[Trace], SplatPoints | None]:
+        """Return a trial with its ghosts, and its place's splat if there is one here.
+
+        Args:
+            name: of the trial.
+            others: trials of the same place that are ghosts too.
+
+        Raises:
+            StoreError: a log is damaged.
+        """
+        trace = read_trace(self.logs[name])
+        paths = [rival[name] for rival in self.rivals if name in rival]
+        paths += [self.logs[other] for other in self.beside(name)[:others]]
+        ghosts = [read_trace(path) for path in paths]
+        digest = trace.logged.job.trial.scene_digest
+        same = [ghost for ghost in ghosts if ghost.logged.job.trial.scene_digest == digest]
+        if digest not in self._splats:
+            self._splats.clear()  # One place at a time.
+            self._splats[digest] = _splat_of(trace)
+        return [trace, *same], self._splats[digest]
+
+
+def open_shelf(source: Path, against: Path | None = None) -> Shelf:
+    """Return what a log or a run has to show.
+
+    Args:
+        source: a trial's log, or a run's folder.
+        against: likewise; its trials of the same names are the ghosts.
+
+    Raises:
+        UsageError: there is no such file, or a run has no logs.
+    """
+    source = taken_over_log(source)
+    against = None if against is None else taken_over_log(against)
+    logs = _logs(source)
+    run = "" if source.is_file() else source.resolve().name
+    if against is None:
+        return Shelf(logs=logs, run=run)
+    rivals = _logs(against)
+    if source.is_file() and against.is_file():  # Two logs are meant, whatever they are called.
+        rivals = dict(zip(logs, rivals.values(), strict=True))
+    elif not set(logs) & set(rivals):
+        raise UsageError(
+            f"{against} has no trial of the same name as {source}", fix="name a run of its suite"
+        )
+    return Shelf(logs=logs, rivals=(rivals,), run=run)
+
+
+def _logs(source: Path) -> dict[str, Path]:
+    if source.is_file():
+        return {source.stem: source}
+    if not source.exists():
+        raise UsageError(f"there is nothing at {source}", fix="name a log or a run's folder")
+    folder: RunFolder = open_run_folder(source)
+    found = [path for place in (folder.logs, folder.cached) for path in place.rglob("*.mcap")]
+    if not found:
+        raise UsageError(f"{source} has no logs", fix="name a run that wrote some")
+    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
+
+
+def _splat_of(trace: Trace) -> SplatPoints | None:
+    import numpy as np
+
+    from nw_eval.viewing.browser import splat_points
+    from nw_eval.viewing.recording.content import place_splat
+
+    gaussians, _ = place_splat(trace.logged)
+    return None if gaussians is None else splat_points(gaussians, np.eye(4))

@@ -12,7 +12,7 @@ from nw_eval.gate.absolute import judge, word_of_bar
 from nw_eval.gate.baseline.combine import combined, judge_run
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.gate.baseline.match import drawn_order
-from nw_eval.reporting import headline
+from nw_eval.reporting.headline import headline
 from nw_eval.results.bank import trajectory
 from nw_eval.results.provenance import PolicyInfo, StopInfo, recheck_key
 from nw_eval.suite import Gate

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.gate.baseline.match import draw_trials, drawn_order
-from nw_eval.reporting.tables.baseline import baseline_table
+from nw_eval.reporting.tables.against import baseline_table
 from nw_eval.request import Request
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.bank.trials import CRITICAL_TRIALS

@@ -9,9 +9,14 @@ import pytest
 
 from nw_eval.errors import Problem, SuiteError, UsageError
 from nw_eval.gate.absolute import judge
-from nw_eval.reporting.github.annotations import error_annotations, run_annotations
-from nw_eval.reporting.github.commands import END_GROUP, begin_group, command
-from nw_eval.reporting.suite_lines import suite_lines
+from nw_eval.reporting.github import (
+    END_GROUP,
+    begin_group,
+    command,
+    error_annotations,
+    run_annotations,
+)
+from nw_eval.reporting.scene_states import suite_lines
 from nw_eval.suite import Gate
 
 BAR = Gate(success_rate=0.75)

@@ -17,10 +17,9 @@ from cmarkgfm.cmark import Options, github_flavored_markdown_to_html
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined, without_bank
 from nw_eval.gate.verdict import Comparison
-from nw_eval.reporting.github.comment import comment_page
-from nw_eval.reporting.github.summary import summary_page
+from nw_eval.reporting.github import comment_page, summary_page
 from nw_eval.reporting.markdown import escaped, markdown_table
-from nw_eval.reporting.tables import Table
+from nw_eval.reporting.tables.table import Table
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
 

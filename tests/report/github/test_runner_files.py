@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.reporting.github.runner import append, outputs_text, room_in, runner_of
+from nw_eval.reporting.github import append, outputs_text, room_in, runner_of
 
 
 def test_outputs_come_back_as_they_were_whatever_is_in_them(runner: Any, evil: str) -> None:

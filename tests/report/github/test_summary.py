@@ -12,8 +12,7 @@ from markdown_it import MarkdownIt
 
 from nw_eval.errors import StoreError
 from nw_eval.gate.absolute import judge
-from nw_eval.reporting.github.comment import comment_page
-from nw_eval.reporting.github.summary import SUMMARY, summary_page
+from nw_eval.reporting.github import SUMMARY, comment_page, summary_page
 from nw_eval.suite import Gate
 
 BAR = Gate(success_rate=0.75)

@@ -12,7 +12,6 @@ from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.verdict import Comparison, SceneDrop
-from nw_eval.reporting.html import render_html
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,
     Clip,
@@ -21,6 +20,7 @@ from nw_eval.reporting.html.evidence import (
     PlaceView,
     WalkedPath,
 )
+from nw_eval.reporting.html.page import render_html
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import write_run_info

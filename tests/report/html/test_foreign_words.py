@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.reporting.html import ListedRun, render_index
 from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_eval.results.provenance import PolicyInfo
 
 if TYPE_CHECKING:

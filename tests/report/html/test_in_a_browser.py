@@ -15,7 +15,7 @@ pytest.importorskip("websockets")
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.combine import combined
-from nw_eval.reporting.html import ListedRun, render_index
+from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_eval.suite import Gate
 
 sys.path.insert(0, str(Path(__file__).parent))

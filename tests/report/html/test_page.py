@@ -186,7 +186,7 @@ def test_the_same_run_gives_the_same_page_byte_for_byte(
 
 
 def test_no_process_draws_a_page_otherwise() -> None:
-    script = "from nw_eval.reporting.html import render_index; print(render_index([], ['x']))"
+    script = "from nw_eval.reporting.html.runs import render_index; print(render_index([], ['x']))"
     pages = {
         subprocess.run(
             [sys.executable, "-c", script],

@@ -9,7 +9,7 @@ from PIL import Image
 
 from nw_eval.gate.absolute import judge
 from nw_eval.reporting.html.evidence import Clip
-from nw_eval.reporting.trackers import tracked_run
+from nw_eval.reporting.trackers.tracked import tracked_run
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
 

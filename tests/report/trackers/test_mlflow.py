@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nw_eval.reporting.trackers import track
+from nw_eval.reporting.trackers.tracked import track
 
 SUCCESS = "nw-eval/hurdles/all/success"
 

@@ -7,7 +7,7 @@ from io import BytesIO
 import pytest
 from PIL import Image
 
-from nw_eval.reporting.trackers import track
+from nw_eval.reporting.trackers.tracked import track
 
 reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
 

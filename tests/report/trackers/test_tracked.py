@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.reporting.trackers.keys import key_of, keys_of
+from nw_eval.reporting.trackers.tracked import key_of, keys_of
 
 KEY = re.compile(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*")
 NAMES = st.text(st.sampled_from("ab/._- \n<ü\u202e'`"), max_size=6) | st.text(max_size=300)

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from nw_eval.reporting.trackers import track
+from nw_eval.reporting.trackers.tracked import track
 
 
 @pytest.fixture

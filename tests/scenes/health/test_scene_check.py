@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene, names
-from nw_eval.catalogue.inspect import inspect_scene
+from nw_eval.catalogue import get_scene, inspect_scene, names
 from nw_eval.errors import SceneError
 from nw_eval.scenes import Box, Plane, Scene, Spawn
 from nw_eval.scenes.check import check_scene

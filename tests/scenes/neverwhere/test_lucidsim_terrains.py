@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import match_scenes
-from nw_eval.catalogue.inspect import inspect_scene
+from nw_eval.catalogue import inspect_scene, match_scenes
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.scenes.rays import RayScene
 

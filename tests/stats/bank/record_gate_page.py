@@ -13,7 +13,7 @@ from pathlib import Path
 from gate_cells import ALL, BASELINES, HURDLES, KINDS, STUDENTS, Cell, Found, recorded_cells
 
 from nw_eval.gate.baseline.foresee import Outset, outset_of_bank
-from nw_eval.reporting.curve_picture import draw_curve
+from nw_eval.reporting.pictures import draw_curve
 from nw_eval.results.bank_file import read_bank
 from nw_eval.stats.bank.curve import operating_curve
 from nw_eval.suite.load import load_suite

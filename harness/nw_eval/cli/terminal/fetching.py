@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
-from nw_eval.hub.listener import heard_by
+from nw_eval.hub import heard_by
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -46,7 +46,7 @@ _WIDTH = 100
 
 def comparison_text(found: PolicyComparison) -> str:
     """Return the tables of a comparison, each with its title and its note."""
-    from nw_eval.reporting.side_by_side.tables import comparison_tables
+    from nw_eval.reporting.side_by_side import comparison_tables
 
     parts: list[str] = []
     for table in comparison_tables(found):

@@ -112,7 +112,7 @@ def summary(judged: RunReport, *, folded: bool = False) -> str:
     from rich.console import Console
 
     from nw_eval.reporting.console import print_tables, print_verdict
-    from nw_eval.reporting.github.commands import END_GROUP, begin_group
+    from nw_eval.reporting.github import END_GROUP, begin_group
 
     stream = StringIO()
     screen = Console(file=sys.stdout)

@@ -103,7 +103,7 @@ def group(title: str, *, wanted: bool) -> Generator[None]:
     if not wanted:
         yield
         return
-    from nw_eval.reporting.github.commands import END_GROUP, begin_group
+    from nw_eval.reporting.github import END_GROUP, begin_group
 
     tell(begin_group(title))
     try:

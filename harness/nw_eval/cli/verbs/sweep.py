@@ -85,8 +85,7 @@ class SweepAxes:
 
 def sweep_text(found: SweptSuite) -> str:
     """Return the tables of a sweep, what they say, and where its files are."""
-    from nw_eval.reporting.sweep.pages import sweep_words
-    from nw_eval.reporting.sweep.words import sweep_table
+    from nw_eval.reporting.sweep import sweep_table, sweep_words
 
     parts: list[str] = []
     for curves in found.axes:

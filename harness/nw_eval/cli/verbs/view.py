@@ -61,7 +61,7 @@ class ViewTrials:
             return self._serve(self._logged(port), str(self.source))
         policy = self.policy or (self.source if kind == "policy" else None) or _POLICY
         scene = self.scene or (self.source if kind == "scene" else None) or _PLACE
-        from nw_eval.view.live.open import open_live
+        from nw_eval.view.live_page import open_live
 
         page = open_live(
             policy, scene, checkpoint=self.checkpoint, allow_code=self.allow_code, port=port
@@ -70,8 +70,8 @@ class ViewTrials:
 
     def _logged(self, port: int) -> AbstractContextManager[ServedPage]:
         from nw_eval.errors import UsageError, nearest
-        from nw_eval.view.loading import open_shelf
-        from nw_eval.view.page import ViewPage
+        from nw_eval.view.sources import open_shelf
+        from nw_eval.view.trials_page import ViewPage
 
         assert self.source is not None, "it was found to be a log"
         shelf = open_shelf(Path(self.source), self.against)

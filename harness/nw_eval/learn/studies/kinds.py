@@ -31,7 +31,7 @@ from nw_eval.learn.studies.plan import (
     trained_in,
 )
 from nw_eval.learn.studies.scores import Outcome, Score, cell, difference, score
-from nw_eval.reporting.tables import Table
+from nw_eval.reporting.tables.table import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

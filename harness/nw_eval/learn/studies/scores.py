@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from nw_eval.reporting.tables import Table
+    from nw_eval.reporting.tables.table import Table
 
 _SCHEMA = pa.schema(
     [

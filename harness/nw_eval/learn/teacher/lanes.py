@@ -19,9 +19,8 @@ from nw_eval.protocol import STRICT
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Scene
-from nw_eval.sim.actuators import Actuators
 from nw_eval.sim.binding import MjModel, mujoco
-from nw_eval.sim.model import compile_model
+from nw_eval.sim.model import Actuators, compile_model
 
 _FLAT = GROUNDS.index("flat")
 _STREAM = 1

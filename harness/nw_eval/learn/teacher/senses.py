@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations import ScandotsObservation
 from nw_eval.learn.teacher.config import GROUNDS
 from nw_eval.learn.teacher.lanes import CELL, ORIGIN
-from nw_eval.machine_code.jit import kernel
+from nw_eval.machine_code import kernel
 from nw_eval.sensors.heights import grid
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def privileged_features(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bodies:
-    """Some robots at one instant; frames as in `sim.readings.body`.
+    """Some robots at one instant; frames as in `sim.body`.
 
     Attributes:
         position: (n, 3) of the trunks, world, m.

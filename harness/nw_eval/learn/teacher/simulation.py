@@ -19,8 +19,7 @@ from nw_eval.learn.teacher.lanes import WAYPOINTS
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.spec import VISUAL_GROUP
 from nw_eval.sim.binding import MjModel, mujoco
-from nw_eval.sim.termination import Limits
-from nw_eval.sim.trail import REACH_RADIUS, REACH_STEPS
+from nw_eval.sim.course import REACH_RADIUS, REACH_STEPS, Limits
 
 Array = NDArray[np.float64]
 

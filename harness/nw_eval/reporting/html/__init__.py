@@ -1,8 +1,1 @@
-"""report.html: one file that holds all it shows, and asks no network for anything."""
-
-from __future__ import annotations
-
-from nw_eval.reporting.html.index import ListedRun, render_index
-from nw_eval.reporting.html.page import render_html
-
-__all__ = ["ListedRun", "render_html", "render_index"]
+"""Pages of one file each, which hold all they show and ask no network for anything."""

@@ -43,14 +43,14 @@ def render(template: str, **values: Any) -> str:
 def compile_templates() -> None:
     """Compile all templates, which takes longer than to lay out a page by them."""
     environment = _environment()
-    for name in environment.list_templates(extensions=("j2",)):
+    for name in environment.list_templates(filter_func=lambda name: name.endswith(".html.j2")):
         environment.get_template(name)
 
 
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("nw_eval.reporting.html"),
+        loader=PackageLoader("nw_eval.reporting"),
         autoescape=True,
         finalize=_visible,
         undefined=StrictUndefined,

@@ -8,11 +8,14 @@ room for, and says so.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nw_eval.plural import plural
 
 CLIP_BYTES = 2_000_000
 """Bytes of all clips of a page together; base64 adds a third, and a page of 160 trials has 5 MB."""
@@ -98,3 +101,31 @@ class LogEvidence:
 
 NO_EVIDENCE = LogEvidence()
 """What a run without logs has to show beside its rows."""
+
+
+def clips_that_fit(evidence: LogEvidence) -> tuple[dict[str, Clip], tuple[str, ...]]:
+    """Return clips by trial, the first ones of `evidence`, and what was left out in words."""
+    kept: dict[str, Clip] = {}
+    room = CLIP_BYTES
+    for clip in evidence.clips:
+        room -= len(clip.data) + len(clip.still or b"")
+        if room < 0:
+            break
+        kept[clip.trial_id] = clip
+    return kept, _left_out(len(evidence.clips) - len(kept), "clip")
+
+
+def pictures_that_fit(evidence: LogEvidence) -> tuple[Mapping[str, PlacePicture], tuple[str, ...]]:
+    """Return pictures by scene, and what was left out in words; the smallest come first."""
+    pictured = {each.scene: each.picture for each in evidence.places if each.picture is not None}
+    kept: dict[str, PlacePicture] = {}
+    room = PICTURE_BYTES
+    for scene, picture in sorted(pictured.items(), key=lambda item: (len(item[1].data), item[0])):
+        room -= len(picture.data)
+        if room >= 0:
+            kept[scene] = picture
+    return kept, _left_out(len(pictured) - len(kept), "picture of a place", "pictures of places")
+
+
+def _left_out(count: int, noun: str, several: str | None = None) -> tuple[str, ...]:
+    return (f"{plural(count, noun, several)} left out: the page is full.",) if count else ()

@@ -8,12 +8,15 @@ from pathlib import Path
 
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.cause.words import cause_table
-from nw_eval.reporting.tables.baseline import baseline_table
+from nw_eval.reporting.tables.against import baseline_table, cause_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
-from nw_eval.reporting.tables.success import outcomes_table, perturbations_table, scenes_table
+from nw_eval.reporting.tables.success import (
+    outcomes_table,
+    perturbations_table,
+    scenes_table,
+    tasks_table,
+)
 from nw_eval.reporting.tables.table import WORST, Table, judged
-from nw_eval.reporting.tables.tasks import tasks_table
 from nw_eval.reporting.tables.trials import (
     contacts_table,
     coverage_table,

@@ -1,15 +1,14 @@
-"""Tables of the run as a whole: where its time went, and what ran on what."""
+"""Tables of the run as a whole: where its time went, what ran on what, and what was taken over."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
-from nw_eval.reporting.taken_over import taken_over
-from nw_eval.reporting.throughput import throughput
 from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_eval.results.row import Row, by_column
 from nw_eval.suite.digest import digest_of
 
 
@@ -37,6 +36,79 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
         f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker."
         f" {taken_over(run, rows)}".rstrip(),
     )
+
+
+_STAGES = ("setup", "sense", "render", "policy", "physics", "log")
+"""Those that rows have the times of, each in its column."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageTime:
+    """Time of one stage over all trials."""
+
+    name: str
+    seconds: float
+    ms_per_step: float  # Per control step.
+    share: float  # Of all workers' wall time.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throughput:
+    """Stages in their order, those of a control step after `setup`, and the time they simulated.
+
+    `waiting` is what workers spent outside of trials: they were started, or the others' trials of a
+    round went on, or the journal was written.
+    """
+
+    stages: tuple[StageTime, ...]
+    sim_s: float
+    real_time_factor: float  # Simulated over wall time, of one worker.
+
+
+def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
+    """Return the time of each stage. Rows from the cache took none and are left out."""
+    run = [row for row in rows if not row.cached]
+    times = {name: f"{name}_s" for name in _STAGES}
+    sums: dict[str, float] = {
+        column: sum(values)
+        for column, values in by_column(run, ("steps", "wall_s", "sim_s", *times.values())).items()
+    }
+    steps, trials, sim = sums["steps"], sums["wall_s"], sums["sim_s"]
+    named = {name: sums[column] for name, column in times.items()}
+    # Clocks that overlap by a rounding must not make a negative stage.
+    named["other"] = max(0.0, trials - sum(named.values()))
+    named["waiting"] = max(0.0, info.wall_s * min(info.workers, len(run)) - trials)
+    wall = trials + named["waiting"]
+    return Throughput(
+        stages=tuple(
+            StageTime(
+                name=name,
+                seconds=seconds,
+                ms_per_step=1000.0 * seconds / steps if steps else 0.0,
+                share=seconds / wall if wall else 0.0,
+            )
+            for name, seconds in named.items()
+        ),
+        sim_s=sim,
+        real_time_factor=sim / trials if trials else 0.0,
+    )
+
+
+def taken_over(run: RunInfo, rows: Sequence[Row]) -> str:
+    """Return how many results the cache of trials had, and how many of them ran again.
+
+    Empty where it had none.
+    """
+    hits = sum(row.cached for row in rows)
+    again = 0 if run.cache is None else run.cache.reexecuted
+    if not hits and not again:
+        return ""
+    text = f"{hits} of {len(rows)} results are from earlier runs, by the cache of trials"
+    if run.cache is None or not again:
+        return f"{text}."
+    wrong = len(run.cache.differing)
+    came = f"{wrong} of them came to other bits" if wrong else "came to the same bits"
+    return f"{text}; {again} more ran again to be compared, and {came}."
 
 
 def provenance_table(run: RunInfo) -> Table:

@@ -1,20 +1,59 @@
-"""What every tracker gets of a judged run."""
+"""What every tracker gets of a judged run: words, numbers, files and clips, by keys.
+
+W&B, MLflow and TensorBoard forbid different characters and lengths; letters, digits, `_`, `-`, `.`
+and slashes between them are fine in all. MLflow keeps a metric as a file of its key's path, so that
+no key may be the folder of another.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
-from pathlib import Path
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path, PurePosixPath
+from typing import get_args
 
 from nw_eval.clean import clean
+from nw_eval.errors import PrerequisiteError, UsageError, nearest
 from nw_eval.gate.verdict import Comparison, Verdict
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.html.evidence import Clip
-from nw_eval.reporting.trackers.keys import key_of, keys_of
 from nw_eval.results.provenance import RunInfo
+from nw_eval.words import Tracker
+
+TRACKERS: tuple[Tracker, ...] = get_args(Tracker)
+
+
+def check_trackers(names: Iterable[str]) -> None:
+    """Check, without importing them, that trackers are known and installed.
+
+    Raises:
+        UsageError: there is none of that name.
+        PrerequisiteError: its library is not installed.
+    """
+    for name in names:
+        if name not in TRACKERS:
+            raise UsageError(f"--track {name}: no such tracker", fix=nearest(name, TRACKERS))
+        if find_spec(name) is None:
+            raise PrerequisiteError(
+                f"--track {name} needs {name}, which is not installed",
+                fix=f"pip install 'nw-eval[{name}]'",
+            )
+
+
+def track(name: Tracker, run: TrackedRun) -> None:
+    """Show a run in a tracker; a second time, what is there is replaced.
+
+    Raises:
+        Exception: whatever the tracker's library raises.
+    """
+    import_module(f"nw_eval.reporting.trackers.{name}").track(run)
+
 
 PROJECT = "nw-eval"
 """The project or experiment where nothing else is said, and what keys start with."""
@@ -149,3 +188,34 @@ def _against(found: Comparison) -> dict[str, float | None]:
         "all/drop_trials": found.trials,
         **{f"drop/{keys[scene.name]}": scene.drop for scene in found.scenes},
     }
+
+
+_LONGEST = 100
+"""Characters of a key, before its mark: MLflow takes 250 in all, of which others stand before."""
+_MARK = re.compile(r"-[0-9a-f]{12}$")
+
+
+def key_of(name: str) -> str:
+    """Return a name as a key of one part or more, between slashes.
+
+    A name that cannot stay as it is gets a mark of its own behind what is left of it; a name that
+    ends as if it had one gets one too. So no two names share a key.
+    """
+    parts = (re.sub(r"[^A-Za-z0-9_.-]+", "_", part).strip(".") for part in name.split("/"))
+    key = "/".join(part for part in parts if part)[:_LONGEST].rstrip("/.")
+    is_plain = key and key == name and not _MARK.search(key)
+    return key if is_plain else _marked(key, name)
+
+
+def keys_of(names: Iterable[str]) -> dict[str, str]:
+    """Return the key of each name; none is the folder of another."""
+    keys = {name: key_of(name) for name in names}
+    folders = {str(folder) for key in keys.values() for folder in PurePosixPath(key).parents}
+    return {
+        name: _marked(key, name) if key in folders else key for name, key in sorted(keys.items())
+    }
+
+
+def _marked(key: str, name: str) -> str:
+    digest = sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:12]
+    return f"{key or 'unnamed'}-{digest}"

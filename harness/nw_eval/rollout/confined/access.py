@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nw_eval.catalogue.whereabouts import scene_paths
+from nw_eval.catalogue import scene_paths
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir

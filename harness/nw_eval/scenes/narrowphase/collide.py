@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numba import types
 
-from nw_eval.machine_code.jit import c_function, inlined, kernel
+from nw_eval.machine_code import c_function, inlined, kernel
 from nw_eval.scenes.narrowphase.ground import (
     field_height,
     field_top,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 
 # MuJoCo's mjtGeom.
 SPHERE, CAPSULE = 2, 3

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 
 CORNERS = 9
 """Numbers of a triangle: x, y, z of its three corners, anticlockwise seen from outside."""

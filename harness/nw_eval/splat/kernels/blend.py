@@ -30,7 +30,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.math8 import (
     EXP2,

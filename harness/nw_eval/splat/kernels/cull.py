@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 from nw_eval.splat.kernels import view as at
 
 REACH = 3.33

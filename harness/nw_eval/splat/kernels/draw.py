@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.blend import CHANNELS, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks

@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.machine_code.jit import inlined
+from nw_eval.machine_code import inlined
 from nw_eval.splat.kernels.simd import (
     FLOAT,
     I32,

@@ -30,7 +30,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.cull import BOUNDS, REACH
 from nw_eval.splat.kernels.math8 import log2, pack_range, taken_below

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 from nw_eval.splat.kernels.math8 import bits_of
 from nw_eval.splat.kernels.memory import peek, poke
 from nw_eval.splat.kernels.project import DEPTH, RECORD

@@ -7,8 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from nw_eval.catalogue import brought, is_built_in, names, open_scene
-from nw_eval.catalogue.whereabouts import scene_files
+from nw_eval.catalogue import brought, is_built_in, names, open_scene, scene_files
 from nw_eval.errors import SceneError, StoreError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
 from nw_eval.files.inside import what_is
@@ -16,7 +15,7 @@ from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
 from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.suite.ready import write_ready_suite
+from nw_eval.suite.written import write_ready_suite
 from nw_eval.twin.moved import similarity_entry
 from nw_eval.twin.place import COLLISION, SPLAT, SUITE, rounded, write_collision, write_yaml
 from nw_eval.words import Robot

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 
 _NEAR = 0.03
 """Share of its depth within which a surface is the one that is seen there."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 
 COST = 1000.0
 """Cost of the worst match in a volume of costs, which holds whole numbers."""

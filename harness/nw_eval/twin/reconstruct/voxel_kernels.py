@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined, kernel
+from nw_eval.machine_code import inlined, kernel
 
 SIDE = 8
 """Voxels along a block."""

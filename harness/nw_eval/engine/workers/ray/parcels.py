@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from nw_eval.catalogue.whereabouts import scene_files
+from nw_eval.catalogue import scene_files
 from nw_eval.errors import UsageError
 from nw_eval.files.cache import cache_dir
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _OF_THE_TRIAL = ("trail", "termination", "state_digest", "action_digest")
 """Parts of a state that are the trial's; all others are the policy's, its sensors among them."""
 _HEAD = 12
-"""Bytes of a world's state that name the model: magic and fingerprint, see `sim.snapshot`."""
+"""Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
 
 
 def lead(

@@ -26,7 +26,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from nw_eval.machine_code.jit import inlined
+from nw_eval.machine_code import inlined
 from nw_eval.splat.kernels.blend import (
     CHANNELS,
     FLAT,

@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import nw_eval.splat.kernels as renderer
-from nw_eval.machine_code import jit
-from nw_eval.machine_code.jit import hash_sources
-from nw_eval.machine_code.kept import kept_code
+from nw_eval import machine_code
+from nw_eval.machine_code import hash_sources, kept_code
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile like the renderer's kernels; see `nw_eval.machine_code.jit.kernel`."""
-    compiled: Any = jit.kernel(function)
+    """Compile like the renderer's kernels; see `nw_eval.machine_code.kernel`."""
+    compiled: Any = machine_code.kernel(function)
     kept = kept_code(function, _version())
     if kept is not None:
         compiled._cache = kept  # noqa: SLF001 - Numba has no public way to bring one's own cache.

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined
+from nw_eval.machine_code import inlined
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.math8 import float_of
 from nw_eval.splat.kernels.memory import poke

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined
+from nw_eval.machine_code import inlined
 from nw_eval.twin.gaussians.kernels.jit import kernel
 from nw_eval.twin.gaussians.kernels.project import rotation
 

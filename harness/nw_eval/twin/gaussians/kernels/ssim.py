@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code.jit import inlined
+from nw_eval.machine_code import inlined
 from nw_eval.splat.kernels.memory import load, store
 from nw_eval.splat.kernels.simd import fma
 from nw_eval.twin.gaussians.kernels.jit import kernel

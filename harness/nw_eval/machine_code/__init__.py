@@ -1,1 +1,0 @@
-"""Functions compiled to machine code by Numba, and where the code is kept."""

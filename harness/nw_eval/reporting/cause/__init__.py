@@ -1,1 +1,0 @@
-"""What a drop is due to, in words and as a table."""

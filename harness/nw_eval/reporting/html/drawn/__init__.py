@@ -1,1 +1,0 @@
-"""What a page draws, as numbers: its templates only lay them out."""

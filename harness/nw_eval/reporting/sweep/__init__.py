@@ -1,1 +1,0 @@
-"""Sweeps as pages, pictures and rows."""

@@ -1,0 +1,157 @@
+"""The forces of one control step: on feet and watched parts, of the motors, and on the trunk.
+
+Contact forces are added up on the few geoms that anything asks about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from nw_eval.sim.binding import MjData, MjModel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+Array = npt.NDArray[np.float64]
+
+
+CONTACT_THRESHOLD = 2.0
+"""A foot is in contact above this force, N."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Forces:
+    """What a control step left to be felt."""
+
+    feet: Array
+    """(4,) N, contact force on each foot in the order of `robot.feet`."""
+    monitored: Array
+    """(M,) N, contact force on each watched geom."""
+    torques: Array
+    """(12,) N m, of the servos after clipping, without joint damping."""
+    acceleration: Array
+    """(6,) of the trunk: linear in the world's axes, m / s^2, angular in its own, rad / s^2."""
+    contacts: npt.NDArray[np.bool_]
+    """(4,) whether each foot is in contact."""
+    previous_contacts: npt.NDArray[np.bool_]
+    """(4,) the same, one control step ago."""
+
+    @cached_property
+    def largest(self) -> float:
+        """The largest contact force on any watched geom, N; judge and log both ask."""
+        return float(self.monitored.max(initial=0.0))
+
+
+def specific_force(
+    at: Sequence[float], *, acceleration: Array, rates: Array, R_world_trunk: Array, gravity: Array
+) -> Array:
+    """Return what an accelerometer on the trunk reads: acceleration minus gravity.
+
+    It is what MuJoCo's accelerometer reads at a site there.
+
+    Args:
+        at: (3,) where it sits, trunk frame, m.
+        acceleration: (6,) of the trunk, as in `Forces`.
+        rates: (3,) angular velocity of the trunk, trunk frame, rad / s.
+        R_world_trunk: (3, 3).
+        gravity: (3,) world frame, m / s^2.
+
+    Returns:
+        (3,) m / s^2, trunk frame.
+    """
+    # Plain cross products: `np.cross` takes longer than all the rest.
+    px, py, pz = at
+    wx, wy, wz = rates.tolist()
+    ax, ay, az = acceleration[3:].tolist()
+    # Speed of the point around the origin, and what its circling adds: w x (w x p) + a x p.
+    vx, vy, vz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
+    circling = np.array(
+        [
+            wy * vz - wz * vy + ay * pz - az * py,
+            wz * vx - wx * vz + az * px - ax * pz,
+            wx * vy - wy * vx + ax * py - ay * px,
+        ]
+    )
+    return R_world_trunk.T @ (acceleration[:3] - gravity) + circling
+
+
+class ContactForces:
+    """Adds up contact forces on chosen geoms.
+
+    Args:
+        model: compiled model.
+        names: geom names; the order of every result.
+        in_contact_frames: add each contact's force in that contact's own frame, unrotated and
+            unsigned, as the published evaluation does. Otherwise forces are rotated to the world,
+            where they act on the named geom.
+    """
+
+    def __init__(self, model: MjModel, names: Sequence[str], *, in_contact_frames: bool) -> None:
+        self._row = {int(model.geom(name).id): row for row, name in enumerate(names)}
+        self._in_contact_frames = in_contact_frames
+
+    def read(self, data: MjData, solved: Array | None = None) -> Array:
+        """Return the magnitude of the summed force on each geom, (len(names),) in N.
+
+        Args:
+            data: with its contacts.
+            solved: constraint forces by row, as a solver left them; where it has fewer rows than a
+                contact asks for, those are 0. None = those of `data`.
+        """
+        rows = data.efc_force if solved is None else solved
+        if len(rows) < data.nefc:
+            rows = np.concatenate([rows, np.zeros(data.nefc - len(rows))])
+        forces = np.zeros((len(self._row), 3))
+        contact = data.contact
+        watched = [
+            (index, row, sign)
+            for index, pair in enumerate(contact.geom.tolist())
+            # Force and frame are those of the first geom acting on the second.
+            for geom, sign in zip(pair, (-1.0, 1.0), strict=True)
+            if (row := self._row.get(geom)) is not None
+        ]
+        if not watched:
+            return np.zeros(len(forces))
+        starts, sizes = contact.efc_address.tolist(), contact.dim.tolist()
+        friction, frames = contact.friction, contact.frame
+        for index, row, sign in watched:
+            if starts[index] < 0:  # It lies within the margin and pushes nothing.
+                continue
+            force = _contact_force(rows, starts[index], sizes[index], friction[index])
+            if not self._in_contact_frames:
+                # Rows of the frame are its axes: transposed, it rotates to the world.
+                force = sign * (force @ frames[index].reshape(3, 3))
+            forces[row] += force
+        return np.linalg.norm(forces, axis=1)
+
+
+def _contact_force(rows: Array, start: int, size: int, friction: Array) -> Array:
+    """Return a contact's force in its own frame, (3,) N: normal, then tangents.
+
+    What `mj_contactForce` does for pyramidal cones, which every model here has, but from rows that
+    need not be the solver's present ones.
+
+    Args:
+        rows: constraint forces.
+        start: the contact's first row.
+        size: its dimensions: 1 without friction, else 3, 4 or 6.
+        friction: (5,) its coefficients.
+    """
+    if size == 1:
+        return np.array([rows[start], 0.0, 0.0])
+    # Each pair of rows holds the two opposite edges of the pyramid along one axis.
+    edges = rows[start : start + 2 * (size - 1)].tolist()
+    return np.array(
+        [
+            sum(edges),
+            (edges[0] - edges[1]) * friction[0],
+            (edges[2] - edges[3]) * friction[1],
+        ]
+    )
