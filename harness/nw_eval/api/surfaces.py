@@ -218,8 +218,7 @@ def _track_run(judged: RunReport, tracker: Tracker) -> None:
     Raises:
         Exception: whatever the tracker's library raises.
     """
-    from nw_eval.reporting.trackers import track
-    from nw_eval.reporting.trackers.tracked import tracked_run
+    from nw_eval.reporting.trackers.tracked import track, tracked_run
 
     pages = tuple(page for page in (judged.page, judged.html) if page is not None)
     clips = () if judged.evidence is None else judged.evidence.clips
