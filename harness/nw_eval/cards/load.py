@@ -13,12 +13,12 @@ from nw_eval.cards.card import Card
 from nw_eval.cards.problems import input_problems, joint_problems
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.files.json_schema import json_schema_of
 from nw_eval.files.shipped import available, shipped
 from nw_eval.files.yaml_file import (
     Location,
     YamlFile,
     YamlProblems,
+    json_schema_of,
     parse_yaml,
     read_yaml,
     validation_problems,

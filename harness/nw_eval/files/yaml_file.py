@@ -2,21 +2,27 @@
 
 A file is composed to nodes, not constructed to objects: no tag of it can make anything but text,
 numbers, booleans, null, lists and mappings, and every duplicate key is found, not the first only.
+
+Of the models that files are checked by there are JSON Schemas, every key with its meaning.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import ErrorDetails, core_schema
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -386,3 +392,48 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     elif typing.get_origin(annotation) is not None or isinstance(annotation, types.UnionType):
         for inner in typing.get_args(annotation):
             yield from _models_in(inner)
+
+
+def json_schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a model, described by its docstrings."""
+    return model.model_json_schema(by_alias=True, schema_generator=_Described)
+
+
+class _Described(GenerateJsonSchema):
+    """Describes properties by the docstrings under the fields.
+
+    Pydantic's own `use_attribute_docstrings` reads the sources whenever the classes are imported,
+    which adds a third to the time in which a first card is read; here it is done on demand.
+    """
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> dict[str, Any]:
+        result = super().model_schema(schema)
+        model: type[BaseModel] = schema["cls"]
+        docstrings = _field_docstrings(model)
+        for name, field in model.model_fields.items():
+            key = result["properties"][field.alias or name]
+            if name in docstrings:
+                key["description"] = docstrings[name]
+            elif "const" in key:  # `term: ang_vel` means what its class is.
+                key["description"] = result["description"]
+        return result
+
+
+def _field_docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """Return the strings that stand under the fields of a model and its bases, by name."""
+    docstrings: dict[str, str] = {}
+    for cls in reversed(model.__mro__):
+        if cls is BaseModel or not issubclass(cls, BaseModel):
+            continue
+        (body,) = ast.parse(inspect.getsource(cls)).body
+        assert isinstance(body, ast.ClassDef), "the source of a class is one statement"
+        for field, note in pairwise(body.body):
+            match field, note:
+                case (
+                    ast.AnnAssign(target=ast.Name(id=name)),
+                    ast.Expr(value=ast.Constant(value=str(text))),
+                ):
+                    docstrings[name] = inspect.cleandoc(text)
+                case _:
+                    pass
+    return docstrings

@@ -14,8 +14,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside, what_is
-from nw_eval.files.json_schema import json_schema_of
-from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
+from nw_eval.files.yaml_file import (
+    YamlFile,
+    YamlProblems,
+    json_schema_of,
+    read_yaml,
+    validation_problems,
+)
 from nw_eval.scenes import limits
 from nw_eval.scenes.capture_file import Far, Quat, read_captures
 from nw_eval.scenes.finding import SceneFinding

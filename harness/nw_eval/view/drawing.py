@@ -1,6 +1,6 @@
 """Trials in viser's scene: geometry is sent once, then only where bodies are.
 
-What a log's scene holds, as triangles: boxes, cylinders, ellipsoids and meshes alike.
+What a log's scene holds becomes triangles: boxes, cylinders, ellipsoids and meshes alike.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Many robots at once: their physics, and their progress along the trails.
 
 Each robot is in a lane of its own, and all are stepped on a pool of threads. Progress goes by the
-rules of `sim.trail` and `sim.termination`.
+rules of `sim.course`.
 """
 
 from __future__ import annotations
