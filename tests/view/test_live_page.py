@@ -66,7 +66,7 @@ def test_sliders_push_and_boxes_reach_the_stage(page):
     press(page, "payload, kg", 1.0)
     press(page, "payload, kg", 3.0)
     wait(lambda: page._stage.cell.get("payload") == 3.0)
-    assert "payload 3" in page.words
+    wait(lambda: "payload 3" in page.words)
     press(page, "To", "left")
     wait(lambda: page._stage.pushed == pytest.approx(0.5))
     press(page, "Drop a box")

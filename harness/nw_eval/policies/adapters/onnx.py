@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -174,9 +175,14 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     return dict(named)
 
 
+@lru_cache(maxsize=4)  # All trials of a process open the same files.
+def _check(data: bytes, where: str) -> None:
+    check_onnx(data, where)
+
+
 def _open(bundle: Bundle) -> ort.InferenceSession:
     data = bundle.read_checkpoint()
-    check_onnx(data, str(bundle.checkpoint))
+    _check(data, str(bundle.checkpoint))
     try:
         return open_session(data)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
