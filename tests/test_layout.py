@@ -7,9 +7,7 @@ from pathlib import Path
 import nw_eval
 
 PACKAGE = Path(nw_eval.__file__).parent
-_IMPORT = re.compile(
-    r"^\s*(?:from (nw_eval[\w.]*) import ([^\n]*)|import (nw_eval[\w.]*))", re.MULTILINE
-)
+_IMPORT = re.compile(r"^\s*(?:from|import) (nw_eval[\w.]*)(?: import ([^\n]*))?", re.MULTILINE)
 
 LEFT = {
     "nw_eval.confinement.nursery",
