@@ -226,7 +226,12 @@ def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_
         ["a"], 20, drawn_from=60, engine=elsewhere, baseline=begun, stop=StopInfo(first=0)
     )
     verdict = judge_run([], run, Gate(), against)
-    assert (verdict.verdict, verdict.exit_code, verdict.reasons) == ("INVALID", 5, moved)
+    assert (verdict.verdict, verdict.exit_code) == ("INVALID", 5)
+    assert verdict.reasons[:-1] == moved
+    own = against.bank.manifest
+    assert f"`nw-eval baseline verify {own.suite}/{own.name} --share 100%`" in verdict.reasons[-1]
+    renew = f"--policy {own.policy.name} --name {own.name} --renew` saves it again"
+    assert verdict.reasons[-1].endswith(renew)
 
 
 def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forged(

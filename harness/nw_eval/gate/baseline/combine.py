@@ -70,18 +70,31 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         # Cut while the bank's own policy ran, or before: nothing is known but what is missing.
         return by_bar(rows, gate, run.planned)
     if begun is not None and begun.moved:
-        return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=begun.moved)
+        reasons = (*begun.moved, _mend(run, against))
+        return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=reasons)
     found = compare(rows, run, against, gate, foresee=True)
     by_bar = partial(by_bar, drawn=_drawn(rows, run, against, gate))
     if found.again is not None and found.again.differing:
         verdict = by_bar(rows, gate, run.planned, against=found)
-        return replace(verdict, verdict="INVALID", reasons=found.again.differing, against=found)
+        reasons = (*found.again.differing, _mend(run, against))
+        return replace(verdict, verdict="INVALID", reasons=reasons, against=found)
     planned = run.planned
     if found.again is not None and found.again.taken_over:
         rows = known_rows(run, against.bank)
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
     return combined(by_bar(rows, gate, planned, against=found), found)
+
+
+def _mend(run: RunInfo, against: Against) -> str:
+    """Return what to do about a baseline that its own policy contradicts."""
+    suite, manifest = _as_asked(run)[0], against.bank.manifest
+    file = quote(f"{manifest.suite}/{manifest.name}")
+    return (
+        f"`nw-eval baseline verify {file} --share 100%` names each row that differs, "
+        f"`nw-eval baseline save {quote(suite)} --policy {quote(manifest.policy.name)} "
+        f"--name {quote(manifest.name)} --renew` saves it again"
+    )
 
 
 def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
